@@ -1,0 +1,187 @@
+"""Arms are TOML files: nominal link table, limits, base and tool, and, for simulated arms, the true deviations.
+
+Files give degrees and millimetres and say so in every key; inside, everything is radians and metres. The shipped arms
+lie in `pickenv/arm/arms`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm.geometry import LINK_PARAMETERS, Array, Geometry, Pose, from_standard_dh
+from pickenv.arm.pose_error import rotation_matrix
+from pickenv.errors import InputError
+
+ARMS = Path(__file__).parent / "arms"
+
+UNITS = {"alpha": "deg", "a": "mm", "theta": "deg", "d": "mm", "beta": "deg"}
+TO_SI = {"deg": np.pi / 180.0, "mm": 1e-3, "rad": 1.0, "m": 1.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A named arm.
+
+    Attributes:
+        name: As in its file.
+        source: Where its numbers come from.
+        nominal: The geometry that the controller believes in.
+        true: The geometry as built, where the file gives one (simulated arms), else None.
+        speed: Largest joint speeds, rad/s or m/s, shape (n,).
+    """
+
+    name: str
+    source: str
+    nominal: Geometry
+    true: Geometry | None
+    speed: Array
+
+    def fingerprint(self) -> str:
+        """Hash of the nominal geometry: a calibration fitted to one arm is refused on another."""
+        g = self.nominal
+        numbers = [getattr(g, name).tolist() for name in LINK_PARAMETERS]
+        numbers += [v.tolist() for v in (*g.base, *g.tool)]
+        text = json.dumps([list(g.prismatic), numbers])
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def shipped_arms() -> list[str]:
+    """Names of the arms that come with pickenv."""
+    return sorted(path.stem for path in ARMS.glob("*.toml"))
+
+
+def load_arm(name: str | Path) -> Arm:
+    """Read an arm by name (a shipped one) or from a path to a TOML file.
+
+    Raises:
+        InputError: If the arm is unknown, or its file is malformed; the message names the file and the joint or key.
+    """
+    path = Path(name)
+    if path.suffix == ".toml":
+        if not path.is_file():
+            raise InputError(f"arm file {path} does not exist; give a path to a TOML file or one of {shipped_arms()}")
+    else:
+        path = ARMS / f"{name}.toml"
+        if not path.is_file():
+            raise InputError(f"unknown arm '{name}'; give one of {shipped_arms()} or a path to an arm file (.toml)")
+    return _read(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=32)
+def _read(path: Path, _modified: int) -> Arm:
+    return parse_arm(read_toml(path), str(path))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file, or say in one sentence why it cannot be read."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is not valid TOML: {error}") from error
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
+    """Turn the parsed content of an arm file into an `Arm`; ``where`` names the file in error messages."""
+    allowed = {"name", "source", "convention", "joint_count", "joints", "base", "tool"}
+    unknown = set(content) - allowed
+    if unknown:
+        raise InputError(f"{where}: unknown key '{sorted(unknown)[0]}'; an arm file has {sorted(allowed)}")
+    joints = _numbered_joints(content, where)
+    names = tuple(str(joint.get("name", f"J{i + 1}")) for i, joint in enumerate(joints))
+    types = [joint.get("type") for joint in joints]
+    for i, kind in enumerate(types):
+        if kind not in ("R", "P"):
+            raise InputError(f"{where}: joint {i + 1} has type {kind!r}; give 'R' (revolute) or 'P' (prismatic)")
+    prismatic = tuple(kind == "P" for kind in types)
+    limits = {"lower": _per_joint(joints, prismatic, "lower", where), "upper": _per_joint(joints, prismatic, "upper", where)}
+    if np.any(limits["lower"] >= limits["upper"]):
+        worst = int(np.argmax(limits["lower"] >= limits["upper"]))
+        raise InputError(f"{where}: joint {worst + 1} has a lower limit that is not below its upper limit")
+    table = {key: _column(joints, key, where) for key in ("alpha", "a", "theta", "d")}
+    base, tool = _pose(content, "base", where), _pose(content, "tool", where)
+    convention = content.get("convention", "modified")
+    if convention == "modified":
+        nominal = Geometry(names, prismatic, **table, beta=np.zeros(len(joints)), **limits, base=base, tool=tool)
+    elif convention == "standard":
+        nominal = from_standard_dh(names, prismatic, **table, **limits, base=base, tool=tool)
+    else:
+        raise InputError(f"{where}: convention {convention!r} is unknown; give 'modified' or 'standard' (DH)")
+    true = None
+    if any(any(str(key).startswith("true_") for key in joint) for joint in joints):
+        if convention != "modified":
+            raise InputError(f"{where}: true_… values need convention = 'modified'")
+        true = replace(nominal, **{key: _column(joints, key, where, "true_") for key in table})
+    return Arm(
+        name=str(content.get("name", Path(where).stem)),
+        source=str(content.get("source", "")),
+        nominal=nominal,
+        true=true,
+        speed=_per_joint(joints, prismatic, "speed", where),
+    )
+
+
+def _numbered_joints(content: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:
+    """The joint tables in order 1..joint_count; a gap or a duplicate is an error that names the joint."""
+    joints, count = content.get("joints"), content.get("joint_count")
+    if not isinstance(count, int) or count < 1:
+        raise InputError(f"{where}: joint_count is missing; state the number of joints so that a lost one is noticed")
+    if not isinstance(joints, list) or not all(isinstance(joint, Mapping) for joint in joints):
+        raise InputError(f"{where}: there are no [[joints]] tables; give one per joint")
+    numbers = [joint.get("number") for joint in joints]
+    for number in range(1, count + 1):
+        if numbers.count(number) != 1:
+            fault = "is missing" if number not in numbers else "is given twice"
+            raise InputError(f"{where}: joint {number} {fault}; joint_count = {count} asks for joints 1 to {count}, once each")
+    if len(joints) != count:
+        extra = next(number for number in numbers if number not in range(1, count + 1))
+        raise InputError(f"{where}: joint number {extra!r} is not in 1..{count}; correct it or joint_count")
+    return sorted(joints, key=lambda joint: int(joint["number"]))
+
+
+def _number(table: Mapping[str, Any], key: str, where: str, owner: str) -> float:
+    value = table.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        given = "is missing" if key not in table else f"is {value!r}"
+        raise InputError(f"{where}: {key} of {owner} {given}; give a number")
+    if not np.isfinite(value):
+        raise InputError(f"{where}: {key} of {owner} is {value}; give a finite number")
+    return float(value)
+
+
+def _column(joints: list[Mapping[str, Any]], key: str, where: str, prefix: str = "") -> Array:
+    name = f"{prefix}{key}_{UNITS[key]}"
+    values = [_number(joint, name, where, f"joint {i + 1}") for i, joint in enumerate(joints)]
+    return np.array(values) * TO_SI[UNITS[key]]
+
+
+def _per_joint(joints: list[Mapping[str, Any]], prismatic: tuple[bool, ...], key: str, where: str) -> Array:
+    """Limits or speeds: degrees for revolute joints, millimetres for prismatic ones."""
+    values = []
+    for i, (joint, slides) in enumerate(zip(joints, prismatic, strict=True)):
+        unit = "mm" if slides else "deg"
+        suffix = "_per_s" if key == "speed" else ""
+        values.append(_number(joint, f"{key}_{unit}{suffix}", where, f"joint {i + 1}") * TO_SI[unit])
+    return np.array(values)
+
+
+def _pose(content: Mapping[str, Any], key: str, where: str) -> Pose:
+    table = content.get(key, {})
+    vectors = []
+    for name, unit in (("position_mm", "mm"), ("rotation_vector_deg", "deg")):
+        value = table.get(name, [0.0, 0.0, 0.0])
+        if not isinstance(value, list) or len(value) != 3:
+            raise InputError(f"{where}: {name} of [{key}] must be three numbers")
+        numbers = {f"{name}[{i}]": v for i, v in enumerate(value)}
+        vectors.append(np.array([_number(numbers, k, where, f"[{key}]") for k in numbers]) * TO_SI[unit])
+    return Pose(vectors[0], rotation_matrix(vectors[1]))

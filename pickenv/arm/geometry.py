@@ -1,0 +1,173 @@
+"""What an arm is: a serial chain of revolute and prismatic joints in modified DH parameters, with base and tool poses.
+
+Link i is T(i-1,i) = Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d): Qiao 2026 eq (1), with Hayati's
+beta added for consecutive parallel axes (zero in every nominal table). Units: metres and radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+LINK_PARAMETERS = ("alpha", "a", "theta", "d", "beta")
+FRAME_PARAMETERS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+class Pose(NamedTuple):
+    """A pose, or a batch of them: position ``(..., 3)`` in metres and rotation matrix ``(..., 3, 3)``."""
+
+    position: Array
+    rotation: Array
+
+
+def identity_pose() -> Pose:
+    """The pose that moves nothing."""
+    return Pose(np.zeros(3), np.eye(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Modified DH table of a serial chain with n joints, its base and tool poses and its joint limits.
+
+    Attributes:
+        joint_names: One name per joint, as messages and tables print it.
+        prismatic: For each joint, whether it slides (else it turns).
+        alpha: Twist alpha(i-1) of each link, rad, shape (n,). All five link parameters may carry leading batch
+            dimensions (one table per arm).
+        a: Length a(i-1) of each link, m.
+        theta: Joint angle at zero displacement, rad; a revolute joint's displacement adds to it.
+        d: Offset at zero displacement, m; a prismatic joint's displacement adds to it.
+        beta: Hayati's second twist, rad, about y after Trans(x, a).
+        lower: Lower joint limits, rad or m, shape (n,).
+        upper: Upper joint limits.
+        base: Pose of the chain's frame 0 in the measurement (world) frame.
+        tool: Pose of the tool in the last link's frame.
+    """
+
+    joint_names: tuple[str, ...]
+    prismatic: tuple[bool, ...]
+    alpha: Array
+    a: Array
+    theta: Array
+    d: Array
+    beta: Array
+    lower: Array
+    upper: Array
+    base: Pose
+    tool: Pose
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return len(self.prismatic)
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of all 5n + 12 parameters, in the order of `parameter_jacobian`'s columns.
+
+        Link parameters carry the paper's indices: alpha0..alpha(n-1), a0..a(n-1), theta1..n, d1..n, beta0..beta(n-1),
+        then base_x..base_rz and tool_x..tool_rz.
+        """
+        first = {"alpha": 0, "a": 0, "theta": 1, "d": 1, "beta": 0}
+        links = [f"{name}{i + first[name]}" for name in LINK_PARAMETERS for i in range(self.joints)]
+        frames = [f"{frame}_{name}" for frame in ("base", "tool") for name in FRAME_PARAMETERS]
+        return tuple(links + frames)
+
+    @cached_property
+    def parameter_is_angle(self) -> NDArray[np.bool_]:
+        """For each parameter, whether it is an angle (rad) rather than a length (m), shape (5n + 12,)."""
+        links = [name in ("alpha", "theta", "beta") for name in LINK_PARAMETERS for _ in range(self.joints)]
+        return np.array(links + [False, False, False, True, True, True] * 2)
+
+    def displaced(self, delta: ArrayLike) -> Geometry:
+        """This geometry with ``delta`` (5n + 12,) added to its parameters, in the order of `parameter_names`.
+
+        Base and tool are moved on the manifold: positions add, rotations are multiplied from the left by the rotation
+        of the given rotation vector (axes of the world for the base, of the last link for the tool).
+        """
+        delta = np.asarray(delta, dtype=float)
+        n = self.joints
+        if delta.shape != (5 * n + 12,):
+            raise ValueError(f"delta has shape {delta.shape}, but this geometry has {5 * n + 12} parameters")
+        alpha, a, theta, d, beta = delta[: 5 * n].reshape(5, n)
+        base, tool = delta[5 * n :].reshape(2, 6)
+        return replace(
+            self,
+            alpha=self.alpha + alpha,
+            a=self.a + a,
+            theta=self.theta + theta,
+            d=self.d + d,
+            beta=self.beta + beta,
+            base=move_pose(self.base, base),
+            tool=move_pose(self.tool, tool),
+        )
+
+    def difference(self, other: Geometry) -> Array:
+        """The ``delta`` (5n + 12,) that turns this geometry into ``other`` (inverse of `displaced`)."""
+        links = [getattr(other, name) - getattr(self, name) for name in LINK_PARAMETERS]
+        frames = []
+        for mine, theirs in ((self.base, other.base), (self.tool, other.tool)):
+            turn = Rotation.from_matrix(theirs.rotation @ mine.rotation.T).as_rotvec()
+            frames += [theirs.position - mine.position, turn]
+        return np.concatenate(links + frames)
+
+
+def move_pose(pose: Pose, delta: Array) -> Pose:
+    """Add ``delta[:3]`` (m) to the position and turn the pose by the rotation vector ``delta[3:]`` (rad)."""
+    turn = Rotation.from_rotvec(delta[3:]).as_matrix()
+    return Pose(pose.position + delta[:3], turn @ pose.rotation)
+
+
+def from_standard_dh(
+    joint_names: tuple[str, ...],
+    prismatic: tuple[bool, ...],
+    *,
+    theta: ArrayLike,
+    d: ArrayLike,
+    a: ArrayLike,
+    alpha: ArrayLike,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    base: Pose | None = None,
+    tool: Pose | None = None,
+) -> Geometry:
+    """Turn a standard (distal) DH table, Rot(z, theta) Trans(z, d) Trans(x, a) Rot(x, alpha), into our modified one.
+
+    The chain's product is regrouped: a and alpha of link i become those of modified link i + 1, and the last link's
+    a and alpha move into the tool pose. Nothing is approximated.
+
+    Args:
+        joint_names: Names of the joints.
+        prismatic: Joint types.
+        theta: Standard DH angles, rad.
+        d: Standard DH offsets, m.
+        a: Standard DH lengths, m.
+        alpha: Standard DH twists, rad.
+        lower: Lower joint limits.
+        upper: Upper joint limits.
+        base: Base pose; identity when left out.
+        tool: Tool pose behind the last standard frame; identity when left out.
+    """
+    a, alpha = np.asarray(a, dtype=float), np.asarray(alpha, dtype=float)
+    tool = tool or identity_pose()
+    last = Rotation.from_rotvec([alpha[-1], 0.0, 0.0]).as_matrix()
+    return Geometry(
+        joint_names=joint_names,
+        prismatic=prismatic,
+        alpha=np.concatenate([[0.0], alpha[:-1]]),
+        a=np.concatenate([[0.0], a[:-1]]),
+        theta=np.asarray(theta, dtype=float),
+        d=np.asarray(d, dtype=float),
+        beta=np.zeros(len(a)),
+        lower=np.asarray(lower, dtype=float),
+        upper=np.asarray(upper, dtype=float),
+        base=base or identity_pose(),
+        tool=Pose(np.array([a[-1], 0.0, 0.0]) + last @ tool.position, last @ tool.rotation),
+    )
