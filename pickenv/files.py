@@ -28,14 +28,15 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"cannot write {path}: {reason}; choose a folder that can be written") from error
+    temporary = Path(name)
+    try:
         os.close(handle)
         umask = os.umask(0)
         os.umask(umask)
-        os.chmod(name, 0o666 & ~umask)  # mkstemp makes private files; a result is to be shared like any other file
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}; choose a folder that can be written") from error
-    temporary = Path(name)
-    try:
+        temporary.chmod(0o666 & ~umask)  # mkstemp makes private files; a result is to be shared like any other file
         write(temporary)
         os.replace(temporary, path)
     except OSError as error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -93,10 +93,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
     """Turn the parsed content of an arm file into an `Arm`; ``where`` names the file in error messages."""
-    allowed = {"name", "source", "convention", "joint_count", "joints", "base", "tool"}
-    unknown = set(content) - allowed
-    if unknown:
-        raise InputError(f"{where}: unknown key '{sorted(unknown)[0]}'; an arm file has {sorted(allowed)}")
+    refuse_unknown(
+        content, ("name", "source", "convention", "joint_count", "joints", "base", "tool"), where, "an arm file"
+    )
     joints = _numbered_joints(content, where)
     names = tuple(str(joint.get("name", f"J{i + 1}")) for i, joint in enumerate(joints))
     types = [joint.get("type") for joint in joints]
@@ -104,7 +103,12 @@ def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
         if kind not in ("R", "P"):
             raise InputError(f"{where}: joint {i + 1} has type {kind!r}; give 'R' (revolute) or 'P' (prismatic)")
     prismatic = tuple(kind == "P" for kind in types)
-    limits = {"lower": _per_joint(joints, prismatic, "lower", where), "upper": _per_joint(joints, prismatic, "upper", where)}
+    for i, (joint, slides) in enumerate(zip(joints, prismatic, strict=True)):
+        refuse_unknown(joint, _joint_keys(slides), where, f"joint {i + 1} ({types[i]})")
+    limits = {
+        "lower": _per_joint(joints, prismatic, "lower", where),
+        "upper": _per_joint(joints, prismatic, "upper", where),
+    }
     if np.any(limits["lower"] >= limits["upper"]):
         worst = int(np.argmax(limits["lower"] >= limits["upper"]))
         raise InputError(f"{where}: joint {worst + 1} has a lower limit that is not below its upper limit")
@@ -121,28 +125,49 @@ def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
     if any(any(str(key).startswith("true_") for key in joint) for joint in joints):
         if convention != "modified":
             raise InputError(f"{where}: true_… values need convention = 'modified'")
-        true = replace(nominal, **{key: _column(joints, key, where, "true_") for key in table})
+        built: dict[str, Any] = {key: _column(joints, key, where, "true_") for key in table}
+        true = replace(nominal, **built)
+    speed = _per_joint(joints, prismatic, "speed", where)
+    if np.any(speed <= 0):
+        raise InputError(f"{where}: the speed of joint {int(np.argmax(speed <= 0)) + 1} is not above zero")
     return Arm(
         name=str(content.get("name", Path(where).stem)),
         source=str(content.get("source", "")),
         nominal=nominal,
         true=true,
-        speed=_per_joint(joints, prismatic, "speed", where),
+        speed=speed,
     )
+
+
+def refuse_unknown(table: Mapping[str, Any], allowed: Iterable[str], where: str, owner: str) -> None:
+    """A key that nobody reads is a misspelt one: refuse it and say which keys ``owner`` has."""
+    unknown = sorted(str(key) for key in set(table) - set(allowed))
+    if unknown:
+        raise InputError(f"{where}: unknown key '{unknown[0]}'; {owner} has {', '.join(sorted(allowed))}")
+
+
+def _joint_keys(slides: bool) -> list[str]:
+    unit = "mm" if slides else "deg"
+    columns = [f"{key}_{UNITS[key]}" for key in ("alpha", "a", "theta", "d")]
+    limits = [f"lower_{unit}", f"upper_{unit}", f"speed_{unit}_per_s"]
+    return ["number", "name", "type", *columns, *(f"true_{key}" for key in columns), *limits]
 
 
 def _numbered_joints(content: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:
     """The joint tables in order 1..joint_count; a gap or a duplicate is an error that names the joint."""
     joints, count = content.get("joints"), content.get("joint_count")
-    if not isinstance(count, int) or count < 1:
-        raise InputError(f"{where}: joint_count is missing; state the number of joints so that a lost one is noticed")
+    if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+        given = "is missing" if count is None else f"is {count!r}"
+        raise InputError(f"{where}: joint_count {given}; state the number of joints so that a lost one is noticed")
     if not isinstance(joints, list) or not all(isinstance(joint, Mapping) for joint in joints):
         raise InputError(f"{where}: there are no [[joints]] tables; give one per joint")
     numbers = [joint.get("number") for joint in joints]
     for number in range(1, count + 1):
         if numbers.count(number) != 1:
             fault = "is missing" if number not in numbers else "is given twice"
-            raise InputError(f"{where}: joint {number} {fault}; joint_count = {count} asks for joints 1 to {count}, once each")
+            raise InputError(
+                f"{where}: joint {number} {fault}; joint_count = {count} asks for joints 1 to {count}, once each"
+            )
     if len(joints) != count:
         extra = next(number for number in numbers if number not in range(1, count + 1))
         raise InputError(f"{where}: joint number {extra!r} is not in 1..{count}; correct it or joint_count")
@@ -177,6 +202,9 @@ def _per_joint(joints: list[Mapping[str, Any]], prismatic: tuple[bool, ...], key
 
 def _pose(content: Mapping[str, Any], key: str, where: str) -> Pose:
     table = content.get(key, {})
+    if not isinstance(table, Mapping):
+        raise InputError(f"{where}: [{key}] must be a table with position_mm and rotation_vector_deg")
+    refuse_unknown(table, ("position_mm", "rotation_vector_deg"), where, f"[{key}]")
     vectors = []
     for name, unit in (("position_mm", "mm"), ("rotation_vector_deg", "deg")):
         value = table.get(name, [0.0, 0.0, 0.0])

@@ -69,18 +69,21 @@ def inverse(
         An `InverseSolution`; unreachable targets have ``reached`` False and the closest joints found.
 
     Raises:
-        ValueError: If the target is not finite.
+        ValueError: If the target or the start is not finite.
     """
     position, rotation = np.asarray(target.position, dtype=float), np.asarray(target.rotation, dtype=float)
     if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
         raise ValueError("the target pose is not finite; give finite positions (m) and rotation matrices")
     shape = np.broadcast_shapes(position.shape[:-1], rotation.shape[:-2])
     goals = Pose(
-        np.broadcast_to(position, (*shape, 3)).reshape(-1, 3), np.broadcast_to(rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
+        np.broadcast_to(position, (*shape, 3)).reshape(-1, 3),
+        np.broadcast_to(rotation, (*shape, 3, 3)).reshape(-1, 3, 3),
     )
     n, count = geometry.joints, goals.position.shape[0]
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
     first = middle if start is None else np.asarray(start, dtype=float)
+    if not np.isfinite(first).all():
+        raise ValueError("the start is not finite; give finite joints (rad or m)")
     best = np.broadcast_to(first, (*shape, n)).reshape(-1, n).clip(geometry.lower, geometry.upper)
     spread = qmc.Halton(n, scramble=False).random(restarts + 1)[1:] * 2 - 1 if restarts else np.empty((0, n))
     best = _descend(geometry, goals, best, middle, half, rank_tolerance, max_iterations)
@@ -107,7 +110,14 @@ def inverse(
     )
 
 
-def _judge(geometry: Geometry, goals: Pose, q: Array, position_tolerance: float, attitude_tolerance: float, rank_tolerance: float) -> InverseSolution:
+def _judge(
+    geometry: Geometry,
+    goals: Pose,
+    q: Array,
+    position_tolerance: float,
+    attitude_tolerance: float,
+    rank_tolerance: float,
+) -> InverseSolution:
     error = pose_error(forward(geometry, q), goals)
     impossible = noncompensable_error(geometry, q, error, rank_tolerance)
     position = np.linalg.norm(error[:, :3], axis=-1)

@@ -164,7 +164,7 @@ def split_joints(geometry_joints: int, q: ArrayLike) -> list[Array]:
     """
     q = np.asarray(q, dtype=float)
     if q.ndim == 0 or q.shape[-1] != geometry_joints:
-        raise ValueError(f"joints have shape {q.shape}, but this arm has {geometry_joints} joints in the last dimension")
+        raise ValueError(f"joints have shape {q.shape}, but this arm has {geometry_joints} joints (last axis)")
     return [q[..., i] for i in range(geometry_joints)]
 
 
@@ -191,4 +191,6 @@ def forward_torch(geometry: Geometry, q: Any) -> Pose:
     """`forward` on a torch tensor ``(..., n)``; the pose's fields are tensors and carry gradients."""
     import torch
 
+    if q.ndim == 0 or q.shape[-1] != geometry.joints:
+        raise ValueError(f"joints have shape {tuple(q.shape)}, but this arm has {geometry.joints} joints (last axis)")
     return pose_of(tool_frame(torch, chain_of(geometry), q.unbind(-1)), torch)

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,7 +76,8 @@ class Plant:
         for name in effects:
             if name not in EFFECTS:
                 raise ValueError(f"unknown effect '{name}'; a plant has {', '.join(EFFECTS)}")
-        return replace(self, **dict.fromkeys(effects))
+        off: dict[str, Any] = dict.fromkeys(effects)
+        return replace(self, **off)
 
     def tool_frame(self, m: ModuleType, q: Sequence[Scalar]) -> Frame:
         """True tool frame in components, for the joint command ``q``; ``m`` is math, numpy or torch."""

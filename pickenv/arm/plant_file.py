@@ -8,12 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm.arm_file import Arm, load_arm, read_toml
+from pickenv.arm.arm_file import Arm, load_arm, read_toml, refuse_unknown, shipped_arms
 from pickenv.arm.effects import BoomBending, Harmonic, JointCompliance, Load, TransmissionError
 from pickenv.arm.plant import EFFECTS, MeasurementNoise, Plant
 from pickenv.errors import InputError
 
 PLANTS = Path(__file__).parent / "plants"
+
+KEYS = {
+    "load": ("mass_kg", "centre_mm", "payload_kg"),
+    "joint_compliance": ("stiffness",),
+    "boom_bending": ("joint", "length_mm", "flexural_rigidity_N_m2", "end_mass_kg", "mass_per_length_kg_per_m"),
+    "transmission_error": ("lead", "harmonics"),
+    "measurement_noise": ("position_std_mm", "attitude_std_deg"),
+}
+HARMONIC_KEYS = ("joint", "phase_deg", "amplitude_mm", "period_mm", "amplitude_arcmin", "period_deg")
 
 
 def shipped_plants() -> list[str]:
@@ -45,11 +54,13 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
 
 def parse_plant(content: Mapping[str, Any], where: str) -> Plant:
     """Turn the parsed content of a plant file into a `Plant`; ``where`` names the file in error messages."""
-    allowed = {"name", "arm", "source", "load", *EFFECTS}
-    unknown = set(content) - allowed
-    if unknown:
-        raise InputError(f"{where}: unknown key '{sorted(unknown)[0]}'; a plant file has {sorted(allowed)}")
-    arm = load_arm(str(content.get("arm", "")))
+    refuse_unknown(content, ("name", "arm", "source", "load", *EFFECTS), where, "a plant file")
+    if not isinstance(content.get("arm"), str):
+        raise InputError(f"{where}: arm is missing; name the arm, one of {shipped_arms()} or a path to an arm file")
+    try:
+        arm = load_arm(content["arm"])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
     if arm.true is None:
         raise InputError(f"{where}: arm '{arm.name}' has no true_… values, so there is no true arm to simulate")
     readers: dict[str, Callable[[_Table], Any]] = {
@@ -61,7 +72,7 @@ def parse_plant(content: Mapping[str, Any], where: str) -> Plant:
             t.number("position_std_mm") * 1e-3, float(np.radians(t.number("attitude_std_deg")))
         ),
     }
-    parts = {key: read(_Table(content[key], key, where)) for key, read in readers.items() if key in content}
+    parts = {key: read(_Table(content[key], key, where, KEYS[key])) for key, read in readers.items() if key in content}
     if "joint_compliance" in parts and "load" not in parts:
         raise InputError(f"{where}: joint_compliance needs [load], the masses that gravity pulls at")
     return Plant(name=str(content.get("name", Path(where).stem)), arm=arm, geometry=arm.true, **parts)
@@ -70,9 +81,10 @@ def parse_plant(content: Mapping[str, Any], where: str) -> Plant:
 class _Table:
     """A TOML table that reads non-negative finite numbers and says which one is wrong."""
 
-    def __init__(self, table: Any, name: str, where: str) -> None:
+    def __init__(self, table: Any, name: str, where: str, keys: Iterable[str]) -> None:
         if not isinstance(table, Mapping):
             raise InputError(f"{where}: [{name}] must be a table")
+        refuse_unknown(table, keys, where, f"[{name}]")
         self.table, self.name, self.where = table, name, where
 
     def fail(self, key: str, wanted: str) -> InputError:
@@ -92,7 +104,7 @@ class _Table:
         if not isinstance(values, list) or len(values) != count:
             raise self.fail(key, f"{count} numbers")
         for value in values:
-            _Table({key: value}, self.name, self.where).number(key, positive=positive, signed=signed)
+            _Table({key: value}, self.name, self.where, (key,)).number(key, positive=positive, signed=signed)
         return tuple(float(value) for value in values)
 
 
@@ -101,7 +113,10 @@ def _load(table: _Table, arm: Arm) -> Load:
     centres = table.table.get("centre_mm")
     if not isinstance(centres, list) or len(centres) != n:
         raise table.fail("centre_mm", f"{n} points of three numbers")
-    points = [_Table({"centre_mm": c}, "load", table.where).numbers("centre_mm", 3, signed=True) for c in centres]
+    points = [
+        _Table({"centre_mm": c}, "load", table.where, ("centre_mm",)).numbers("centre_mm", 3, signed=True)
+        for c in centres
+    ]
     return Load(
         mass=table.numbers("mass_kg", n),
         centre=tuple((x * 1e-3, y * 1e-3, z * 1e-3) for x, y, z in points),
@@ -131,8 +146,11 @@ def _boom(table: _Table, arm: Arm) -> BoomBending:
 
 def _transmission(table: _Table, arm: Arm) -> TransmissionError:
     harmonics = []
-    for entry in table.table.get("harmonics", []):
-        term = _Table(entry, "transmission_error.harmonics", table.where)
+    entries = table.table.get("harmonics", [])
+    if not isinstance(entries, list):
+        raise table.fail("harmonics", "a list of tables")
+    for entry in entries:
+        term = _Table(entry, "transmission_error.harmonics", table.where, HARMONIC_KEYS)
         joint = _joint_index(term, arm)
         if arm.nominal.prismatic[joint]:
             amplitude, period = term.number("amplitude_mm") * 1e-3, term.number("period_mm", positive=True) * 1e-3

@@ -38,7 +38,9 @@ def task_directions(geometry: Geometry, q: ArrayLike, tolerance: float = RANK_TO
     return u, np.sum(s > tolerance * s[..., :1], axis=-1)
 
 
-def noncompensable_error(geometry: Geometry, q: ArrayLike, error: ArrayLike, tolerance: float = RANK_TOLERANCE) -> Array:
+def noncompensable_error(
+    geometry: Geometry, q: ArrayLike, error: ArrayLike, tolerance: float = RANK_TOLERANCE
+) -> Array:
     """The part ``(..., 6)`` of a pose error ``(..., 6)`` that no small joint motion removes.
 
     For the picking arm it is a rotation about z1 x z5 (Qiao 2026 digest, fact 4).
@@ -46,4 +48,4 @@ def noncompensable_error(geometry: Geometry, q: ArrayLike, error: ArrayLike, tol
     u, rank = task_directions(geometry, q, tolerance)
     impossible = np.arange(6) >= rank[..., None]
     along = np.einsum("...ij,...i->...j", u, np.asarray(error, dtype=float)) * impossible
-    return np.einsum("...ij,...j->...i", u, along)
+    return np.asarray(np.einsum("...ij,...j->...i", u, along))
