@@ -1,0 +1,63 @@
+# Each target first sets up what it needs in .venv; nothing outside this folder is changed.
+#   make demo                 calibrate the arm, pick with it, look at the error: runs/demo
+#   make test                 style, types, tests
+#   make demo ARGS=--quick    options for the command
+#   make ... PYTHON=python3.12  another Python, for a new .venv
+#   make ... TORCH_INDEX=https://download.pytorch.org/whl/cpu  the small CPU build of torch on Linux
+
+PYTHON ?= python3
+TORCH_INDEX ?=
+ARGS ?=
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+RUNTIME := $(VENV)/.runtime
+DEVELOPMENT := $(VENV)/.development
+
+# One thread per process: two test processes with as many threads as cores each would only wait for one another.
+TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
+PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
+
+.PHONY: demo test test-slow lint format benchmark clean
+
+demo: $(RUNTIME)
+	$(BIN)/pickenv demo --out runs/demo $(ARGS)
+
+test: lint
+	$(PYTEST) -n 2 $(ARGS)
+
+test-slow: $(DEVELOPMENT)
+	$(PYTEST) -m slow $(ARGS)
+
+lint: $(DEVELOPMENT)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+format: $(DEVELOPMENT)
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+benchmark: $(DEVELOPMENT)
+	$(PYTEST) -m "" --benchmark-enable --benchmark-only $(ARGS)
+
+clean:
+	rm -rf $(VENV) runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# torch goes first and alone, at its tested version: an open range makes pip try, and download, several of gigabytes.
+$(RUNTIME): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+		echo "pickenv needs Python 3.11 or newer as '$(PYTHON)'; name another with: make PYTHON=/path/to/python" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+		echo "'$(PYTHON)' cannot make a virtual environment; on Debian or Ubuntu: apt install python3-venv" >&2; exit 1; }
+	@echo "Setting up $(VENV) (once; some minutes, mostly the download of torch)"
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
+	@$(PIP) install $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) -c constraints.txt torch
+	@$(PIP) install -c constraints.txt -e .
+	@touch $@
+
+$(DEVELOPMENT): $(RUNTIME)
+	@$(PIP) install -c constraints.txt -e ".[dev]"
+	@touch $@

@@ -1,0 +1,17 @@
+"""What every test may ask for."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The folder of measured data sets: PICKENV_DATA, or ../shared/data beside the checkout."""
+    folder = Path(os.environ.get("PICKENV_DATA") or ROOT / "../shared/data").resolve()
+    if not folder.is_dir():
+        pytest.skip(f"no measured data in {folder}; set PICKENV_DATA to the folder that holds the data sets")
+    return folder

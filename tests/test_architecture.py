@@ -1,0 +1,176 @@
+"""The house stands: imports run downwards only, entering is cheap, rooms stay small, errors are not swallowed."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("pickenv", "calibration", "agents")
+
+# Floors from the ground up; each floor is a list of rooms, each room the module prefixes it consists of.
+FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
+    (("pickenv.errors",),),
+    (("pickenv.files",),),
+    (("pickenv.arm",), ("pickenv.orchard",)),
+    (("calibration",), ("pickenv.harvester",)),
+    (("pickenv.envs", "pickenv.wrappers"), ("pickenv.inspect",)),
+    (("agents",),),
+    (("pickenv.cli", "pickenv.demo", "pickenv.study", "pickenv.__main__"),),
+)
+# Narrower than the floors: what these rooms may import, and nothing else of ours.
+ONLY = {
+    "calibration": ("pickenv.arm", "pickenv.errors", "pickenv.files"),
+    "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.errors", "pickenv.files"),
+}
+HEAVY = ("torch", "stable_baselines3", "rerun", "matplotlib")
+LINES_PER_MODULE = 450
+
+
+def within(module: str, prefix: str) -> bool:
+    return module == prefix or module.startswith(prefix + ".")
+
+
+def place(module: str) -> tuple[int, str] | None:
+    """The floor of a module and the name of its room; None where it belongs to no room."""
+    for floor, rooms in enumerate(FLOORS):
+        for room in rooms:
+            if any(within(module, prefix) for prefix in room):
+                return floor, room[0]
+    return None
+
+
+def module_name(path: Path, root: Path) -> str:
+    parts = path.relative_to(root).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported_modules(path: Path, root: Path) -> Iterator[str]:
+    """Every module of ours that a file imports, wherever in the file: `from a import b` yields a.b."""
+    package = path.relative_to(root).parent.parts
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            above = package[: len(package) - node.level + 1] if node.level else ()
+            base = ".".join((*above, *([node.module] if node.module else [])))
+            names = [f"{base}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        yield from (name for name in names if name.split(".")[0] in PACKAGES)
+
+
+def modules(root: Path) -> list[Path]:
+    return sorted(path for package in PACKAGES for path in (root / package).rglob("*.py"))
+
+
+def violations(root: Path) -> list[str]:
+    """One sentence for each module without a room and each import that does not run downwards."""
+    found = []
+    for path in modules(root):
+        module = module_name(path, root)
+        here = place(module)
+        if here is None and module != "pickenv":
+            found.append(f"{module} stands in no room")
+            continue
+        for name in imported_modules(path, root):
+            there = place(name)
+            if there is None and name.count(".") <= 1 and name.split(".")[0] == "pickenv":
+                continue  # `import pickenv` or a name of its own, such as its version: it imports no room, see below
+            if there is None:
+                found.append(f"{module} imports {name}, which stands in no room")
+            elif here is None:
+                found.append(f"pickenv itself imports {name}")
+            elif here[1] == there[1]:
+                continue
+            elif there[0] >= here[0] or not any(within(name, low) for low in ONLY.get(here[1], PACKAGES)):
+                found.append(f"{module} imports {name}")
+    return found
+
+
+def test_imports_run_downwards_only() -> None:
+    assert violations(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "line", "complaint"),
+    [
+        ("pickenv/arm/spy.py", "from calibration import Calibration", "imports calibration.Calibration"),
+        ("pickenv/arm/spy.py", "from ..inspect import figures", "imports pickenv.inspect.figures"),
+        ("pickenv/arm/spy.py", "from pickenv.orchard import fruit", "imports pickenv.orchard.fruit"),
+        ("pickenv/errors.py", "def late():\n    import pickenv.files", "imports pickenv.files"),
+        ("calibration/spy.py", "from pickenv import orchard", "imports pickenv.orchard"),
+        ("calibration/spy.py", "import pickenv.envs.reach", "imports pickenv.envs.reach"),
+        ("pickenv/wrappers/spy.py", "import calibration", "imports calibration"),
+        ("pickenv/inspect/spy.py", "from pickenv.wrappers import compensation", "imports pickenv.wrappers"),
+        ("agents/spy.py", "from pickenv.cli import main", "imports pickenv.cli.main"),
+        ("pickenv/__init__.py", "from pickenv.arm import load_arm", "imports pickenv.arm.load_arm"),
+        ("pickenv/attic.py", "import math", "stands in no room"),
+    ],
+)
+def test_an_import_upwards_or_sideways_is_found(tmp_path: Path, file: str, line: str, complaint: str) -> None:
+    path = tmp_path / file
+    path.parent.mkdir(parents=True)
+    path.write_text(line + "\n", encoding="utf-8")
+    (found,) = violations(tmp_path)
+    assert complaint in found
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        ("calibration/fine.py", "from pickenv.arm import Plant\nfrom calibration.metrics import mean\nimport math"),
+        ("pickenv/inspect/fine.py", "from ..arm import Plant\nfrom . import figures\nfrom calibration import metrics"),
+        ("pickenv/wrappers/fine.py", "from pickenv.envs.reach import ReachEnv"),
+        ("pickenv/cli.py", "import agents.evaluate\nfrom pickenv import __version__\nimport pickenv"),
+    ],
+)
+def test_an_import_downwards_is_welcome(tmp_path: Path, file: str, line: str) -> None:
+    path = tmp_path / file
+    path.parent.mkdir(parents=True)
+    path.write_text(line + "\n", encoding="utf-8")
+    assert violations(tmp_path) == []
+
+
+def entered(code: str) -> str:
+    """What a fresh interpreter prints."""
+    return subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+
+
+def test_entering_loads_nothing_heavy() -> None:
+    loaded = entered("import sys, pickenv; print(*sys.modules)").split()
+    assert "pickenv" in loaded
+    assert not set(HEAVY) & set(loaded)
+
+
+def test_entering_takes_under_half_a_second(record_property: Callable[[str, object], None]) -> None:
+    code = "import time; start = time.perf_counter(); import pickenv; print(time.perf_counter() - start)"
+    best = min(float(entered(code)) for _ in range(5))  # the best of five: a busy machine shows in the others
+    record_property("import_seconds", best)
+    assert best < 0.5
+
+
+def test_no_module_outgrows_its_room() -> None:
+    lengths = {module_name(path, ROOT): len(path.read_text(encoding="utf-8").splitlines()) for path in modules(ROOT)}
+    assert {module: length for module, length in lengths.items() if length > LINES_PER_MODULE} == {}
+
+
+def swallowed(source: str) -> list[int]:
+    """Lines of handlers that catch everything, or anything at all, and do nothing."""
+    handlers = (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ExceptHandler))
+    return [
+        handler.lineno
+        for handler in handlers
+        if handler.type is None or all(isinstance(statement, ast.Pass) for statement in handler.body)
+    ]
+
+
+def test_no_error_is_swallowed() -> None:
+    found = {module_name(path, ROOT): swallowed(path.read_text(encoding="utf-8")) for path in modules(ROOT)}
+    assert {module: lines for module, lines in found.items() if lines} == {}
+    assert swallowed("try:\n    f()\nexcept ValueError:\n    pass") == [3]
+    assert swallowed("try:\n    f()\nexcept:\n    g()") == [3]
+    assert swallowed("try:\n    f()\nexcept ValueError:\n    g()") == []
