@@ -22,6 +22,9 @@ from pickenv.arm.task import RANK_TOLERANCE, noncompensable_error, truncated_inv
 STEP_LIMIT = 0.4
 """Largest Gauss-Newton step, in half-ranges of a joint or 0.4 rad, so that a step stays where the Jacobian holds."""
 
+NUMERIC_TOLERANCE = 1e-6
+"""Relative singular value below which a direction is lost in any case."""
+
 
 @dataclass(frozen=True, eq=False)
 class InverseSolution:
@@ -88,16 +91,19 @@ def inverse(
     spread = qmc.Halton(n, scramble=False).random(restarts + 1)[1:] * 2 - 1 if restarts else np.empty((0, n))
     best = _descend(geometry, goals, best, middle, half, rank_tolerance, max_iterations)
     state = _judge(geometry, goals, best, position_tolerance, attitude_tolerance, rank_tolerance)
-    for offset in spread:
+    # None: from the best joints so far, using the directions near a singular pose that the truncation left alone.
+    for offset in (None, *spread, None):
         open_ = np.flatnonzero(~state.reached)
         if not open_.size:
             break
         some = Pose(goals.position[open_], goals.rotation[open_])
-        begin = np.broadcast_to(middle + 0.9 * half * offset, (open_.size, n)).copy()
-        tried = _descend(geometry, some, begin, middle, half, rank_tolerance, max_iterations)
+        begin = best[open_] if offset is None else np.broadcast_to(middle + 0.9 * half * offset, (open_.size, n))
+        tolerance = rank_tolerance if offset is not None else min(rank_tolerance, NUMERIC_TOLERANCE)
+        tried = _descend(geometry, some, begin, middle, half, tolerance, max_iterations)
         new = _judge(geometry, some, tried, position_tolerance, attitude_tolerance, rank_tolerance)
         old_cost = state.position_error[open_] + state.attitude_error[open_] - state.noncompensable_attitude[open_]
-        better = new.reached | (new.position_error + new.attitude_error - new.noncompensable_attitude < old_cost)
+        better = new.position_error + new.attitude_error - new.noncompensable_attitude < old_cost
+        better = new.reached | (better & (offset is not None))
         best[open_[better]] = tried[better]
         state = _judge(geometry, goals, best, position_tolerance, attitude_tolerance, rank_tolerance)
     assert state.joints.shape == (count, n)

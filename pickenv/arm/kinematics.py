@@ -156,6 +156,29 @@ def tool_frame(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexur
     return attach(frames(m, chain, q, flexure)[-1], chain.tool)
 
 
+def frame_error(reference: Sequence[float], actual: Sequence[float]) -> tuple[float, ...]:
+    """`pickenv.arm.pose_error` on two frames of Python floats: (x, y, z, rx, ry, rz), m and rad, world axes."""
+    axx, axy, axz, ayx, ayy, ayz, azx, azy, azz, apx, apy, apz = actual
+    bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz, bpx, bpy, bpz = reference
+    # Half the sum of the cross products of corresponding axes is sin(angle) times the axis of R_actual R_reference^T.
+    sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
+    sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
+    sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
+    cosine = 0.5 * (axx * bxx + axy * bxy + axz * bxz + ayx * byx + ayy * byy + ayz * byz + azx * bzx + azy * bzy + azz * bzz - 1.0)
+    sine = math.sqrt(sx * sx + sy * sy + sz * sz)
+    if sine > 1e-7:
+        scale = math.atan2(sine, cosine) / sine
+    elif cosine > 0.0:
+        scale = 1.0
+    else:  # half a turn: the axis is in the symmetric part, which SciPy handles
+        from pickenv.arm.pose_error import rotation_vector
+
+        turn = np.reshape(actual[:9], (3, 3)).T @ np.reshape(reference[:9], (3, 3))
+        rx, ry, rz = rotation_vector(turn).tolist()
+        return (apx - bpx, apy - bpy, apz - bpz, rx, ry, rz)
+    return (apx - bpx, apy - bpy, apz - bpz, scale * sx, scale * sy, scale * sz)
+
+
 def split_joints(geometry_joints: int, q: ArrayLike) -> list[Array]:
     """Check joints ``(..., n)`` and return them as n arrays ``(...,)``.
 

@@ -1,0 +1,5 @@
+"""Gymnasium environments; `import pickenv` registers them."""
+
+from pickenv.envs.reach import ReachEnv
+
+__all__ = ["ReachEnv"]

@@ -1,0 +1,5 @@
+"""Wrappers of the environments."""
+
+from pickenv.wrappers.compensation import CompensationWrapper, Compensator
+
+__all__ = ["CompensationWrapper", "Compensator"]
