@@ -1,4 +1,4 @@
-"""What inspection looks at: the errors of several policies on one arm, over a field of poses and over seeded reaches."""
+"""What inspection looks at: errors of several policies on one arm, over a field of poses and over seeded reaches."""
 
 from __future__ import annotations
 

@@ -1,0 +1,209 @@
+"""The default layout of a recording: fields side by side on top, reaches and numbers below.
+
+All 3D views start with the same eye, and all fields share one colour scale and one gain, which their titles state.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.geometry import Array
+from pickenv.inspect.comparison import Comparison, PolicyErrors
+from pickenv.inspect.summary import colour_scale_mm, field_mm, spread
+
+if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+
+BACKGROUND = (34, 34, 42)
+"""Explicit, so that 3D views look the same in the light and in the dark theme."""
+EYE_TURN, EYE_LIFT = 0.6, 0.45
+"""rad; how far the eye stands beside and above the line from the arm's base through the field."""
+EYE_DISTANCE = 2.05
+"""In units of the shown box's radius."""
+REACHES_PER_SECOND = 2.0
+
+
+def comparison_blueprint(comparison: Comparison, gain: float) -> rrb.Blueprint:
+    """The layout for ``comparison``, whose errors are drawn ``gain`` times too long.
+
+    Args:
+        comparison: At least one policy.
+        gain: As given to `record_comparison`.
+    """
+    import rerun.blueprint as rrb
+
+    policies = comparison.policies
+    top = colour_scale_mm(comparison)
+    has_reaches = len(comparison.fruit) > 0
+    arm = ["+ /world/arm/nominal"] if has_reaches else []
+    fields = [
+        _space(rrb, comparison, _field_title(policy, gain), [f"+ /world/field/{policy.key}/vectors", *arm])
+        for policy in policies
+    ]
+    voxels = [
+        _space(
+            rrb,
+            comparison,
+            f"{policy.label} | error magnitude, corner cut away",
+            [f"+ /world/field/{policy.key}/voxels"],
+        )
+        for policy in policies
+    ]
+    slices = [_slice(rrb, comparison, policy) for policy in policies]
+    tabs: list[Any] = [
+        rrb.Horizontal(*fields, name=f"Error fields, arrows ×{gain:g}"),
+        rrb.Horizontal(*voxels, name="Voxels"),
+        rrb.Horizontal(*slices, name="Slices"),
+    ]
+    below: list[Any] = [
+        rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary"),
+    ]
+    if has_reaches:
+        tabs.insert(1, _picking(rrb, comparison, gain))
+        tabs.append(_table(rrb, policies))
+        below = [_reaches(rrb, comparison), _histogram(rrb), *below]
+    bar = rrb.Spatial2DView(
+        origin="/legend",
+        contents=["+ /legend/**"],
+        name=f"Colour of arrows, voxels and slices: position error, 0 to {top:.2f} mm",
+        background=BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-14.0, 534.0], y_range=[-4.0, 20.0]),
+    )
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Tabs(*tabs, active_tab=0),
+            bar,
+            rrb.Horizontal(*below, column_shares=[3.0, 2.0, 3.0][-len(below) :]),
+            row_shares=[5.3, 0.8, 3.9],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(
+            state="collapsed", timeline="reach", fps=REACHES_PER_SECOND, loop_mode="all", play_state="paused"
+        ),
+        auto_views=False,
+    )
+
+
+def shown_box(comparison: Comparison) -> tuple[Array, float]:
+    """Centre ``(3,)`` and radius of the field's grid, m: what the eye looks at."""
+    size = np.asarray(comparison.grid_shape) * comparison.grid_step
+    return comparison.grid_origin - comparison.grid_step / 2.0 + size / 2.0, float(np.linalg.norm(size) / 2.0)
+
+
+def eye_direction(comparison: Comparison) -> Array:
+    """Unit vector ``(3,)`` from the field to the eye: from beyond the field, above it and to one side."""
+    centre, _ = shown_box(comparison)
+    outward = np.arctan2(*(centre - comparison.nominal.base.position)[1::-1]) + EYE_TURN
+    return np.array([np.cos(outward) * np.cos(EYE_LIFT), np.sin(outward) * np.cos(EYE_LIFT), np.sin(EYE_LIFT)])
+
+
+def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
+    """Which field points ``(F,)`` lie in the corner nearest to the eye, where voxels would hide all others."""
+    offset = comparison.field_points - shown_box(comparison)[0]
+    return np.asarray(np.all(offset * np.sign(eye_direction(comparison)) > 0.0, axis=-1))
+
+
+def _field_title(policy: PolicyErrors, gain: float) -> str:
+    return f"{policy.label} | mean {spread(field_mm(policy)).mean:.2f} mm | arrows ×{gain:g}"
+
+
+def _space(rrb: Any, comparison: Comparison, name: str, contents: list[str], **options: Any) -> Any:
+    centre, radius = shown_box(comparison)
+    eye = centre + EYE_DISTANCE * radius * eye_direction(comparison)
+    return rrb.Spatial3DView(
+        origin="/world",
+        contents=[*contents, "+ /world/workspace", "+ /world/axes"],
+        name=name,
+        background=BACKGROUND,
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=centre, eye_up=[0.0, 0.0, 1.0]),
+        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, stroke_width=0.5, color=(255, 255, 255, 30)),
+        **options,
+    )
+
+
+def _picking(rrb: Any, comparison: Comparison, gain: float) -> Any:
+    arms = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/arm/true"]
+    scene = _space(
+        rrb,
+        comparison,
+        f"Believed arm (wire), {comparison.policies[0].label} arm and misses ×{gain:g}, capture region (red)",
+        [*arms, "+ /world/fruit", "+ /world/capture", "+ /world/miss/**"],
+        overrides={"/world/arm/true": rrb.EntityBehavior(visible=False)},
+    )
+    largest = max(float(policy.position_error_mm.max()) for policy in comparison.policies)
+    distance = 1.7 * max(largest, comparison.tolerance_mm)
+    aim = 500.0 * (comparison.policies[0].reach_positions - comparison.fruit).mean(axis=0)
+    shots = rrb.Spatial3DView(
+        origin="/target",
+        contents=["+ /target/**"],
+        name=f"All misses seen from the fruit, true size; capture region, {comparison.tolerance_mm:g} mm (red)",
+        background=BACKGROUND,
+        eye_controls=rrb.EyeControls3D(
+            position=aim + distance * eye_direction(comparison), look_target=aim, eye_up=[0.0, 0.0, 1.0]
+        ),
+        line_grid=rrb.LineGrid3D(visible=False),
+    )
+    return rrb.Horizontal(scene, shots, column_shares=[3.0, 2.0], name="Picking")
+
+
+def _slice(rrb: Any, comparison: Comparison, policy: PolicyErrors) -> Any:
+    from rerun.components import Colormap
+    from rerun.encodings import TensorDimensionIndexSelection
+
+    middle = comparison.grid_shape[2] // 2
+    entity = f"/field/{policy.key}/magnitude_mm"
+    return rrb.TensorView(
+        origin=entity,
+        contents=[f"+ {entity}"],
+        name=f"{policy.label} | error magnitude at height z (slider)",
+        slice_selection=rrb.TensorSliceSelection(
+            width=2, height=1, indices=[TensorDimensionIndexSelection(dimension=0, index=middle)], slider=[0]
+        ),
+        scalar_mapping=rrb.TensorScalarMapping(colormap=Colormap.Viridis),
+    )
+
+
+def _reaches(rrb: Any, comparison: Comparison) -> Any:
+    largest = max(float(policy.position_error_mm.max()) for policy in comparison.policies)
+    errors = rrb.TimeSeriesView(
+        origin="/metrics",
+        contents=["+ /metrics/error_mm/**", "+ /metrics/tolerance_mm"],
+        name="Final position error of each reach, mm",
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.4 * max(largest, comparison.tolerance_mm)), zoom_lock=True),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
+    )
+    outcome = rrb.StateTimelineView(origin="/outcome", contents=["+ /outcome/**"], name="Picked or missed (red)")
+    return rrb.Vertical(errors, outcome, row_shares=[1.2, 1.0])
+
+
+def _histogram(rrb: Any) -> Any:
+    return rrb.BarChartView(
+        origin="/hist", contents=["+ /hist/**"], name="Reaches (up) by final position error, mm (across)"
+    )
+
+
+def _table(rrb: Any, policies: tuple[PolicyErrors, ...]) -> Any:
+    from rerun.blueprint.components import ComponentColumnSelector
+
+    sources = (
+        ("metrics/error_mm", "Scalars:scalars"),
+        ("metrics/attitude_deg", "Scalars:scalars"),
+        ("outcome", "StateChange:state"),
+    )
+    entities = [(f"/{folder}/{policy.key}", component) for folder, component in sources for policy in policies]
+    columns = [ComponentColumnSelector(entity_path=entity, component=component) for entity, component in entities]
+    return rrb.DataframeView(
+        origin="/metrics",
+        contents=[f"+ {entity}" for entity, _ in entities],
+        name="Reaches as a table",
+        query=rrb.archetypes.DataframeQuery(
+            timeline="reach",
+            apply_latest_at=True,
+            select=["reach", *columns],
+            entity_order=[entity for entity, _ in entities],
+        ),
+    )
