@@ -164,7 +164,9 @@ def frame_error(reference: Sequence[float], actual: Sequence[float]) -> tuple[fl
     sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
     sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
     sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
-    cosine = 0.5 * (axx * bxx + axy * bxy + axz * bxz + ayx * byx + ayy * byy + ayz * byz + azx * bzx + azy * bzy + azz * bzz - 1.0)
+    cosine = 0.5 * (
+        axx * bxx + axy * bxy + axz * bxz + ayx * byx + ayy * byy + ayz * byz + azx * bzx + azy * bzy + azz * bzz - 1.0
+    )
     sine = math.sqrt(sx * sx + sy * sy + sz * sz)
     if sine > 1e-7:
         scale = math.atan2(sine, cosine) / sine

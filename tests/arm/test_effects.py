@@ -62,7 +62,9 @@ def test_an_aluminium_boom_of_1200_mm_sags_by_tenths_of_a_millimetre():
 def test_only_gravity_across_the_boom_bends_it():
     level = bent(BOOM, 0.0, [0, 0, 0.5], upright_to([1, 0, 0]))[1]
     raised = bent(BOOM, 0.0, [0, 0, 0.5], upright_to([math.cos(0.7), 0, math.sin(0.7)]))[1]
-    np.testing.assert_allclose(raised, -level[2] * math.cos(0.7) * np.array([math.sin(0.7), 0, -math.cos(0.7)]), atol=1e-15)
+    np.testing.assert_allclose(
+        raised, -level[2] * math.cos(0.7) * np.array([math.sin(0.7), 0, -math.cos(0.7)]), atol=1e-15
+    )
     for end in (1, -1):
         assert not bent(BOOM, 0.0, [0, 0, 0.5], upright_to([0, 0, end]))[1].any()
 

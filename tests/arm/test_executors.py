@@ -7,9 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from pickenv.arm import forward, forward_torch, joint_jacobian, load_arm, load_plant, parameter_jacobian
+from pickenv.arm import (
+    Pose,
+    displace_pose,
+    forward,
+    forward_torch,
+    joint_jacobian,
+    load_arm,
+    load_plant,
+    parameter_jacobian,
+    rotation_matrix,
+)
 from pickenv.arm.geometry import LINK_PARAMETERS
-from pickenv.arm.kinematics import chain_of, pose_of, tool_frame
+from pickenv.arm.kinematics import chain_of, frame_error, frame_of, pose_of, tool_frame
 
 MODELS = [("qiao2026", "nominal"), ("qiao2026", "true"), ("ur5", "nominal"), ("wam", "nominal")]
 
@@ -73,6 +83,25 @@ def test_many_arms_at_once_are_the_arms_one_by_one(general_chain, draw):
 
 def test_many_arms_share_one_pose(general_chain):
     spread = general_chain.a + np.linspace(0, 0.1, 5)[:, None]
-    many = forward(replace(general_chain, **{name: np.broadcast_to(getattr(general_chain, name), (5, 7)) for name in LINK_PARAMETERS} | {"a": spread}), np.zeros(7))
+    many = forward(
+        replace(
+            general_chain,
+            **{name: np.broadcast_to(getattr(general_chain, name), (5, 7)) for name in LINK_PARAMETERS} | {"a": spread},
+        ),
+        np.zeros(7),
+    )
     assert many.position.shape == (5, 3)
     same((many.position[3], many.rotation[3]), forward(replace(general_chain, a=spread[3]), np.zeros(7)))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 1e-3, 1.0, 3.1, math.pi - 1e-5, math.pi])
+def test_pose_error_on_floats_is_pose_error_on_arrays(angle):
+    rng = np.random.default_rng(6)
+    for axis in rng.normal(size=(10, 3)):
+        reference = Pose(rng.normal(size=3), rotation_matrix(rng.normal(size=3)))
+        turn = angle * axis / np.linalg.norm(axis)
+        actual = displace_pose(reference, [1e-3, -2e-3, 0.5, *turn])
+        error = np.array(frame_error(frame_of(reference), frame_of(actual)))
+        np.testing.assert_allclose(error[:3], [1e-3, -2e-3, 0.5], atol=1e-14)
+        np.testing.assert_allclose(rotation_matrix(error[3:]), rotation_matrix(turn), atol=1e-10)
+        assert np.linalg.norm(error[3:]) == pytest.approx(angle, abs=1e-10)

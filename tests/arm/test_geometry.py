@@ -16,7 +16,9 @@ def test_parameters_carry_the_papers_indices(qiao):
 
 
 def test_lengths_and_angles_are_told_apart(qiao):
-    angles = {name for name, angle in zip(qiao.nominal.parameter_names, qiao.nominal.parameter_is_angle, strict=True) if angle}
+    angles = {
+        name for name, angle in zip(qiao.nominal.parameter_names, qiao.nominal.parameter_is_angle, strict=True) if angle
+    }
     assert {"alpha0", "theta6", "beta3", "base_rx", "tool_rz"} <= angles
     assert not {"a0", "d6", "base_x", "tool_z"} & angles
 
@@ -33,7 +35,9 @@ def test_each_parameter_moves_its_own_entry(general_chain):
             shift = np.zeros(3)
             (turn if axis.startswith("r") else shift)["xyz".index(axis[-1])] = 0.25
             np.testing.assert_allclose(getattr(moved, frame).position, pose.position + shift, atol=1e-15)
-            np.testing.assert_allclose(getattr(moved, frame).rotation, rotation_matrix(turn) @ pose.rotation, atol=1e-15)
+            np.testing.assert_allclose(
+                getattr(moved, frame).rotation, rotation_matrix(turn) @ pose.rotation, atol=1e-15
+            )
         else:
             group = name.rstrip("0123456789")
             changed = getattr(moved, group) - getattr(general_chain, group)

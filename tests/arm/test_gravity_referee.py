@@ -43,7 +43,10 @@ def referee(geometry: Geometry, load: Load) -> mujoco.MjModel:
 
 CASES = {
     "qiao2026 plant": (load_plant("qiao2026").geometry, load_plant("qiao2026").load),
-    "qiao2026 plant with an apple": (load_plant("qiao2026").geometry, replace(load_plant("qiao2026").load, payload=0.25)),
+    "qiao2026 plant with an apple": (
+        load_plant("qiao2026").geometry,
+        replace(load_plant("qiao2026").load, payload=0.25),
+    ),
     "qiao2026 on a leaning base with a tool": (
         replace(
             load_arm("qiao2026").true,

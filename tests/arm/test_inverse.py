@@ -61,7 +61,7 @@ def test_targets_beside_a_singular_pose_are_reached():
 
 def test_what_cannot_be_reached_is_said_with_the_error_that_remains(qiao):
     home = forward(qiao.nominal, np.zeros(6))
-    far = Pose(home.position + [[5.0, 0, 0], [0, 5.0, 0], [0, 0, 0]], home.rotation)
+    far = Pose(home.position + np.array([[5.0, 0, 0], [0, 5.0, 0], [0, 0, 0]]), home.rotation)
     solution = inverse(qiao.nominal, far)
     assert solution.reached.tolist() == [False, False, True]
     assert within_limits(qiao.nominal, solution.joints)

@@ -66,7 +66,7 @@ def adjoint_of_inverse(rotation, position):
 
 
 def test_equation_8_is_the_concatenation_of_the_links(qiao, draw):
-    """The paper prints a sum over J_i^6 V_i; read as a horizontal concatenation it is our Jacobian in the tool frame."""
+    """The paper prints a sum over J_i^6 V_i; concatenated it is our Jacobian in the tool frame."""
     g = qiao.true
     for q in draw(g, 20):
         links = [pose_of(frame) for frame in frames(np, chain_of(g), q)]

@@ -120,6 +120,8 @@ def test_jacobians_are_the_derivatives_of_the_pose(drawn):
         return pose_error(before, after) / (2 * step)
 
     by_joint = [slope(forward(g, q - h), forward(g, q + h)) for h in step * np.eye(g.joints)]
-    by_parameter = [slope(forward(g.displaced(-h), q), forward(g.displaced(h), q)) for h in step * np.eye(5 * g.joints + 12)]
+    by_parameter = [
+        slope(forward(g.displaced(-h), q), forward(g.displaced(h), q)) for h in step * np.eye(5 * g.joints + 12)
+    ]
     np.testing.assert_allclose(joint_jacobian(g, q), np.transpose(by_joint), atol=1e-7)
     np.testing.assert_allclose(parameter_jacobian(g, q), np.transpose(by_parameter), atol=1e-7)

@@ -1,0 +1,125 @@
+"""Plant files: impossible numbers and misspelt names get one sentence that names file and key."""
+
+import math
+
+import pytest
+
+from pickenv.arm import load_plant
+from pickenv.errors import InputError
+
+SOUND = """
+name = "sound"
+arm = "qiao2026"
+
+[load]
+mass_kg = [4.0, 3.0, 2.4, 0.9, 0.6, 0.5]
+centre_mm = [[60, 0, 0], [0, 0, -80], [0, 0, -350], [0, 0, -30], [0, 0, -40], [0, 0, -60]]
+payload_kg = 0.25
+
+[joint_compliance]
+stiffness = [9.0e3, 4.0e5, 4.0e5, 2.5e3, 3.0e5, 2.0e3]
+
+[boom_bending]
+joint = 3
+length_mm = 400.0
+flexural_rigidity_N_m2 = 1.2e4
+end_mass_kg = 2.0
+mass_per_length_kg_per_m = 1.8
+
+[transmission_error]
+lead = [0.0, 1.0e-4, 1.5e-4, 0.0, 1.0e-4, 0.0]
+harmonics = [
+  { joint = 1, amplitude_arcmin = 0.5, period_deg = 90.0, phase_deg = -20.0 },
+  { joint = 2, amplitude_mm = 0.05, period_mm = 400.0, phase_deg = 10.0 },
+]
+
+[measurement_noise]
+position_std_mm = 0.015
+attitude_std_deg = 0.012
+"""
+
+MISTAKES = {
+    "negative stiffness": ("9.0e3", "-9.0e3", ["stiffness", "[joint_compliance]", "above zero"]),
+    "stiffness zero": ("9.0e3", "0", ["stiffness", "[joint_compliance]", "above zero"]),
+    "stiffness of five joints": ("9.0e3, ", "", ["stiffness", "6 numbers"]),
+    "stiffness not a list": ("[9.0e3, 4.0e5, 4.0e5, 2.5e3, 3.0e5, 2.0e3]", "9e3", ["stiffness", "6 numbers"]),
+    "negative mass": ("[4.0,", "[-4.0,", ["mass_kg", "[load]"]),
+    "mass as text": ("[4.0,", '["4",', ["mass_kg", "'4'"]),
+    "negative payload": ("payload_kg = 0.25", "payload_kg = -0.1", ["payload_kg", "[load]"]),
+    "payload misspelt": ("payload_kg = 0.25", "payload = 0.25", ["'payload'", "[load]"]),
+    "centre of two numbers": ("[60, 0, 0]", "[60, 0]", ["centre_mm", "3 numbers"]),
+    "five centres": ("[60, 0, 0], ", "", ["centre_mm", "6 points"]),
+    "boom on a revolute joint": ("joint = 3\nlength", "joint = 4\nlength", ["joint", "[boom_bending]", "revolute"]),
+    "boom on no joint": ("joint = 3\nlength", "joint = 7\nlength", ["joint", "[boom_bending]", "1 to 6"]),
+    "boom between joints": ("joint = 3\nlength", "joint = 2.5\nlength", ["joint", "[boom_bending]", "1 to 6"]),
+    "no rigidity": ("flexural_rigidity_N_m2 = 1.2e4\n", "", ["flexural_rigidity_N_m2", "missing"]),
+    "rigidity not finite": ("1.2e4", "inf", ["flexural_rigidity_N_m2", "inf"]),
+    "no period": ("period_deg = 90.0", "period_deg = 0.0", ["period_deg", "harmonics", "above zero"]),
+    "harmonic in the wrong unit": ("joint = 1, amplitude_arcmin", "joint = 2, amplitude_arcmin", ["amplitude_mm"]),
+    "harmonics not a list": (
+        SOUND[SOUND.index("harmonics") : SOUND.index("]\n\n[meas") + 1],
+        "harmonics = 3",
+        ["harmonics"],
+    ),
+    "lead not a number": ("lead = [0.0", "lead = [nan", ["lead", "[transmission_error]"]),
+    "negative noise": ("position_std_mm = 0.015", "position_std_mm = -1", ["position_std_mm", "[measurement_noise]"]),
+    "effect unknown": ("[measurement_noise]", "[mesurement_noise]", ["'mesurement_noise'", "measurement_noise"]),
+    "load missing": (SOUND[SOUND.index("[load]") : SOUND.index("[joint_c")], "", ["joint_compliance", "[load]"]),
+    "arm unknown": ('arm = "qiao2026"', 'arm = "qiao"', ["unknown arm 'qiao'"]),
+    "arm missing": ('arm = "qiao2026"\n', "", ["arm is missing"]),
+    "arm without true values": ('arm = "qiao2026"', 'arm = "ur5"', ["'ur5'", "true_"]),
+}
+
+
+@pytest.fixture
+def write(tmp_path):
+    def text(content):
+        path = tmp_path / "plant.toml"
+        path.write_text(content, encoding="utf-8")
+        return path
+
+    return text
+
+
+def test_units_are_si_inside(write):
+    plant = load_plant(write(SOUND))
+    assert plant.name == "sound"
+    assert plant.load.centre[2] == pytest.approx((0, 0, -0.35))
+    assert plant.load.payload == 0.25
+    assert plant.joint_compliance.stiffness == (9e3, 4e5, 4e5, 2.5e3, 3e5, 2e3)
+    assert (plant.boom_bending.joint, plant.boom_bending.length) == (2, 0.4)
+    turn, slide = plant.transmission_error.harmonics
+    assert (turn.joint, slide.joint) == (0, 1)
+    assert (turn.amplitude, turn.period) == pytest.approx((math.radians(0.5 / 60), math.pi / 2))
+    assert (slide.amplitude, slide.period, slide.phase) == pytest.approx((5e-5, 0.4, math.radians(10)))
+    assert plant.measurement_noise.position_std == pytest.approx(15e-6)
+    assert plant.measurement_noise.attitude_std == pytest.approx(math.radians(0.012))
+
+
+@pytest.mark.parametrize(("old", "new", "named"), MISTAKES.values(), ids=MISTAKES)
+def test_a_mistake_is_named_with_file_and_key(write, old, new, named):
+    assert old in SOUND
+    path = write(SOUND.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        load_plant(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in (str(path), *named):
+        assert word in message
+
+
+def test_an_effect_that_is_no_table_is_refused(write):
+    path = write('arm = "qiao2026"\nmeasurement_noise = 3\n')
+    with pytest.raises(InputError, match=r"\[measurement_noise\] must be a table"):
+        load_plant(path)
+
+
+def test_switching_off_an_unknown_effect_is_answered_with_the_known_ones():
+    with pytest.raises(InputError, match=r"unknown effect 'backlahs'.*boom_bending"):
+        load_plant("qiao2026", without=["backlahs"])
+
+
+@pytest.mark.parametrize("name", ["orchrad", "nowhere/plant.toml"])
+def test_an_unknown_plant_is_answered_with_the_known_ones(name):
+    with pytest.raises(InputError, match=r"unknown plant.*'geometry_only'"):
+        load_plant(name)
