@@ -48,7 +48,7 @@ def test_a_level_boom_is_the_cantilever_of_the_textbook(extension, payload):
     sag = force * length**3 / (3 * rigidity) + weight * length**4 / (8 * rigidity)
     slope = force * length**2 / (2 * rigidity) + weight * length**3 / (6 * rigidity)
     np.testing.assert_allclose(tip, [0, 0, -sag], rtol=1e-12, atol=1e-18)
-    np.testing.assert_allclose(axes[2], [math.cos(slope), 0, -math.sin(slope)], atol=1e-15)
+    np.testing.assert_allclose(axes[2], [math.cos(slope), 0, -math.sin(slope)], rtol=0, atol=1e-15)
 
 
 def test_an_aluminium_boom_of_1200_mm_sags_by_tenths_of_a_millimetre():
@@ -63,7 +63,7 @@ def test_only_gravity_across_the_boom_bends_it():
     level = bent(BOOM, 0.0, [0, 0, 0.5], upright_to([1, 0, 0]))[1]
     raised = bent(BOOM, 0.0, [0, 0, 0.5], upright_to([math.cos(0.7), 0, math.sin(0.7)]))[1]
     np.testing.assert_allclose(
-        raised, -level[2] * math.cos(0.7) * np.array([math.sin(0.7), 0, -math.cos(0.7)]), atol=1e-15
+        raised, -level[2] * math.cos(0.7) * np.array([math.sin(0.7), 0, -math.cos(0.7)]), rtol=0, atol=1e-15
     )
     for end in (1, -1):
         assert not bent(BOOM, 0.0, [0, 0, 0.5], upright_to([0, 0, end]))[1].any()
@@ -73,14 +73,14 @@ def test_bending_only_turns_frames(draw):
     rng = np.random.default_rng(5)
     for z in rng.normal(size=(20, 3)):
         axes, _ = bent(BOOM, 0.25, [0, 0, 0.8], upright_to(z))
-        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-14)
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-6, 1e-3, 0.03])
 def test_small_turns_are_rodrigues(angle):
     wx, wy = angle * math.cos(1.1), angle * math.sin(1.1)
     turned = np.array(turn_horizontally(tuple(np.eye(3).ravel()), wx, wy)).reshape(3, 3)
-    np.testing.assert_allclose(turned.T, rotation_matrix([wx, wy, 0]), atol=1e-14)
+    np.testing.assert_allclose(turned.T, rotation_matrix([wx, wy, 0]), rtol=0, atol=1e-14)
 
 
 def test_a_joint_yields_by_torque_over_stiffness():
@@ -102,7 +102,9 @@ def test_gravity_torques_are_the_slope_of_the_potential_energy(draw):
 
     for q in draw(plant.geometry, 20):
         slope = [(energy(q + h) - energy(q - h)) / 2e-5 for h in 1e-5 * np.eye(6)]
-        np.testing.assert_allclose(gravity_torques(chain, frames(np, chain, q), load), -np.array(slope), atol=1e-7)
+        np.testing.assert_allclose(
+            gravity_torques(chain, frames(np, chain, q), load), -np.array(slope), rtol=0, atol=1e-7
+        )
 
 
 def test_a_lead_error_grows_with_travel_and_a_harmonic_returns_after_its_period():

@@ -34,9 +34,9 @@ def test_each_parameter_moves_its_own_entry(general_chain):
             turn = np.zeros(3)
             shift = np.zeros(3)
             (turn if axis.startswith("r") else shift)["xyz".index(axis[-1])] = 0.25
-            np.testing.assert_allclose(getattr(moved, frame).position, pose.position + shift, atol=1e-15)
+            np.testing.assert_allclose(getattr(moved, frame).position, pose.position + shift, rtol=0, atol=1e-15)
             np.testing.assert_allclose(
-                getattr(moved, frame).rotation, rotation_matrix(turn) @ pose.rotation, atol=1e-15
+                getattr(moved, frame).rotation, rotation_matrix(turn) @ pose.rotation, rtol=0, atol=1e-15
             )
         else:
             group = name.rstrip("0123456789")
@@ -65,5 +65,5 @@ def test_base_and_tool_frame_the_chain(qiao, draw):
     tool = Pose(np.array([0.05, 0.01, 0.12]), rotation_matrix([-0.3, 0.1, 2.0]))
     framed = forward(replace(qiao.nominal, base=base, tool=tool), q)
     reach = inner.position + inner.rotation @ tool.position
-    np.testing.assert_allclose(framed.position, base.position + reach @ base.rotation.T, atol=1e-14)
-    np.testing.assert_allclose(framed.rotation, base.rotation @ inner.rotation @ tool.rotation, atol=1e-14)
+    np.testing.assert_allclose(framed.position, base.position + reach @ base.rotation.T, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(framed.rotation, base.rotation @ inner.rotation @ tool.rotation, rtol=0, atol=1e-14)
