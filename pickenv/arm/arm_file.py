@@ -60,11 +60,16 @@ def shipped_arms() -> list[str]:
 
 
 def load_arm(name: str | Path) -> Arm:
-    """Read an arm by name (a shipped one) or from a path to a TOML file.
+    """Read an arm by name (a shipped one), or from a path to a TOML or URDF file ("arm.urdf#tip_link").
 
     Raises:
         InputError: If the arm is unknown, or its file is malformed; the message names the file and the joint or key.
     """
+    stem, _, tip = str(name).partition("#")
+    if stem.endswith(".urdf"):
+        from pickenv.arm.urdf import load_urdf
+
+        return load_urdf(stem, tip or None)
     path = Path(name)
     if path.suffix == ".toml":
         if not path.is_file():
@@ -72,7 +77,7 @@ def load_arm(name: str | Path) -> Arm:
     else:
         path = ARMS / f"{name}.toml"
         if not path.is_file():
-            raise InputError(f"unknown arm '{name}'; give one of {shipped_arms()} or a path to an arm file (.toml)")
+            raise InputError(f"unknown arm '{name}'; give one of {shipped_arms()} or a path to an arm file (.toml, .urdf)")
     return _read(path, path.stat().st_mtime_ns)
 
 

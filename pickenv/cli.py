@@ -1,0 +1,150 @@
+"""The front door: `pickenv COMMAND`. Thin commands; what they do lives in the rooms."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pickenv.errors import InputError
+
+app = typer.Typer(
+    name="pickenv",
+    help="Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.callback()
+def _front() -> None:
+    """Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms."""
+
+
+@contextmanager
+def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
+    """One progress bar per stage, on standard error so that standard output stays clean."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description:<20}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[str, Any] = {}
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done)
+
+        yield report
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Run folder to write.")] = Path("runs/demo"),
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer reaches and epochs; worse figures, sooner.")] = False,
+) -> None:
+    """Calibrate the simulated picking arm, pick with it raw and calibrated, and write numbers, pictures, a recording."""
+    from pickenv.demo import DemoSettings, run_demo, summarise, write_run
+
+    settings = DemoSettings.quick(seed) if quick else DemoSettings(seed=seed)
+    with progress_bars() as report:
+        result = run_demo(settings, report)
+        written = write_run(result, out, report)
+    _print_demo(summarise(result), written)
+
+
+def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from pickenv.demo import LABELS
+
+    found = summary["identifiability"]
+    table = Table(
+        title=f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}",
+        caption=f"success: within {summary['tolerance_mm']} mm; floor: attitude error that no joint motion removes",
+    )
+    heads = ("position mean [mm]", "95 % interval", "RMS [mm]", "p95 [mm]", "attitude mean [deg]", "floor [deg]", "success")
+    table.add_column("policy")
+    for head in heads:
+        table.add_column(head, justify="right")
+    for key, row in summary["policies"].items():
+        position, attitude = row["position_mm"], row["attitude_deg"]
+        low, high = position["mean_ci95"]
+        table.add_row(
+            LABELS[key],
+            f"{position['mean']:.3f}",
+            f"{low:.3f} to {high:.3f}",
+            f"{position['rms']:.3f}",
+            f"{position['p95']:.3f}",
+            f"{attitude['mean']:.3f}",
+            f"{row['noncompensable_deg']:.3f}",
+            f"{100 * row['success_rate']:.0f} %",
+        )
+    console = Console(width=None if sys.stdout.isatty() else 130)
+    console.print(table)
+    dropped = ", ".join(found["dropped"])
+    console.print(f"identifiable: {found['rank']} of {found['parameters']} parameters; dropped as redundant: {dropped}")
+    console.print("wrote:", *(str(path) for path in written), sep="\n  ", highlight=False, soft_wrap=True)
+
+
+@app.command()
+def calibrate(
+    file: Annotated[Path, typer.Argument(help="CSV file of measurements.", show_default=False)],
+    arm: Annotated[str, typer.Option(help="Arm name or arm file (.toml).", show_default=False)],
+    columns: Annotated[str | None, typer.Option(help="Column description, by name or path; ours if left out.")] = None,
+    test_rows: Annotated[int | None, typer.Option(help="Rows to hold out; a fifth if left out.", min=1)] = None,
+    split: Annotated[str, typer.Option(help="How rows are held out: random or blocked.")] = "random",
+    seed: Annotated[int, typer.Option(help="Seed of the random split.", min=0)] = 0,
+    test: Annotated[Path | None, typer.Option(help="Held-out rows from another file instead.")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the fitted calibration to this file (.npz).")] = None,
+) -> None:
+    """Identify a real arm from measured poses or positions, base and tool included, and judge it on held-out rows."""
+    from calibration.held_out import calibrate_and_judge, choose_rows
+    from calibration.measurements import Measurements
+    from calibration.columns import read_measurements
+    from pickenv.arm import load_arm
+    from pickenv.files import write_text
+
+    chosen = load_arm(arm)
+    train: Measurements = read_measurements(file, chosen.nominal, columns)
+    if test is not None:
+        held_out = read_measurements(test, chosen.nominal, columns)
+    else:
+        train, held_out = choose_rows(train, split, test_rows, seed)
+    judged = calibrate_and_judge(chosen, train, held_out)
+    print(judged.report())
+    if out is not None:
+        print(f"wrote {judged.fit.calibration.save(out)}")
+    if json_file is not None:
+        print(f"wrote {write_text(json_file, json.dumps(judged.as_dict(), indent=2) + chr(10))}")
+
+
+def main() -> None:
+    """Run the command line; bad input ends with one sentence and exit code 2, an interrupt with 130."""
+    try:
+        app(standalone_mode=False)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except (KeyboardInterrupt, typer.Abort):
+        print("interrupted; files are written whole or not at all, so nothing is left half-written", file=sys.stderr)
+        sys.exit(130)
+    except Exception as error:  # typer carries its own copy of click, so usage errors are known by what they offer
+        if not hasattr(error, "exit_code") or not hasattr(error, "show"):
+            raise
+        error.show()
+        sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    main()
