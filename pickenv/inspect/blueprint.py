@@ -7,20 +7,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pickenv.arm.geometry import Array
 from pickenv.inspect.comparison import Comparison, PolicyErrors
 from pickenv.inspect.summary import colour_scale_mm, field_mm, spread
+from pickenv.inspect.view import eye_direction, shown_box
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
 BACKGROUND = (34, 34, 42)
 """Explicit, so that 3D views look the same in the light and in the dark theme."""
-EYE_TURN, EYE_LIFT = 0.6, 0.45
-"""rad; how far the eye stands beside and above the line from the arm's base through the field."""
 EYE_DISTANCE = 2.05
 """In units of the shown box's radius."""
 REACHES_PER_SECOND = 2.0
@@ -86,25 +81,6 @@ def comparison_blueprint(comparison: Comparison, gain: float) -> rrb.Blueprint:
         ),
         auto_views=False,
     )
-
-
-def shown_box(comparison: Comparison) -> tuple[Array, float]:
-    """Centre ``(3,)`` and radius of the field's grid, m: what the eye looks at."""
-    size = np.asarray(comparison.grid_shape) * comparison.grid_step
-    return comparison.grid_origin - comparison.grid_step / 2.0 + size / 2.0, float(np.linalg.norm(size) / 2.0)
-
-
-def eye_direction(comparison: Comparison) -> Array:
-    """Unit vector ``(3,)`` from the field to the eye: from beyond the field, above it and to one side."""
-    centre, _ = shown_box(comparison)
-    outward = np.arctan2(*(centre - comparison.nominal.base.position)[1::-1]) + EYE_TURN
-    return np.array([np.cos(outward) * np.cos(EYE_LIFT), np.sin(outward) * np.cos(EYE_LIFT), np.sin(EYE_LIFT)])
-
-
-def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
-    """Which field points ``(F,)`` lie in the corner nearest to the eye, where voxels would hide all others."""
-    offset = comparison.field_points - shown_box(comparison)[0]
-    return np.asarray(np.all(offset * np.sign(eye_direction(comparison)) > 0.0, axis=-1))
 
 
 def _field_title(policy: PolicyErrors, gain: float) -> str:

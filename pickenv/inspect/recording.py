@@ -18,11 +18,12 @@ from numpy.typing import ArrayLike
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 from pickenv.files import write_whole
-from pickenv.inspect.blueprint import comparison_blueprint, cut_away
+from pickenv.inspect.blueprint import comparison_blueprint
 from pickenv.inspect.colours import RED, Rgb, policy_colours, policy_key, viridis
 from pickenv.inspect.comparison import Comparison, PolicyErrors
 from pickenv.inspect.links import capsules, drawn_parts, nominal_points, true_points
 from pickenv.inspect.summary import colour_scale_mm, field_mm, histogram_edges_mm, summary_markdown, ticks_mm
+from pickenv.inspect.view import cut_away
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -54,7 +54,7 @@ def colour_scale_mm(comparison: Comparison) -> float:
 
 
 def histogram_edges_mm(comparison: Comparison, bins: int = 24) -> Array:
-    """Edges ``(B + 1,)`` in mm of at most about ``bins`` bins of round width, which hold every policy's reach errors."""
+    """Edges ``(B + 1,)`` in mm of about ``bins`` bins of round width, which hold every policy's reach errors."""
     largest = max(
         (float(p.position_error_mm.max()) for p in comparison.policies if p.position_error_mm.size), default=0.0
     )
