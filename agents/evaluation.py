@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 
 from pickenv.arm import noncompensable_error
 from pickenv.arm.geometry import Array
+from pickenv.errors import InputError
+
+LONGEST_EPISODE = 10_000
+"""Steps after which an episode counts as one without a time limit."""
 
 
 class Policy(Protocol):
@@ -80,15 +84,24 @@ def run_reaches(
         policy: The policy.
         seeds: One per episode; the same seeds give the same fruit to every policy.
         progress: Called after each episode with the number done.
+
+    Raises:
+        InputError: If there are no seeds, or an episode does not end.
     """
+    if not seeds:
+        raise InputError("there are no episodes to run; give at least one seed")
     last = []
     for done, seed in enumerate(seeds, start=1):
         observation, info = env.reset(seed=seed)
         policy.reset()
-        ended = False
-        while not ended:
+        for _ in range(LONGEST_EPISODE):
             observation, _, terminated, truncated, info = env.step(policy.act(observation))
-            ended = terminated or truncated
+            if terminated or truncated:
+                break
+        else:
+            raise InputError(
+                f"an episode did not end within {LONGEST_EPISODE} steps; give the environment a time limit"
+            )
         last.append(info)
         if progress is not None:
             progress(done)

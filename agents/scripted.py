@@ -47,7 +47,8 @@ class ScriptedReach:
         solution = inverse(self.geometry, target, attitude_tolerance=1e-4)
         if not solution.reached:
             raise InputError(
-                f"the fruit at {np.round(target.position * 1e3)} mm cannot be reached: {solution.position_error * 1e3:.1f} mm "
-                f"and {np.degrees(solution.attitude_error):.2f} deg remain; choose a goal inside the joint limits"
+                f"the fruit at {np.round(target.position * 1e3)} mm cannot be reached: "
+                f"{solution.position_error * 1e3:.1f} mm and {np.degrees(solution.attitude_error):.2f} deg remain; "
+                "choose a goal inside the joint limits"
             )
         return solution.joints

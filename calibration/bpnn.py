@@ -114,7 +114,9 @@ def train_bpnn(
     settings = settings or BpnnSettings()
     size = settings.batch_size
     if len(joints) < 2 * size:
-        raise InputError(f"{len(joints)} poses are too few to train a network in batches of {size}; measure at least {2 * size}")
+        raise InputError(
+            f"{len(joints)} poses are too few to train a network in batches of {size}; measure at least {2 * size}"
+        )
     input_mean, input_std = joints.mean(axis=0), joints.std(axis=0)
     output_mean, output_std = residuals.mean(axis=0), residuals.std(axis=0)
     input_std[input_std == 0] = 1.0
@@ -175,6 +177,7 @@ def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-un
 
 def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: ignore[no-untyped-def]
     """Weights and biases with each batch normalisation folded into the linear layer before it."""
+    import torch
     from torch import nn
 
     weights, biases = [], []
@@ -183,8 +186,9 @@ def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: igno
             weights.append(layer.weight.detach().double().numpy().copy())
             biases.append(layer.bias.detach().double().numpy().copy())
         elif isinstance(layer, nn.BatchNorm1d):
-            gain = (layer.weight / (layer.running_var + layer.eps).sqrt()).detach().double().numpy()
+            mean, variance = layer.running_mean, layer.running_var
+            assert mean is not None and variance is not None  # they are kept unless a layer is told not to
+            gain = (layer.weight / torch.sqrt(variance + layer.eps)).detach().double().numpy()
             weights[-1] *= gain[:, None]
-            shift = layer.running_mean.detach().double().numpy()
-            biases[-1] = (biases[-1] - shift) * gain + layer.bias.detach().double().numpy()
+            biases[-1] = (biases[-1] - mean.double().numpy()) * gain + layer.bias.detach().double().numpy()
     return tuple(weights), tuple(biases)

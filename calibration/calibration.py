@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import platform
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from numpy.typing import ArrayLike
 from calibration.bpnn import Bpnn, BpnnSettings, train_bpnn
 from calibration.compensation import Compensator
 from calibration.error_model import ErrorModel, complete_model, frames_model, link_model, residual
-from calibration.least_squares import Identification, align, identify
+from calibration.least_squares import Identification, align, identify, refuse_another_arm
 from calibration.measurements import Measurements
 from pickenv.arm import Arm, Geometry, Pose
 from pickenv.arm.geometry import LINK_PARAMETERS, Array
@@ -25,6 +27,9 @@ from pickenv.files import write_whole
 
 FORMAT = 1
 """Version of the file format; newer files are refused by older programs."""
+
+DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error)
+"""What reading a file that is no calibration can raise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,27 +103,40 @@ class Calibration:
         """
         path = _with_suffix(path)
         if not path.is_file():
-            raise InputError(f"calibration file {path} does not exist; run `pickenv demo` or `pickenv calibrate` to make one")
+            raise InputError(
+                f"calibration file {path} does not exist; run `pickenv demo` or `pickenv calibrate` to make one"
+            )
         try:
             with np.load(path, allow_pickle=False) as archive:
                 arrays = {key: archive[key] for key in archive.files}
             header = json.loads(str(arrays.pop("header")))
-            version = int(header["format"])
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile, EOFError) as error:
-            raise InputError(f"{path} is not a calibration file or is damaged ({error}); fit it again") from error
-        if version > FORMAT:
-            raise InputError(f"{path} has format {version}, this program reads up to {FORMAT}; update pickenv")
-        if arm is not None and header["arm_fingerprint"] != arm.fingerprint():
-            raise InputError(f"{path} belongs to arm '{header['arm']}' with another geometry than '{arm.name}'; fit it for this arm")
-        names, prismatic = tuple(header["joint_names"]), tuple(header["prismatic"])
-        return Calibration(
-            arm_name=header["arm"],
-            arm_fingerprint=header["arm_fingerprint"],
-            nominal=geometry_from_arrays(_part(arrays, "nominal"), names, prismatic),
-            identified=geometry_from_arrays(_part(arrays, "identified"), names, prismatic),
-            network=Bpnn.from_arrays(_part(arrays, "network")) if any(k.startswith("network/") for k in arrays) else None,
-            record=header["record"],
-        )
+            file_format = int(header["format"])
+        except DAMAGE as error:
+            raise _damaged(path, error) from error
+        if file_format > FORMAT:
+            raise InputError(f"{path} has format {file_format}, this program reads up to {FORMAT}; update pickenv")
+        if arm is not None and header.get("arm_fingerprint") != arm.fingerprint():
+            raise InputError(
+                f"{path} belongs to arm '{header.get('arm')}' with another geometry than '{arm.name}'; "
+                "fit it for this arm"
+            )
+        try:
+            names, prismatic = tuple(header["joint_names"]), tuple(header["prismatic"])
+            network = _part(arrays, "network")
+            return Calibration(
+                arm_name=header["arm"],
+                arm_fingerprint=header["arm_fingerprint"],
+                nominal=geometry_from_arrays(_part(arrays, "nominal"), names, prismatic),
+                identified=geometry_from_arrays(_part(arrays, "identified"), names, prismatic),
+                network=Bpnn.from_arrays(network) if network else None,
+                record=header["record"],
+            )
+        except DAMAGE as error:
+            raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    return InputError(f"{path} is not a calibration file or is damaged ({error}); fit it again")
 
 
 def _with_suffix(path: str | Path) -> Path:
@@ -138,7 +156,9 @@ def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
     return named
 
 
-def geometry_from_arrays(named: Mapping[str, Array], joint_names: tuple[str, ...], prismatic: tuple[bool, ...]) -> Geometry:
+def geometry_from_arrays(
+    named: Mapping[str, Array], joint_names: tuple[str, ...], prismatic: tuple[bool, ...]
+) -> Geometry:
     """The inverse of `geometry_arrays`."""
     numbers = {name: named[name] for name in (*LINK_PARAMETERS, "lower", "upper")}
     base = Pose(named["base_position"], named["base_rotation"])
@@ -192,19 +212,28 @@ def fit(
     if not known_frames:
         aligned = align(nominal, measurements, frames_model(nominal))
         nominal, model = aligned.geometry, complete_model(nominal)
+    else:
+        refuse_another_arm(nominal, measurements, "with base and tool taken as known")
     found = identify(model, nominal, measurements)
     if not found.converged:
         raise InputError(
-            f"{measurements.source}: the identification did not converge (residual {found.residual_rms[-1]:.3g} standard "
-            "uncertainties); check units, joint signs and outliers, or measure more varied poses"
+            f"{measurements.source}: the identification did not converge (residual {found.residual_rms[-1]:.3g} "
+            "standard uncertainties); check units, joint signs and outliers, or measure more varied poses"
         )
     network = None
+    trained: dict[str, Any] | None = None
     if residual_measurements is not None:
         if rng is None:
             raise ValueError("give rng, which seeds the network")
         if residual_measurements.rotation is None:
             raise InputError(f"{residual_measurements.source}: the network learns pose residuals; measure full poses")
         targets = residual(found.geometry, residual_measurements)
+        trained = {
+            "data_fingerprint": residual_measurements.fingerprint(),
+            "poses": len(residual_measurements),
+            "settings": asdict(settings or BpnnSettings()),
+            "generator": _generator_state(rng),
+        }
         network = train_bpnn(residual_measurements.joints, targets, rng, settings, progress)
     record = {
         "source": measurements.source,
@@ -213,7 +242,30 @@ def fit(
         "kind": measurements.kind,
         "rank": found.identifiability.rank,
         "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
-        "versions": {"python": platform.python_version(), "numpy": np.__version__},
+        "network": trained,
+        "versions": _versions("torch") if trained else _versions(),
     }
     calibration = Calibration(arm.name, arm.fingerprint(), nominal, found.geometry, network, record)
     return Fit(calibration, found, aligned)
+
+
+def _generator_state(rng: np.random.Generator) -> Any:
+    """The generator's state as it stands, in plain numbers: what reproduces the network to the bit."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(item) for key, item in value.items()}
+        return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+    return plain(rng.bit_generator.state)
+
+
+def _versions(*more: str) -> dict[str, str]:
+    """Versions of what computed the calibration."""
+    found = {"python": platform.python_version()}
+    for name in ("pickenv", "numpy", "scipy", *more):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:  # a checkout that was never installed
+            found[name] = "not installed"
+    return found

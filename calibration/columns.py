@@ -103,26 +103,30 @@ def parse_description(content: Mapping[str, Any], where: str) -> ColumnDescripti
     _known(joints, {"columns", "unit", "units"}, "joints", where)
     _known(position, {"columns", "unit", "std_mm"}, "position", where)
     expressions = _strings(joints, "columns", where)
-    units = tuple(joints.get("units", [joints.get("unit")] * len(expressions)))
+    units = _strings(joints, "units", where) if "units" in joints else (joints.get("unit"),) * len(expressions)
     if len(units) != len(expressions):
         raise InputError(f"{where}: [joints] has {len(expressions)} columns but {len(units)} units; give one per joint")
     for unit in units:
         _unit(unit, LENGTHS + ANGLES, "joints", where)
-    rotation: Mapping[str, Any] = content.get("rotation", {})
+    rotation: Mapping[str, Any] = _section(content, "rotation", where) if "rotation" in content else {}
     if rotation:
         _known(rotation, {"columns", "unit", "convention", "std_deg"}, "rotation", where)
         if rotation.get("convention") not in CONVENTIONS:
-            raise InputError(
-                f"{where}: [rotation] has convention {rotation.get('convention')!r}; name one of {', '.join(CONVENTIONS)}"
-            )
+            given = rotation.get("convention")
+            raise InputError(f"{where}: [rotation] has convention {given!r}; name one of {', '.join(CONVENTIONS)}")
     convention = str(rotation.get("convention", "rotation_vector"))
     is_angle = CONVENTIONS[convention][0] == "angle"
     if len(_strings(position, "columns", where)) != 3:
         raise InputError(f"{where}: [position] needs three columns, x, y and z")
+    separator, decimal = content.get("separator", ","), content.get("decimal", ".")
+    if not isinstance(separator, str) or len(separator) != 1 or separator in '\r\n"':
+        raise InputError(f"{where}: separator is {separator!r}; give one character, such as ',' or ';' or '\\t'")
+    if decimal not in (".", ",") or decimal == separator:
+        raise InputError(f"{where}: decimal is {decimal!r}; give '.' or ',', and not the separator")
     return ColumnDescription(
         where=where,
-        separator=str(content.get("separator", ",")),
-        decimal=str(content.get("decimal", ".")),
+        separator=separator,
+        decimal=decimal,
         names=_strings(content, "names", where) if "names" in content else None,
         joints=expressions,
         joint_units=tuple(str(unit) for unit in units),
@@ -131,8 +135,10 @@ def parse_description(content: Mapping[str, Any], where: str) -> ColumnDescripti
         rotation=_strings(rotation, "columns", where) if rotation else (),
         convention=convention,
         rotation_unit=_unit(rotation.get("unit"), ANGLES, "rotation", where) if rotation and is_angle else "rad",
-        position_std=float(position.get("std_mm", POSITION_STD * 1e3)) * 1e-3,
-        attitude_std=float(np.radians(rotation.get("std_deg", np.degrees(ATTITUDE_STD)))),
+        position_std=_uncertainty(position, "std_mm", where) * 1e-3 if "std_mm" in position else POSITION_STD,
+        attitude_std=float(np.radians(_uncertainty(rotation, "std_deg", where)))
+        if "std_deg" in rotation
+        else ATTITUDE_STD,
     )
 
 
@@ -157,6 +163,13 @@ def _strings(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
     return tuple(value)
 
 
+def _uncertainty(table: Mapping[str, Any], key: str, where: str) -> float:
+    value = table[key]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
+        raise InputError(f"{where}: {key} is {value!r}; give a standard uncertainty above zero")
+    return float(value)
+
+
 def _unit(unit: Any, allowed: tuple[str, ...], section: str, where: str) -> str:
     if unit not in allowed:
         given = "missing" if unit is None else f"unknown: {unit!r}"
@@ -173,7 +186,9 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Column
         found = [column for column in header if column.rpartition("_")[0] == stem]
         if len(found) != 1 or found[0].rpartition("_")[2] not in LENGTHS + ANGLES:
             fault = f"has the unknown unit '{found[0].rpartition('_')[2]}'" if found else "is missing"
-            raise InputError(f"{where}: joint column '{name}' {fault}; our format has {', '.join(expected)}, x_mm, y_mm, z_mm")
+            raise InputError(
+                f"{where}: joint column '{name}' {fault}; our format has {', '.join(expected)}, x_mm, y_mm, z_mm"
+            )
         joints.append(found[0])
         units.append(found[0].rpartition("_")[2])
     position_unit = "m" if "x_m" in header else "mm"
@@ -215,51 +230,76 @@ def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path 
     separator = description.separator if description else ","
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file, delimiter=separator) if any(cell.strip() for cell in row)]
+            reader = csv.reader(file, delimiter=separator)
+            rows, lines = [], []
+            for row in reader:
+                if any(cell.strip() for cell in row):
+                    rows.append(row)
+                    lines.append(reader.line_num)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"cannot read {path}: {error}; give a CSV text file in UTF-8") from error
     if not rows:
         raise InputError(f"{path} is empty; give a CSV file with a header and one row per pose")
     if description is not None and description.names is not None:
-        header, first = list(description.names), 1
+        header = list(description.names)
     else:
-        header, first, rows = [cell.strip() for cell in rows[0]], 2, rows[1:]
+        header, rows, lines = [cell.strip() for cell in rows[0]], rows[1:], lines[1:]
     if not rows:
         raise InputError(f"{path} has a header but no rows; give one row per pose")
     description = description or own_description(geometry, header, str(path))
-    return _assemble(_Table(str(path), header, rows, first, description.decimal), description, geometry)
+    return _assemble(_Table(str(path), header, rows, lines, description.decimal), description, geometry)
 
 
 class _Table:
     """The text of a CSV file; turns columns and expressions into numbers and names the cell at fault."""
 
-    def __init__(self, where: str, header: list[str], rows: list[list[str]], first: int, decimal: str) -> None:
-        self.where, self.header, self.rows, self.first, self.decimal = where, header, rows, first, decimal
+    def __init__(self, where: str, header: list[str], rows: list[list[str]], lines: list[int], decimal: str) -> None:
+        self.where, self.header, self.rows, self.lines, self.decimal = where, header, rows, lines, decimal
         self.cache: dict[str, Array] = {}
+        for row, line in zip(rows, lines, strict=True):
+            if any(cell.strip() for cell in row[len(header) :]):
+                raise InputError(
+                    f"{where}: row {line} has {len(row)} cells, but there are {len(header)} columns; check the "
+                    "separator and the decimal sign, and name them in a column description"
+                )
 
     def column(self, name: str) -> Array:
         if name not in self.header:
             raise InputError(f"{self.where}: column '{name}' is missing; the file has {', '.join(self.header)}")
         if name not in self.cache:
-            index = self.header.index(name)
-            self.cache[name] = np.array([self._cell(row, index, name, i) for i, row in enumerate(self.rows)])
+            if self.header.count(name) > 1:
+                raise InputError(
+                    f"{self.where}: column '{name}' occurs {self.header.count(name)} times; rename all but one"
+                )
+            index, pairs = self.header.index(name), zip(self.rows, self.lines, strict=True)
+            self.cache[name] = np.array([self._cell(row, index, name, line) for row, line in pairs])
         return self.cache[name]
 
-    def _cell(self, row: list[str], index: int, name: str, i: int) -> float:
+    def _cell(self, row: list[str], index: int, name: str, line: int) -> float:
         text = row[index].strip() if index < len(row) else ""
         try:
-            value = float(text.replace(self.decimal, ".") if self.decimal != "." else text)
+            # A point beside a decimal comma groups thousands, and Python's 1_000 is no number of an instrument's.
+            foreign = "_" in text or (self.decimal == "," and "." in text)
+            value = float("" if foreign else text.replace(self.decimal, "."))
         except ValueError:
             said = "is empty" if not text else f"holds '{text}', which is not a number"
-            raise InputError(f"{self.where}: row {i + self.first}, column '{name}' {said}; correct or remove the row") from None
+            raise InputError(f"{self.where}: row {line}, column '{name}' {said}; correct or remove the row") from None
         if not np.isfinite(value):
-            raise InputError(f"{self.where}: row {i + self.first}, column '{name}' is {text}; correct or remove the row")
+            raise InputError(f"{self.where}: row {line}, column '{name}' is {text}; correct or remove the row")
         return value
 
     def value(self, expression: str) -> Array:
         """A column by its name, or an expression of columns with + - * / and numbers; `odd names` in backticks."""
         if expression in self.header:
             return self.column(expression)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            values = self._computed(expression)
+        if not np.isfinite(values).all():
+            line = self.lines[int(np.argmin(np.isfinite(values)))]
+            raise InputError(f"{self.where}: row {line}, '{expression}' divides by zero or overflows; correct it")
+        return values
+
+    def _computed(self, expression: str) -> Array:
         quoted = re.findall(r"`([^`]+)`", expression)
         text = expression
         for i, name in enumerate(quoted):
@@ -267,7 +307,9 @@ class _Table:
         try:
             tree = ast.parse(text, mode="eval").body
         except SyntaxError:
-            raise InputError(f"{self.where}: column '{expression}' is missing; the file has {', '.join(self.header)}") from None
+            raise InputError(
+                f"{self.where}: column '{expression}' is missing; the file has {', '.join(self.header)}"
+            ) from None
         return np.broadcast_to(self._evaluate(tree, expression, quoted), len(self.rows)).astype(float)
 
     def _evaluate(self, node: ast.AST, expression: str, quoted: list[str]) -> Any:
@@ -277,12 +319,14 @@ class _Table:
         }  # fmt: skip
         match node:
             case ast.Constant(value=int() | float() as value):
-                return float(value)
+                return np.float64(value)
             case ast.Name(id=name):
                 match_ = re.fullmatch(r"__quoted_(\d+)", name)
                 return self.column(quoted[int(match_[1])] if match_ else name)
             case ast.BinOp(left=left, op=op, right=right) if type(op) in operators:
-                return operators[type(op)](self._evaluate(left, expression, quoted), self._evaluate(right, expression, quoted))
+                return operators[type(op)](
+                    self._evaluate(left, expression, quoted), self._evaluate(right, expression, quoted)
+                )
             case ast.UnaryOp(op=op, operand=operand) if type(op) in operators:
                 return operators[type(op)](self._evaluate(operand, expression, quoted))
         raise InputError(f"{self.where}: cannot compute '{expression}'; use column names, numbers and + - * / only")
@@ -291,13 +335,17 @@ class _Table:
 def _assemble(table: _Table, description: ColumnDescription, geometry: Geometry) -> Measurements:
     n = geometry.joints
     if len(description.joints) != n:
-        raise InputError(f"{description.where}: {len(description.joints)} joint columns are named, but the arm has {n} joints")
+        raise InputError(
+            f"{description.where}: {len(description.joints)} joint columns are named, but the arm has {n} joints"
+        )
     joints = []
     for i, (expression, unit) in enumerate(zip(description.joints, description.joint_units, strict=True)):
         wanted = LENGTHS if geometry.prismatic[i] else ANGLES
         if unit not in wanted:
             kind = "prismatic" if geometry.prismatic[i] else "revolute"
-            raise InputError(f"{description.where}: joint {i + 1} is {kind}, but its unit is '{unit}'; give {' or '.join(wanted)}")
+            raise InputError(
+                f"{description.where}: joint {i + 1} is {kind}, but its unit is '{unit}'; give {' or '.join(wanted)}"
+            )
         joints.append(table.value(expression) * TO_SI[unit])
         _plausible_joint(table, geometry, i, joints[-1], expression, unit)
     position = np.stack([table.value(e) for e in description.position], -1) * TO_SI[description.position_unit]
@@ -307,10 +355,12 @@ def _assemble(table: _Table, description: ColumnDescription, geometry: Geometry)
         kind, convert = CONVENTIONS[description.convention]
         wanted_columns = 4 if kind == "none" else 3
         if values.shape[1] != wanted_columns:
-            raise InputError(f"{description.where}: convention '{description.convention}' needs {wanted_columns} columns")
+            raise InputError(
+                f"{description.where}: convention '{description.convention}' needs {wanted_columns} columns"
+            )
         if kind == "none" and np.any(np.abs(np.linalg.norm(values, axis=1) - 1.0) > 0.01):
             bad = int(np.argmax(np.abs(np.linalg.norm(values, axis=1) - 1.0)))
-            raise InputError(f"{table.where}: row {bad + table.first} holds a quaternion that is not of unit length")
+            raise InputError(f"{table.where}: row {table.lines[bad]} holds a quaternion that is not of unit length")
         if kind == "angle" and np.abs(values).max() > 4 * np.pi:
             raise InputError(
                 f"{table.where}: attitudes reach {np.abs(values).max():.0f} rad, which no rotation needs; "
@@ -338,6 +388,6 @@ def _plausible_joint(table: _Table, geometry: Geometry, i: int, values: Array, c
         other = {"rad": "deg", "deg": "rad", "m": "mm", "mm": "m"}[unit]
         limits = f"{geometry.lower[i] / TO_SI[unit]:.4g} to {geometry.upper[i] / TO_SI[unit]:.4g} {unit}"
         raise InputError(
-            f"{table.where}: row {row + table.first}, column '{column}' is {values[row] / TO_SI[unit]:.6g} {unit}, "
+            f"{table.where}: row {table.lines[row]}, column '{column}' is {values[row] / TO_SI[unit]:.6g} {unit}, "
             f"but joint {i + 1} ({geometry.joint_names[i]}) moves over {limits}; its unit is probably {other}"
         )

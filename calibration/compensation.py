@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Geometry, displace_pose, forward, joint_jacobian, pose_error
-from pickenv.arm.geometry import Array
-from pickenv.arm.pose_error import Pose
+from pickenv.arm.geometry import Array, Pose
 from pickenv.arm.task import truncated_inverse
 
 

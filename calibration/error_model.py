@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from calibration.measurements import Measurements
 from pickenv.arm import Geometry, forward, parameter_jacobian, pose_error
-from pickenv.arm.geometry import Array
-from pickenv.arm.pose_error import Pose
+from pickenv.arm.geometry import Array, Pose
 
 LENGTH_TOLERANCE = 1e-3
 """Scale of a length's deviation, m."""
@@ -80,7 +79,9 @@ def stacked_jacobian(model: ErrorModel, geometry: Geometry, measurements: Measur
         Array ``(N * rows_per_pose, P)``: eq (8) for each pose, stacked, weighted and scaled.
     """
     jacobian = parameter_jacobian(geometry, measurements.joints)[..., model.columns] * model.tolerance
-    return (jacobian[:, : measurements.rows_per_pose] * row_weights(measurements)[:, None]).reshape(-1, len(model.columns))
+    return (jacobian[:, : measurements.rows_per_pose] * row_weights(measurements)[:, None]).reshape(
+        -1, len(model.columns)
+    )
 
 
 def weighted_residual(geometry: Geometry, measurements: Measurements) -> Array:

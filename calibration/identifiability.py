@@ -80,7 +80,7 @@ def identifiability(
         poses: Number of poses that the rows come from.
         rank_tolerance: See `RANK_TOLERANCE`.
     """
-    r = np.linalg.qr(matrix, mode="r") if matrix.shape[0] > matrix.shape[1] else matrix
+    r = matrix if matrix.shape[0] <= matrix.shape[1] else np.asarray(np.linalg.qr(matrix, mode="r"))
     largest = float(np.max(np.linalg.norm(r, axis=0)))
     basis = np.zeros((r.shape[0], 0))
     kept: list[int] = []

@@ -10,6 +10,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
 from calibration.identifiability import Identifiability, identifiability
@@ -17,6 +18,9 @@ from calibration.measurements import Measurements, random_joints
 from pickenv.arm import Geometry, Pose, forward, rotation_vector
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
+
+MISFIT = 0.2
+"""Errors above this share of the positions' spread, or this many rad, are no arm's: the data mean something else."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +34,7 @@ class Identification:
         standard_deviation: Of the kept parameters, from the residual's own scatter, m or rad; NaN for dropped ones.
         converged: Whether the last step was negligible.
         residual_rms: Weighted residual RMS before each iteration and after the last.
+        iterates: Geometry before each iteration and after the last.
         solve_seconds: Time of the solution alone.
         poses: Number of poses used.
         kind: What was measured: "pose" or "position".
@@ -41,6 +46,7 @@ class Identification:
     standard_deviation: Array
     converged: bool
     residual_rms: tuple[float, ...]
+    iterates: tuple[Geometry, ...]
     solve_seconds: float
     poses: int
     kind: str
@@ -60,7 +66,9 @@ class Identification:
             name = found.names[k]
             angle = is_angle(name)
             scale, unit = (np.degrees(1.0), "deg") if angle else (1e3, "mm")
-            lines.append(f"{name:>10}  {self.delta[k] * scale:>12.5f}  {self.standard_deviation[k] * scale:>12.5f} {unit}")
+            lines.append(
+                f"{name:>10}  {self.delta[k] * scale:>12.5f}  {self.standard_deviation[k] * scale:>12.5f} {unit}"
+            )
         return "\n".join(lines)
 
 
@@ -99,35 +107,42 @@ def identify(
     matrix = stacked_jacobian(model, start, measurements)
     found = identifiability(matrix, model.names, model.tolerance, len(measurements))
     _enough_poses(model, start, measurements, found)
-    geometry, delta = start, np.zeros(len(model.names))
+    geometry = start
     kept, scale = found.kept, model.tolerance[found.kept]
     history = [_rms(weighted_residual(geometry, measurements))]
+    iterates = [start]
     converged, damping = False, 0.0
     for _ in range(max_iterations):
         weighted = weighted_residual(geometry, measurements)
         step = _solve(matrix[:, kept], weighted, damping)
         candidate = _moved(geometry, model, kept, step * scale)
         rms = _rms(weighted_residual(candidate, measurements))
-        if rms > history[-1] * (1 + 1e-9):  # Levenberg: a step that makes it worse is shortened until it helps
+        negligible = damping == 0.0 and np.max(np.abs(step), initial=0.0) < 1e-5
+        if rms > history[-1] * (1 + 1e-9):
+            if negligible:  # worse by rounding alone: this is the minimum
+                converged = True
+                break
+            # Levenberg: a step that makes it worse is shortened until it helps.
             damping = max(damping * 10.0, 1e-3)
             if damping > 1e9:
                 break
             continue
-        damping = damping / 10.0 if damping > 1e-6 else 0.0
         geometry = candidate
-        delta[kept] += step * scale
         history.append(rms)
+        iterates.append(geometry)
         matrix = stacked_jacobian(model, geometry, measurements)
-        if np.max(np.abs(step)) < 1e-5 or history[-2] - rms < 1e-7 * rms:
+        if negligible or (damping == 0.0 and history[-2] - rms < 1e-7 * rms):  # a shortened step proves nothing
             converged = True
             break
+        damping = damping / 10.0 if damping > 1e-6 else 0.0
     return Identification(
         geometry=geometry,
         identifiability=found,
-        delta=delta,
+        delta=start.difference(geometry)[model.columns],
         standard_deviation=_standard_deviation(matrix, geometry, measurements, found, model.tolerance),
         converged=converged,
         residual_rms=tuple(history),
+        iterates=tuple(iterates),
         solve_seconds=time.perf_counter() - begin,
         poses=len(measurements),
         kind=measurements.kind,
@@ -144,7 +159,7 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
     return np.asarray(np.linalg.solve(r, q.T @ right))
 
 
-def _moved(geometry: Geometry, model: ErrorModel, kept: Array, step: Array) -> Geometry:
+def _moved(geometry: Geometry, model: ErrorModel, kept: NDArray[np.int64], step: Array) -> Geometry:
     delta = np.zeros(len(geometry.parameter_names))
     delta[model.columns[kept]] = step
     return geometry.displaced(delta)
@@ -154,7 +169,9 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _standard_deviation(matrix: Array, geometry: Geometry, measurements: Measurements, found: Identifiability, tolerance: Array) -> Array:
+def _standard_deviation(
+    matrix: Array, geometry: Geometry, measurements: Measurements, found: Identifiability, tolerance: Array
+) -> Array:
     """Standard deviation of each kept parameter, with the residual's own scatter as the noise (GUM type A)."""
     std = np.full(len(found.names), np.nan)
     rows = matrix.shape[0]
@@ -181,8 +198,8 @@ def _enough_poses(model: ErrorModel, start: Geometry, measurements: Measurements
     if rows <= full or (found.rank < full and rows < 2 * full):
         needed = -(-2 * full // measurements.rows_per_pose)
         raise InputError(
-            f"{measurements.source}: {len(measurements)} poses give {rows} equations, too few for the {full} parameters "
-            f"that {measurements.kind} measurements identify; measure at least {needed} poses"
+            f"{measurements.source}: {len(measurements)} poses give {rows} equations, too few for the {full} "
+            f"parameters that {measurements.kind} measurements identify; measure at least {needed} poses"
         )
 
 
@@ -192,29 +209,54 @@ def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel) ->
     Raises:
         InputError: If the data do not fit the arm at all, which means wrong units, joint signs or conventions.
     """
-    _spread_plausible(geometry, measurements)
+    _refuse_other_units(geometry, measurements)
     start = geometry.displaced(_registration(geometry, measurements))
     fitted = identify(frames, start, measurements, max_iterations=100)
-    left = residual(fitted.geometry, measurements)[:, :3]
-    spread = np.sqrt(np.mean(np.sum((measurements.position - measurements.position.mean(0)) ** 2, axis=1)))
-    rms = np.sqrt(np.mean(np.sum(left**2, axis=1)))
-    if rms > 0.2 * spread:
-        raise InputError(
-            f"{measurements.source}: after fitting base and tool the arm still misses by {rms * 1e3:.0f} mm RMS, of a spread "
-            f"of {spread * 1e3:.0f} mm; check the arm, the units, the joint order and signs, and the attitude convention"
-        )
+    refuse_another_arm(fitted.geometry, measurements, "after fitting base and tool")
     return fitted
 
 
-def _spread_plausible(geometry: Geometry, measurements: Measurements) -> None:
+def refuse_another_arm(geometry: Geometry, measurements: Measurements, state: str) -> None:
+    """Refuse measurements that lie so far from ``geometry`` that units, joint signs or conventions must be wrong.
+
+    Args:
+        geometry: The arm, with base and tool as they are known or fitted.
+        measurements: The data.
+        state: What was done about base and tool, as the message says it.
+
+    Raises:
+        InputError: If positions miss by more than `MISFIT` of their spread, or attitudes by more than `MISFIT` rad.
+    """
+    if len(measurements) < 3:
+        return  # no spread to speak of; `identify` says how many poses are needed
+    _refuse_other_units(geometry, measurements)
+    left = residual(geometry, measurements)
+    spread = np.linalg.norm(measurements.position.std(axis=0))
+    rms = np.sqrt(np.mean(np.sum(left[:, :3] ** 2, axis=1)))
+    if rms > MISFIT * spread:
+        raise InputError(
+            f"{measurements.source}: {state} the arm still misses by {rms * 1e3:.0f} mm RMS, of a spread of "
+            f"{spread * 1e3:.0f} mm; check the arm, the units, the joint order and signs, and the attitude convention"
+        )
+    turn = np.sqrt(np.mean(np.sum(left[:, 3:] ** 2, axis=1)))
+    if turn > MISFIT:
+        raise InputError(
+            f"{measurements.source}: {state} attitudes still miss by {np.degrees(turn):.0f} deg RMS; "
+            "check the attitude convention and its unit, and the joint signs"
+        )
+
+
+def _refuse_other_units(geometry: Geometry, measurements: Measurements) -> None:
     """Refuse lengths or angles in another unit: nominal and measured positions must spread alike."""
+    if len(measurements) < 3:
+        return  # no spread to speak of; `identify` says how many poses are needed
     nominal = forward(geometry, measurements.joints).position
     measured = measurements.position
     ratio = np.linalg.norm(measured.std(axis=0)) / max(float(np.linalg.norm(nominal.std(axis=0))), 1e-12)
     if not 0.05 < ratio < 20:
-        fault = "positions are probably in another length unit, or joints in another angle unit"
         raise InputError(
-            f"{measurements.source}: measured positions spread {ratio:.3g} times as far as the arm's own; {fault}; correct the units"
+            f"{measurements.source}: measured positions spread {ratio:.3g} times as far as the arm's own; positions "
+            "are probably in another length unit, or joints in another angle unit; correct the units"
         )
 
 
@@ -229,5 +271,3 @@ def _registration(geometry: Geometry, measurements: Measurements) -> Array:
     delta[-12:-9] = moved.position - base.position
     delta[-9:-6] = rotation_vector(moved.rotation @ base.rotation.T)
     return delta
-
-

@@ -73,9 +73,10 @@ class Measurements:
         return replace(self, rotation=None)
 
     def fingerprint(self) -> str:
-        """Hash of the numbers, which a calibration records."""
+        """Hash of the numbers to 1e-9 m and rad, which a calibration records; a trip through a CSV file keeps it."""
         parts = [self.joints, self.position] + ([] if self.rotation is None else [self.rotation])
-        return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()[:16]
+        whole = [np.rint(part * 1e9).astype(np.int64) for part in parts]
+        return hashlib.sha256(b"".join(part.tobytes() for part in whole)).hexdigest()[:16]
 
     def table(self) -> tuple[list[str], Array]:
         """Column names with units, and the values in those units, one row per pose."""

@@ -44,7 +44,9 @@ class ErrorStatistics:
         return asdict(self)
 
 
-def error_statistics(errors: ArrayLike, *, rng: np.random.Generator | None = None, resamples: int = 2000) -> ErrorStatistics:
+def error_statistics(
+    errors: ArrayLike, *, rng: np.random.Generator | None = None, resamples: int = 2000
+) -> ErrorStatistics:
     """Statistics of error vectors ``(N, k)``, or of norms ``(N,)`` (then ``axis_rms`` is empty).
 
     Args:
@@ -78,7 +80,9 @@ def bootstrap_interval(
     """Percentile bootstrap 95 % interval of the mean of ``values`` ``(N,)``; paired when given differences."""
     values = np.asarray(values, dtype=float)
     rng = rng or np.random.default_rng(0)
-    means = values[rng.integers(0, len(values), (resamples, len(values)))].mean(axis=1)
+    chunk = max(1, 2**22 // max(len(values), 1))  # 32 MiB of indices at a time
+    sizes = [min(chunk, resamples - done) for done in range(0, resamples, chunk)]
+    means = np.concatenate([values[rng.integers(0, len(values), (size, len(values)))].mean(axis=1) for size in sizes])
     low, high = np.percentile(means, [2.5, 97.5])
     return float(low), float(high)
 

@@ -20,6 +20,9 @@ from pickenv.errors import InputError
 CONTROL_PERIOD = 0.1
 """Time between two actions, s: with the arm file's joint speeds it bounds one action's increment."""
 
+MOST_CAMERA_NOISE_MM = 100.0
+"""Ten standard deviations of the camera then stay within the metre that the observation's bounds leave for errors."""
+
 FEEDBACK = ("encoders", "camera")
 REWARDS = ("dense", "sparse")
 
@@ -27,13 +30,14 @@ Compensate = Callable[[Array], Array]
 
 
 class ReachEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
-    r"""
+    """Bring the tool to a fruit, in the attitude asked for, with an arm that is not what its controller believes.
+
     ## Description
 
     A six-joint picking arm (Qiao 2026: pitch, horizontal rail, telescopic boom, end rotation, end slide, twist) must
-    bring its tool to a fruit, in the attitude asked for. The policy commands the *nominal* arm; what moves is the *true*
-    arm, whose parts are off by tenths of millimetres and whose joints and boom bend. How far the true tool ends from the
-    fruit is what is scored; the policy never sees it.
+    bring its tool to a fruit, in the attitude asked for. The policy commands the *nominal* arm; what moves is the
+    *true* arm, whose parts are off by tenths of millimetres and whose joints and boom bend. How far the true tool ends
+    from the fruit is what is scored; the policy never sees it.
 
     ## Action Space
 
@@ -107,7 +111,7 @@ class ReachEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     - `plant` (str, default "qiao2026"): preset or path of a plant file; "geometry_only" is Table 1 alone.
     - `without` (sequence of str): effects of the plant to switch off.
     - `feedback` ("encoders" or "camera"): whether the camera's tool-to-fruit offset is part of the observation.
-    - `camera_noise_mm` (float, default 0): standard deviation per axis of all that the camera sees.
+    - `camera_noise_mm` (float, 0 to 100, default 0): standard deviation per axis of all that the camera sees.
     - `tolerance_mm` (float, default 5): radius of the gripper's capture region; 5 mm is the clearance of Li's cup.
     - `angle_tolerance_deg` (float, default 10): attitude tolerance of the capture region.
     - `reward` ("dense" or "sparse").
@@ -142,7 +146,11 @@ class ReachEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             ("max_tilt_deg", max_tilt_deg, 0.0),
         ):
             if not math.isfinite(value) or value < 0 or value == low:
-                raise InputError(f"{name} is {value}; give a finite number {'above' if low == 0.0 else 'not below'} zero")
+                raise InputError(
+                    f"{name} is {value}; give a finite number {'above' if low == 0.0 else 'not below'} zero"
+                )
+        if camera_noise_mm > MOST_CAMERA_NOISE_MM:
+            raise InputError(f"camera_noise_mm is {camera_noise_mm}; give at most {MOST_CAMERA_NOISE_MM:.0f}")
         self.plant: Plant = load_plant(plant, without=without)
         self.feedback, self.reward_kind, self.render_mode = feedback, reward, render_mode
         self.camera_noise = camera_noise_mm * 1e-3
@@ -260,8 +268,8 @@ class ReachEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             if tool_frame(math, self._chain, joints)[8] >= math.cos(self.max_tilt):
                 return joints
         raise InputError(
-            f"arm '{self.plant.arm.name}' found no pose with its tool within {math.degrees(self.max_tilt):.0f} deg of the "
-            "vertical; raise max_tilt_deg"
+            f"arm '{self.plant.arm.name}' found no pose with its tool within {math.degrees(self.max_tilt):.0f} deg of "
+            "the vertical; raise max_tilt_deg"
         )
 
 

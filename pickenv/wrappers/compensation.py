@@ -26,8 +26,8 @@ class Compensator(Protocol):
 class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
     """Correct the joint target on its way to the drives, invisibly to the policy.
 
-    Spaces, seeds, episode flow and observations stay as they are: joint readings are mapped back to nominal joints, so a
-    policy that servoes on its believed tool position does not cancel the compensation. The compensator sits at the
+    Spaces, seeds, episode flow and observations stay as they are: joint readings are mapped back to nominal joints, so
+    a policy that servoes on its believed tool position does not cancel the compensation. The compensator sits at the
     environment's one seam, so the wrapper's place in a stack of wrappers does not matter; closing removes it.
 
     Example:
