@@ -94,7 +94,7 @@ def test_many_arms_share_one_pose(general_chain):
     same((many.position[3], many.rotation[3]), forward(replace(general_chain, a=spread[3]), np.zeros(7)))
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 1e-3, 1.0, 3.1, math.pi - 1e-5, math.pi])
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 9e-8, 1e-6, 1e-3, 1.0, 3.1, math.pi - 1e-5, math.pi])
 def test_pose_error_on_floats_is_pose_error_on_arrays(angle):
     rng = np.random.default_rng(6)
     for axis in rng.normal(size=(10, 3)):

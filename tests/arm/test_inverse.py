@@ -71,6 +71,19 @@ def test_what_cannot_be_reached_is_said_with_the_error_that_remains(qiao):
     assert (solution.position_error[:2] > 3.0).all()
 
 
+def test_restarts_bring_the_tool_closer_to_what_cannot_be_reached(draw):
+    """Fully stretched is the best that any joints can do; a bad start folds the arm instead."""
+    ur5 = load_arm("ur5").nominal
+    home = forward(ur5, draw(ur5, 20))
+    far = Pose(home.position + np.array([2.5, 0, 0]), home.rotation)
+    start = draw(ur5, 20)
+    alone, helped = (inverse(ur5, far, start, restarts=count, max_iterations=30) for count in (0, 6))
+    cost = [s.position_error + s.attitude_error - s.noncompensable_attitude for s in (alone, helped)]
+    assert not helped.reached.any()
+    assert (cost[1] <= cost[0]).all()
+    assert np.median(cost[1]) < 0.9 * np.median(cost[0])
+
+
 def test_an_attitude_outside_the_task_is_said_to_be_out_of_reach_of_the_joints(qiao):
     """The picking arm cannot roll its tool about the boom; position is met, the roll remains and is reported apart."""
     home = forward(qiao.nominal, np.full(6, 0.1))
