@@ -261,7 +261,7 @@ def _figures(error: Array, impossible: Array) -> dict[str, Any]:
 
 def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -> list[Path]:
     """Write the run folder: data, calibration, summary, figures and the Rerun recording; returns what was written."""
-    from pickenv.inspect.demo_figures import demo_figures
+    from pickenv.demo_figures import demo_figures
     from pickenv.inspect.figures import save_figure
     from pickenv.inspect.recording import record_comparison
 
