@@ -1,13 +1,18 @@
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from pickenv.arm import Geometry, Plant, Pose, forward, inverse, load_plant, parameter_jacobian, pose_error
 from pickenv.arm.geometry import Array
 from pickenv.inspect.comparison import Comparison, PolicyErrors
+from pickenv.inspect.recording import record_comparison
 
 CELLS, STEP = 10, 0.055
 
@@ -95,6 +100,92 @@ def comparison() -> Comparison:
     return synthetic_comparison()
 
 
-def without_policies(comparison: Comparison, count: int) -> Comparison:
-    """The same comparison with its first `count` policies only."""
-    return replace(comparison, policies=comparison.policies[:count])
+@pytest.fixture(scope="session")
+def make_comparison() -> Callable[..., Comparison]:
+    """`synthetic_comparison` itself, for tests that need another seed."""
+    return synthetic_comparison
+
+
+@pytest.fixture(scope="session")
+def without_reaches(comparison: Comparison) -> Comparison:
+    """The raw error field alone: one policy, no fruit, and a corner of the grid out of reach."""
+    inside = comparison.field_index.sum(axis=-1) > 6
+    raw = comparison.policies[0]
+    empty = {"reach_joints": np.empty((0, 6)), "reach_positions": np.empty((0, 3)), "position_error_mm": np.empty(0)}
+    policy = replace(
+        raw,
+        field_errors=raw.field_errors[inside],
+        attitude_error_deg=np.empty(0),
+        success=np.empty(0, dtype=bool),
+        **empty,
+    )
+    return replace(
+        comparison,
+        field_index=comparison.field_index[inside],
+        field_points=comparison.field_points[inside],
+        fruit=np.empty((0, 3)),
+        policies=(policy,),
+    )
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A recording as read back from its file."""
+
+    path: Path
+    store: Any
+    blueprint: Any
+
+    def entities(self) -> set[str]:
+        return {column.entity_path for column in self.store.schema().component_columns()}
+
+    def component(self, entity: str, name: str) -> Any:
+        """All rows of one component, as an Arrow array of lists."""
+        chunks = self.store.stream().filter(content=entity, components=[name])
+        return pa.chunked_array([chunk.to_record_batch().column(name) for chunk in chunks]).combine_chunks()
+
+    def values(self, entity: str, name: str) -> np.ndarray:
+        """All values of one component, rows joined: ``(N,)``, or ``(N, k)`` for vectors."""
+        flat, width = self.component(entity, name).flatten(), 0
+        if pa.types.is_fixed_size_list(flat.type):
+            flat, width = flat.flatten(), flat.type.list_size
+        array = flat.to_numpy(zero_copy_only=False)
+        return array.reshape(-1, width) if width else array
+
+    def rules(self) -> list[str]:
+        """The include rules of all views of the embedded blueprint."""
+        found = []
+        for chunk in self.blueprint.stream():
+            batch = chunk.to_record_batch()
+            if "ViewContents:query" in batch.schema.names:
+                found += [rule for row in batch.column("ViewContents:query").to_pylist() for rule in row or []]
+        return [rule.lstrip("+ ") for rule in found if rule.startswith("+")]
+
+    def unmatched_rules(self) -> list[str]:
+        """Include rules that no logged entity matches: the viewer would show an empty view and say nothing."""
+        entities = self.entities()
+
+        def matches(rule: str) -> bool:
+            if rule.endswith("/**"):
+                return any(entity == rule[:-3] or entity.startswith(rule[:-2]) for entity in entities)
+            return rule in entities
+
+        return [rule for rule in self.rules() if not matches(rule)]
+
+
+def read_recording(path: Path) -> Reading:
+    from rerun.chunk import RrdReader
+
+    reader = RrdReader(path)
+    (blueprint,) = reader.blueprints()
+    return Reading(path, reader.stream().collect(), reader.stream(store=blueprint).collect())
+
+
+@pytest.fixture(scope="session")
+def reader() -> Callable[[Path], Reading]:
+    return read_recording
+
+
+@pytest.fixture(scope="session")
+def reading(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Reading:
+    return read_recording(record_comparison(comparison, tmp_path_factory.mktemp("run") / "errors.rrd", gain=25.0))

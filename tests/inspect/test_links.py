@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pickenv.arm import forward, load_arm, load_plant, shipped_arms
+from pickenv.inspect.links import capsules, nominal_points, true_points
+
+
+@pytest.mark.parametrize(
+    "without",
+    [(), ("joint_compliance",), ("boom_bending",), ("transmission_error",), ("joint_compliance", "boom_bending")],
+)
+def test_the_true_arm_is_drawn_to_where_the_plant_puts_the_tool(without: tuple[str, ...]) -> None:
+    plant = load_plant("qiao2026", without=without)
+    q = np.random.default_rng(1).uniform(plant.geometry.lower, plant.geometry.upper, size=(50, plant.geometry.joints))
+    np.testing.assert_allclose(true_points(plant, q)[:, -1], plant.tool_pose(q).position, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", shipped_arms())
+def test_any_arm_is_drawn_from_its_base_to_its_tool(name: str) -> None:
+    geometry = load_arm(name).nominal
+    q = np.random.default_rng(2).uniform(geometry.lower, geometry.upper, size=(4, 5, geometry.joints))
+    points = nominal_points(geometry, q)
+    assert points.shape == (4, 5, 2 * geometry.joints + 2, 3)
+    np.testing.assert_allclose(points[..., 0, :], np.broadcast_to(geometry.base.position, (4, 5, 3)), atol=1e-15)
+    np.testing.assert_allclose(points[..., -1, :], forward(geometry, q).position, atol=1e-12)
+
+
+def test_capsules_lie_along_the_links_in_every_direction() -> None:
+    ends = np.array([[0, 0, 2], [0, 0, -2], [1, 0, 0], [0, -3, 0], [1, 2, 3], [0, 0, 0]], dtype=float)
+    points = np.stack([np.zeros_like(ends), ends], axis=1)
+    rods = capsules(points, [0])
+    x, y, z, w = rods.quaternion[:, 0].T
+    direction = np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)], axis=-1)
+    np.testing.assert_allclose(np.linalg.norm(rods.quaternion, axis=-1), 1.0)
+    np.testing.assert_allclose(rods.start[:, 0] + rods.length * direction, ends, atol=1e-12)

@@ -1,0 +1,247 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pickenv.arm import forward
+from pickenv.errors import InputError
+from pickenv.inspect import recording
+from pickenv.inspect.colours import viridis
+from pickenv.inspect.comparison import Comparison
+from pickenv.inspect.recording import record_comparison
+from pickenv.inspect.summary import colour_scale_mm
+from pickenv.inspect.view import cut_away
+
+RERUN = Path(sys.executable).with_name("rerun")
+KEYS = ("raw", "ls", "ls_bpnn")
+
+
+def compare(first: Path, second: Path) -> int:
+    return subprocess.run([RERUN, "rrd", "compare", first, second], capture_output=True, check=False).returncode
+
+
+def test_every_entity_is_in_the_file(reading: Any) -> None:
+    wanted = {"/summary", "/legend/bar", "/legend/ticks", "/metrics/tolerance_mm", "/__properties/pickenv"}
+    wanted |= {f"/world/{name}" for name in ("axes", "workspace", "fruit", "capture")}
+    wanted |= {f"/world/arm/{name}" for name in ("nominal", "true", "exaggerated")}
+    wanted |= {"/target/capture", "/target/axes"}
+    for key in KEYS:
+        wanted |= {f"/world/field/{key}/vectors", f"/world/field/{key}/voxels", f"/field/{key}/magnitude_mm"}
+        wanted |= {f"/world/miss/{key}", f"/metrics/error_mm/{key}", f"/metrics/attitude_deg/{key}"}
+        wanted |= {f"/outcome/{key}", f"/hist/{key}", f"/target/{key}"}
+    assert reading.entities() == wanted
+
+
+def test_arrows_are_the_errors_times_the_gain(reading: Any, comparison: Comparison) -> None:
+    for policy in comparison.policies:
+        entity = f"/world/field/{policy.key}/vectors"
+        vectors = reading.values(entity, "Arrows3D:vectors")
+        np.testing.assert_allclose(vectors, 25.0 * policy.field_errors, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(reading.values(entity, "Arrows3D:origins"), comparison.field_points, rtol=1e-6)
+
+
+def test_a_click_on_an_arrow_reads_out_the_error(reading: Any, comparison: Comparison) -> None:
+    for policy in comparison.policies:
+        entity = f"/world/field/{policy.key}/vectors"
+        xyz, norm = (reading.values(entity, f"PickError:{name}") for name in ("xyz_mm", "norm_mm"))
+        np.testing.assert_allclose(xyz, 1e3 * policy.field_errors, rtol=1e-6, atol=1e-7)
+        np.testing.assert_allclose(norm, np.linalg.norm(1e3 * policy.field_errors, axis=-1), rtol=1e-6)
+        norm = reading.values(f"/world/miss/{policy.key}", "PickError:norm_mm")
+        np.testing.assert_allclose(norm, policy.position_error_mm, rtol=1e-5)
+
+
+def test_all_fields_share_one_colour_scale(reading: Any, comparison: Comparison) -> None:
+    top = colour_scale_mm(comparison)
+    assert top == np.percentile(1e3 * np.linalg.norm(comparison.policies[0].field_errors, axis=-1), 99)
+    for policy in comparison.policies:
+        magnitude = 1e3 * np.linalg.norm(policy.field_errors, axis=-1)
+        packed = reading.values(f"/world/field/{policy.key}/vectors", "Arrows3D:colors")
+        rgb = np.stack([packed >> shift & 0xFF for shift in (24, 16, 8)], axis=-1)
+        np.testing.assert_array_equal(rgb, viridis(magnitude / top))
+        for entity, name in (
+            (f"world/field/{policy.key}/voxels", "VoxelGridMap"),
+            (f"field/{policy.key}/magnitude_mm", "Tensor"),
+        ):
+            np.testing.assert_allclose(reading.values(f"/{entity}", f"{name}:value_range"), [[0.0, top]], rtol=1e-6)
+
+
+def test_voxels_and_slices_are_the_error_magnitude(reading: Any, comparison: Comparison) -> None:
+    kept = ~cut_away(comparison)
+    assert 0.8 < kept.mean() < 0.95
+    for policy in comparison.policies:
+        magnitude = 1e3 * np.linalg.norm(policy.field_errors, axis=-1)
+        entity = f"/world/field/{policy.key}/voxels"
+        np.testing.assert_allclose(reading.values(entity, "VoxelGridMap:values"), magnitude[kept], rtol=1e-6)
+        corner = reading.values(entity, "VoxelGridMap:translation")[0]
+        index = reading.values(entity, "VoxelGridMap:voxel_indices")
+        centres = corner + (index + 0.5) * comparison.grid_step
+        np.testing.assert_allclose(centres, comparison.field_points[kept], atol=1e-6)
+        (tensor,) = reading.component(f"/field/{policy.key}/magnitude_mm", "Tensor:data").flatten().to_pylist()
+        values = np.asarray(tensor["buffer"]).reshape(tensor["shape"])
+        x, y, z = comparison.field_index.T
+        np.testing.assert_allclose(values[z, y, x], magnitude, rtol=1e-6)
+
+
+def test_each_reach_has_its_errors_and_its_outcome(reading: Any, comparison: Comparison) -> None:
+    assert {column.name for column in reading.store.schema().index_columns()} == {"reach"}
+    for policy in comparison.policies:
+        np.testing.assert_array_equal(
+            reading.values(f"/metrics/error_mm/{policy.key}", "Scalars:scalars"), policy.position_error_mm
+        )
+        np.testing.assert_array_equal(
+            reading.values(f"/metrics/attitude_deg/{policy.key}", "Scalars:scalars"), policy.attitude_error_deg
+        )
+        states = reading.values(f"/outcome/{policy.key}", "StateChange:state")
+        np.testing.assert_array_equal(states == "pick", policy.success)
+        counts = reading.component(f"/hist/{policy.key}", "BarChart:values").flatten().to_pylist()[0]["buffer"]
+        assert sum(counts) == len(comparison.fruit)
+    assert set(reading.values("/metrics/tolerance_mm", "Scalars:scalars")) == {comparison.tolerance_mm}
+
+
+def last_rod_ends(reading: Any, entity: str, reaches: int) -> np.ndarray:
+    """Where the arm's last rod ends at each reach: its start plus its length along the turned z axis."""
+    start, (x, y, z, w), length = (
+        reading.values(entity, "Capsules3D:translations"),
+        reading.values(entity, "Capsules3D:quaternions").T,
+        reading.values(entity, "Capsules3D:lengths"),
+    )
+    direction = np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)], axis=-1)
+    return (start + length[:, None] * direction).reshape(reaches, -1, 3)[:, -1]
+
+
+def test_the_arms_end_where_the_tool_is(reading: Any, comparison: Comparison) -> None:
+    q, reaches = comparison.policies[0].reach_joints, len(comparison.fruit)
+    believed, true = forward(comparison.nominal, q).position, comparison.plant.tool_pose(q).position
+    drawn = believed + 25.0 * (true - believed)
+    for name, position in (("nominal", believed), ("true", true), ("exaggerated", drawn)):
+        ends = last_rod_ends(reading, f"/world/arm/{name}", reaches)
+        np.testing.assert_allclose(ends, position, atol=2e-3 if name == "exaggerated" else 2e-6)
+
+
+def test_the_file_says_what_it_is(reading: Any, comparison: Comparison) -> None:
+    from rerun.chunk import RrdReader
+
+    (entry,) = RrdReader(reading.path).recordings()
+    assert (entry.application_id, entry.recording_id) == ("pickenv", "qiao2026:seed7")
+    stated = {
+        name: reading.values("/__properties/pickenv", name).tolist() for name in ("seed", "plant", "gain", "policies")
+    }
+    assert stated == {"seed": [7], "plant": ["qiao2026"], "gain": [25.0], "policies": list(KEYS)}
+    assert reading.values("/__properties/pickenv", "rerun_version")[0].startswith("0.41")
+    (text,) = reading.values("/summary", "TextDocument:text")
+    assert "| **LS + BPNN** | 100 % |" in text
+    assert "radius 1 mm" in text
+
+
+def test_equal_seeds_give_equal_files_and_other_seeds_others(
+    make_comparison: Callable[..., Comparison], tmp_path: Path
+) -> None:
+    again = [record_comparison(make_comparison(seed=3, reaches=20), tmp_path / f"{i}" / "errors.rrd") for i in (1, 2)]
+    other = record_comparison(make_comparison(seed=4, reaches=20), tmp_path / "other.rrd")
+    assert compare(again[0], again[1]) == 0
+    assert compare(again[0], other) == 1
+
+
+def test_a_thousand_cells_and_a_hundred_reaches_stay_small_and_quick(comparison: Comparison, tmp_path: Path) -> None:
+    assert len(comparison.field_points) == 1000
+    assert len(comparison.fruit) == 100
+    began = time.perf_counter()
+    path = record_comparison(comparison, tmp_path / "errors.rrd")
+    assert path.stat().st_size < 2e6
+    assert time.perf_counter() - began < 5.0
+
+
+def test_one_policy_without_reaches_is_enough(
+    without_reaches: Comparison, reader: Callable[[Path], Any], tmp_path: Path
+) -> None:
+    reading = reader(record_comparison(without_reaches, tmp_path / "errors.rrd"))
+    assert "/world/field/raw/vectors" in reading.entities()
+    assert not any(entity.startswith(("/metrics", "/outcome", "/target")) for entity in reading.entities())
+    assert reading.unmatched_rules() == []
+
+
+def test_an_interrupt_leaves_the_old_file_and_no_half_one(
+    comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "errors.rrd"
+    path.write_text("an older recording")
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(recording, "_send_histograms", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        record_comparison(comparison, path)
+    assert path.read_text() == "an older recording"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_killed_writer_leaves_no_recording(tmp_path: Path) -> None:
+    script = """
+import os, runpy, sys
+from pickenv.inspect import recording
+module = runpy.run_path(sys.argv[1])
+recording._send_histograms = lambda *_: os._exit(9)
+recording.record_comparison(module["synthetic_comparison"](reaches=5), sys.argv[2])
+"""
+    conftest, path = Path(__file__).with_name("conftest.py"), tmp_path / "errors.rrd"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    command = [sys.executable, "-c", script, str(conftest), str(path)]
+    assert subprocess.run(command, env=environment, check=False).returncode == 9
+    assert not path.exists()
+
+
+def test_a_folder_that_cannot_be_written_is_named(comparison: Comparison, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(InputError, match=r"file/errors\.rrd"):
+        record_comparison(comparison, tmp_path / "file" / "errors.rrd")
+
+
+def test_a_recording_that_rerun_did_not_write_is_not_passed_off_as_one(
+    comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rerun as rr
+
+    monkeypatch.setattr(rr.RecordingStream, "save", lambda *_, **__: None)
+    with pytest.raises(InputError, match="cannot write"):
+        record_comparison(comparison, tmp_path / "errors.rrd")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda c: replace(c, policies=()), "no policy"),
+        (lambda c: replace(c, policies=c.policies + c.policies[:1]), "'raw' is given twice"),
+        (lambda c: replace(c, policies=(replace(c.policies[0], key="LS/raw"),)), "'LS/raw' cannot name an entity"),
+    ],
+)
+def test_bad_policies_are_refused(
+    change: Callable[[Comparison], Comparison], complaint: str, comparison: Comparison, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=complaint):
+        record_comparison(change(comparison), tmp_path / "errors.rrd")
+
+
+def test_a_gain_of_nothing_is_refused(comparison: Comparison, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="gain"):
+        record_comparison(comparison, tmp_path / "errors.rrd", gain=0.0)
+
+
+def test_importing_the_room_loads_neither_rerun_nor_matplotlib() -> None:
+    script = """
+import sys
+import pickenv.inspect.recording, pickenv.inspect.blueprint, pickenv.inspect.figures, pickenv.inspect.field_figure
+sys.exit(bool({"rerun", "matplotlib"} & set(sys.modules)))
+"""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    assert subprocess.run([sys.executable, "-c", script], env=environment, check=False).returncode == 0
