@@ -85,23 +85,24 @@ def _write(comparison: Comparison, path: Path, gain: float) -> None:
     from rerun.chunk import RrdReader
 
     blueprint = comparison_blueprint(comparison, gain)
-    with rr.RecordingStream(APPLICATION_ID, recording_id=recording_id(comparison), send_properties=False) as stream:
-        stream.save(path, default_blueprint=blueprint)
-        scribe = _Scribe(stream, len(comparison.fruit))
-        _send_properties(scribe, comparison, gain)
-        _send_scene(scribe, comparison, gain)
-        for policy, colour in zip(comparison.policies, _colours(comparison), strict=True):
-            _send_field(scribe, comparison, policy, gain)
-            _send_reaches(scribe, comparison, policy, colour, gain)
-        _send_tolerance(scribe, comparison, gain)
-        _send_histograms(scribe, comparison)
-        _send_legend(scribe, comparison, gain)
     try:
-        complete = len(RrdReader(path).recordings()) == 1
-    except Exception as error:  # the reader's own errors have no common base
-        raise OSError(f"rerun left an incomplete file ({error})") from error
-    if not complete:
-        raise OSError("rerun wrote nothing; is there space on the disk, and is the variable RERUN not 'off'?")
+        with rr.RecordingStream(APPLICATION_ID, recording_id=recording_id(comparison), send_properties=False) as stream:
+            stream.save(path, default_blueprint=blueprint)
+            _send(_Scribe(stream, len(comparison.fruit)), comparison, gain)
+        RrdReader(path).store()  # refuses a file without the footer that ends a finished recording
+    except RuntimeError as error:  # a full disk ends rerun's writer thread, and its reader meets half a file
+        raise OSError(f"{error}; is the disk full, or the variable RERUN set to off?") from error
+
+
+def _send(scribe: _Scribe, comparison: Comparison, gain: float) -> None:
+    _send_properties(scribe, comparison, gain)
+    _send_scene(scribe, comparison, gain)
+    for policy, colour in zip(comparison.policies, _colours(comparison), strict=True):
+        _send_field(scribe, comparison, policy, gain)
+        _send_reaches(scribe, comparison, policy, colour, gain)
+    _send_tolerance(scribe, comparison, gain)
+    _send_histograms(scribe, comparison)
+    _send_legend(scribe, comparison, gain)
 
 
 class _Scribe:

@@ -206,14 +206,35 @@ def test_a_folder_that_cannot_be_written_is_named(comparison: Comparison, tmp_pa
         record_comparison(comparison, tmp_path / "file" / "errors.rrd")
 
 
-def test_a_recording_that_rerun_did_not_write_is_not_passed_off_as_one(
+def test_a_full_disk_is_reported_and_leaves_nothing(
     comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import rerun as rr
 
-    monkeypatch.setattr(rr.RecordingStream, "save", lambda *_, **__: None)
-    with pytest.raises(InputError, match="cannot write"):
+    def save(stream: object, path: Path, **_: object) -> None:
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    monkeypatch.setattr(rr.RecordingStream, "save", save)
+    with pytest.raises(InputError, match="disk full"):
         record_comparison(comparison, tmp_path / "errors.rrd")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_that_rerun_did_not_write_is_not_passed_off_as_one(tmp_path: Path) -> None:
+    script = """
+import runpy, sys
+from pickenv.errors import InputError
+from pickenv.inspect import record_comparison
+try:
+    record_comparison(runpy.run_path(sys.argv[1])["synthetic_comparison"](reaches=5), sys.argv[2])
+except InputError as error:
+    sys.exit("RERUN" not in str(error))
+sys.exit(2)
+"""
+    conftest, path = Path(__file__).with_name("conftest.py"), tmp_path / "errors.rrd"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "RERUN": "off"}
+    command = [sys.executable, "-c", script, str(conftest), str(path)]
+    assert subprocess.run(command, env=environment, check=False).returncode == 0
     assert list(tmp_path.iterdir()) == []
 
 
