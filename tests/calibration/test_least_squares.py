@@ -1,0 +1,171 @@
+"""Identification by least squares (Qiao 2026 eqs (11)-(12)): exact without noise, honest about its uncertainty."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration import Measurements, complete_model, identify, link_model, random_joints
+from calibration.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
+from calibration.least_squares import describe_absorption, is_angle
+from pickenv.arm import forward, load_arm, parameter_jacobian
+from pickenv.errors import InputError
+
+PAPER_DROPS = {"a2", "a3", "a5", "d3", "d4", "theta2", "d6"}
+BASE_16 = {f"alpha{i}" for i in range(6)} | {"a0", "a1", "a4", "theta1", "theta3", "theta4", "theta5", "d1", "d3", "d5"}
+
+
+def some_of(model, names):
+    rows = [i for i, name in enumerate(model.names) if name in names]
+    return ErrorModel(model.columns[rows], tuple(model.names[i] for i in rows), model.tolerance[rows])
+
+
+def moved(model, geometry, change, rows=slice(None)):
+    delta = np.zeros(len(geometry.parameter_names))
+    delta[model.columns[rows]] = change
+    return geometry.displaced(delta)
+
+
+def position_mm(geometry, data):
+    return np.linalg.norm(residual(geometry, data)[:, :3], axis=1) * 1e3
+
+
+@given(arm=st.sampled_from(["qiao2026", "ur5", "wam"]), positions=st.booleans(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_base_parameters_are_recovered_exactly_without_noise(exact, arm, positions, seed):
+    nominal = load_arm(arm).nominal
+    model = complete_model(nominal)
+    blank = exact(nominal, 80, seed).positions_only() if positions else exact(nominal, 80, seed)
+    kept = identify(model, nominal, blank).identifiability.kept
+    change = np.random.default_rng(seed).normal(size=len(kept)) * model.tolerance[kept]
+    truth = moved(model, nominal, change, kept)
+    pose = forward(truth, blank.joints)
+    data = replace(blank, position=pose.position, rotation=None if positions else pose.rotation)
+    found = identify(model, nominal, data)
+    assert found.converged and found.kind == ("position" if positions else "pose")
+    np.testing.assert_allclose(found.delta[kept], change, atol=1e-9)
+    assert np.delete(found.delta, kept) == pytest.approx(0)
+
+
+def test_table_1_is_explained_by_the_base_set(qiao, exact):
+    """Fact 3: the base 16 leave less than 1e-4 mm, and their values are the sums that the null relations tell."""
+    model = some_of(link_model(qiao.nominal), BASE_16)
+    found = identify(model, qiao.nominal, exact(qiao.true, 100))
+    assert found.converged and found.identifiability.rank == 16
+    assert position_mm(found.geometry, exact(qiao.true, 2000, seed=1)).max() < 1.2e-4
+    value = dict(zip(found.identifiability.names, found.delta, strict=True))
+    assert value["a1"] * 1e3 == pytest.approx(1.390, abs=1e-3)
+    assert value["a4"] * 1e3 == pytest.approx(1.010, abs=1e-3)
+    assert value["d1"] * 1e3 == pytest.approx(0.512, abs=1e-3)
+    assert value["d5"] * 1e3 == pytest.approx(0.700, abs=1e-3)
+    assert np.degrees(value["theta5"]) == pytest.approx(0.074, abs=1e-4)
+
+
+def test_keeping_theta2_instead_of_d3_leaves_a_third_of_a_micrometre(qiao, exact):
+    """What the 24-parameter model keeps by its order; of second order in the deviations, far below any instrument."""
+    found = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.true, 100))
+    assert found.converged and "theta2" in found.identifiability.kept_names
+    assert position_mm(found.geometry, exact(qiao.true, 2000, seed=1)).max() < 1e-3
+
+
+def test_table_1_is_explained_by_all_24_with_truncation(qiao, exact):
+    """Fact 3: with singular values cut off, 24 parameters do as well as 16: "17 beats 24" is the solver's doing."""
+    data, model, geometry = exact(qiao.true, 100), link_model(qiao.nominal), qiao.nominal
+    for _ in range(6):
+        matrix, right = stacked_jacobian(model, geometry, data), weighted_residual(geometry, data)
+        geometry = moved(model, geometry, np.linalg.lstsq(matrix, right, rcond=1e-3)[0] * model.tolerance)
+    assert position_mm(geometry, exact(qiao.true, 2000, seed=1)).max() < 1e-4
+
+
+@pytest.mark.parametrize("millimetres", [False, True])
+def test_the_papers_17_explode_in_normal_equations_and_not_here(qiao, exact, millimetres):
+    """Eq (11) as printed is singular: J'J has condition 1e16 and worse (rank 15 of 17), so that NumPy either refuses it
+    or steps by 1e16 m (measured: d1 = -3.9e19 mm, d2 = +3.9e19 mm). Ours drops d2 and theta6 and leaves 0.13-0.14 mm."""
+    data, whole = exact(qiao.true, 100), link_model(qiao.nominal)
+    model = some_of(whole, set(whole.names) - PAPER_DROPS)
+    rows = np.repeat([1e3 if millimetres else 1.0, 1.0], 3)
+    columns = np.where([is_angle(name) for name in model.names], 1.0, 1e-3 if millimetres else 1.0)
+    jacobian = parameter_jacobian(qiao.nominal, data.joints)[..., model.columns] * columns * rows[:, None]
+    jacobian, right = jacobian.reshape(-1, 17), (residual(qiao.nominal, data) * rows).ravel()
+    normal = jacobian.T @ jacobian
+    assert np.linalg.cond(normal) > 1e15
+    try:
+        step = np.linalg.solve(normal, jacobian.T @ right) * columns
+    except np.linalg.LinAlgError:
+        step = np.full(17, np.inf)
+    assert np.abs(step).max() > 0.1  # m or rad, for deviations of 0.6 mm and 0.05 deg
+
+    found = identify(model, qiao.nominal, data)
+    assert found.converged and found.identifiability.rank == 15
+    assert np.abs(found.delta).max() < 2e-3
+    assert 0.12 < position_mm(found.geometry, exact(qiao.true, 2000, seed=1)).mean() < 0.18
+
+
+def test_measurements_of_the_start_itself_converge_at_once(exact):
+    """Residuals of rounding size are a minimum, not a failure."""
+    for arm in ("qiao2026", "ur5"):
+        nominal = load_arm(arm).nominal
+        data = exact(nominal, 60)
+        for jitter in (0.0, 1e-16, 1e-15, 1e-14):
+            noise = np.random.default_rng(1).normal(size=data.position.shape) * jitter
+            found = identify(complete_model(nominal), nominal, replace(data, position=data.position + noise))
+            assert found.converged and np.abs(found.delta).max() < 1e-9
+
+
+def test_too_few_iterations_are_not_called_converged(qiao, exact):
+    data = exact(qiao.true, 60)
+    assert not identify(link_model(qiao.nominal), qiao.nominal, data, max_iterations=1).converged
+    found = identify(link_model(qiao.nominal), qiao.nominal, data)
+    assert found.converged
+    assert (np.diff(found.residual_rms) <= 1e-9).all()
+
+
+@pytest.mark.parametrize("positions", [False, True])
+def test_stated_uncertainty_is_the_scatter_of_repeated_identifications(qiao, positions):
+    model, rng = link_model(qiao.nominal), np.random.default_rng(3)
+    joints = random_joints(qiao.nominal, 40, rng)
+    pose = forward(qiao.nominal, joints)
+    deltas, stated = [], []
+    for _ in range(200):
+        position = pose.position + rng.normal(size=(40, 3)) * 15e-6
+        turn = np.eye(3) + 2e-4 * np.cross(np.eye(3), rng.normal(size=(40, 1, 3)))
+        rotation = None if positions else turn @ pose.rotation
+        data = Measurements(joints, position, rotation, qiao.nominal.prismatic)
+        found = identify(model, qiao.nominal, data)
+        deltas.append(found.delta)
+        stated.append(found.standard_deviation)
+    kept = found.identifiability.kept
+    ratio = np.std(deltas, axis=0)[kept] / np.sqrt(np.mean(np.square(stated), axis=0))[kept]
+    assert np.isnan(np.delete(found.standard_deviation, kept)).all()
+    assert ratio == pytest.approx(1.0, abs=0.2)  # four standard errors of 200 repetitions
+    assert ratio.mean() == pytest.approx(1.0, abs=0.06)
+
+
+def test_stated_uncertainty_comes_from_the_data_not_from_the_claim(dynamic, exact):
+    nominal = dynamic.arm.nominal
+    data = exact(dynamic.geometry, 50)
+    noisy = replace(data, position=data.position + np.random.default_rng(0).normal(size=(50, 3)) * 1e-4)
+    claimed = replace(noisy, position_std=noisy.position_std / 10, attitude_std=noisy.attitude_std / 10)
+    honest, boastful = (identify(link_model(nominal), nominal, m) for m in (noisy, claimed))
+    np.testing.assert_allclose(boastful.standard_deviation, honest.standard_deviation, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("positions", "poses"), [(False, 2), (True, 4)])
+def test_too_few_poses_are_refused_with_the_number_needed(qiao, exact, positions, poses):
+    data = exact(qiao.true, poses)
+    with pytest.raises(InputError, match=rf"{poses} poses give .* too few .* at least \d+ poses"):
+        identify(link_model(qiao.nominal), qiao.nominal, data.positions_only() if positions else data)
+
+
+def test_the_report_says_what_was_found(qiao, exact):
+    report = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.true, 60)).report()
+    assert report.startswith("converged after")
+    assert "identifiable: 16 of 24" in report
+    assert "dropped d3: absorbed by" in report and "theta2" in report
+    assert "60 poses (pose)" in report
+    hasty = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.true, 60), max_iterations=1).report()
+    assert hasty.startswith("NOT CONVERGED")
+    assert describe_absorption({}) == "has no effect on these measurements"
+    assert "and 2 more" in describe_absorption({name: 1.0 for name in "abcdef"})
