@@ -1,7 +1,7 @@
 """What bends, yields and turns unevenly in a real arm: one small function per effect, in components.
 
-Every function runs on Python floats, NumPy arrays or torch tensors, like `pickenv.arm.kinematics`. Gravity points
-along -z of the world. Units: m, rad, N, kg.
+Every function runs on Python floats, NumPy arrays or torch tensors, like `pickenv.arm.kinematics`; the numbers of an
+effect may be arrays too, one entry per arm. Gravity points along -z of the world. Units: m, rad, N, kg.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ class Load:
         payload: Mass held at the tool's origin, kg.
     """
 
-    mass: tuple[float, ...]
+    mass: tuple[Scalar, ...]
     centre: tuple[tuple[float, float, float], ...]
-    payload: float
+    payload: Scalar
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class JointCompliance:
         stiffness: N*m/rad for revolute joints, N/m for prismatic ones.
     """
 
-    stiffness: tuple[float, ...]
+    stiffness: tuple[Scalar, ...]
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,27 @@ class BoomBending:
     """
 
     joint: int
-    length: float
-    flexural_rigidity: float
-    end_mass: float
-    mass_per_length: float
+    length: Scalar
+    flexural_rigidity: Scalar
+    end_mass: Scalar
+    mass_per_length: Scalar
+
+
+@dataclass(frozen=True)
+class RollerPlay:
+    """A telescopic boom tips in its rollers: angle = clearance / overlap, and the overlap shrinks as the boom runs out.
+
+    Attributes:
+        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
+        length: Free length at zero displacement, m; the displacement adds to it.
+        clearance: Clearance between boom and rollers, m.
+        overlap: Length inside the rollers at zero displacement, m; the displacement is taken off it.
+    """
+
+    joint: int
+    length: Scalar
+    clearance: Scalar
+    overlap: Scalar
 
 
 @dataclass(frozen=True)
@@ -73,9 +90,9 @@ class Harmonic:
     """
 
     joint: int
-    amplitude: float
-    period: float
-    phase: float
+    amplitude: Scalar
+    period: Scalar
+    phase: Scalar
 
 
 @dataclass(frozen=True)
@@ -87,13 +104,16 @@ class TransmissionError:
         harmonics: The periodic terms.
     """
 
-    lead: tuple[float, ...]
+    lead: tuple[Scalar, ...]
     harmonics: tuple[Harmonic, ...]
 
 
 def driven_joints(m: ModuleType, error: TransmissionError, q: Sequence[Scalar]) -> list[Scalar]:
     """Joint displacements behind the drives for commanded displacements ``q``."""
-    driven = [value * (1.0 + lead) if lead else value for value, lead in zip(q, error.lead, strict=True)]
+    driven = [
+        value if isinstance(lead, float) and not lead else value * (1.0 + lead)
+        for value, lead in zip(q, error.lead, strict=True)
+    ]
     for term in error.harmonics:
         angle = q[term.joint] * (6.283185307179586 / term.period) + term.phase
         driven[term.joint] = driven[term.joint] + term.amplitude * m.sin(angle)
@@ -130,15 +150,26 @@ def yielded_joints(compliance: JointCompliance, torques: Sequence[Scalar], q: Se
     return [value + torque / k for value, torque, k in zip(q, torques, compliance.stiffness, strict=True)]
 
 
-def boom_flexure(boom: BoomBending, payload: float, q: Sequence[Scalar]) -> Flexure:
+def boom_flexure(boom: BoomBending, payload: Scalar, q: Sequence[Scalar]) -> Flexure:
     """A `Flexure` that lowers and tilts the boom's tip under gravity; only the part across the boom bends it."""
     length = q[boom.joint] + boom.length
     end, own, stiffness = boom.end_mass + payload, boom.mass_per_length, boom.flexural_rigidity / GRAVITY
     sag = length * length * length * (end / (3.0 * stiffness) + length * (own / (8.0 * stiffness)))
     slope = length * length * (end / (2.0 * stiffness) + length * (own / (6.0 * stiffness)))
+    return lowered_tip(boom.joint, sag, slope)
+
+
+def roller_flexure(play: RollerPlay, q: Sequence[Scalar]) -> Flexure:
+    """A `Flexure` that lets the boom tip down in its rollers: fully when level, less as it is raised."""
+    angle = play.clearance / (play.overlap - q[play.joint])
+    return lowered_tip(play.joint, angle * (q[play.joint] + play.length), angle)
+
+
+def lowered_tip(joint: int, sag: Scalar, slope: Scalar) -> Flexure:
+    """A `Flexure` that lowers the tip of a level link ``joint`` by ``sag`` (m) and tilts it down by ``slope`` (rad)."""
 
     def bend(i: int, frame: Frame) -> Frame:
-        if i != boom.joint:
+        if i != joint:
             return frame
         *axes, zx, zy, zz, px, py, pz = frame
         # Gravity across the boom is (zx zz, zy zz, zz^2 - 1); the slope turns z towards it, about z x (0, 0, -1).
@@ -148,8 +179,10 @@ def boom_flexure(boom: BoomBending, payload: float, q: Sequence[Scalar]) -> Flex
     return bend
 
 
-def turn_horizontally(axes: Sequence[Scalar], wx: Scalar, wy: Scalar) -> list[Scalar]:
-    """Turn three axes by the small horizontal rotation vector (wx, wy, 0): Rodrigues' formula.
+def turn_horizontally(
+    axes: Sequence[Scalar], wx: Scalar, wy: Scalar, starts: Sequence[int] = (0, 3, 6)
+) -> list[Scalar]:
+    """Turn vectors, at ``starts`` in ``axes``, by the small horizontal rotation vector (wx, wy, 0): Rodrigues' formula.
 
     Its two coefficients are taken as series, so that no division is needed at zero; below 0.03 rad they are exact to
     double precision.
@@ -158,7 +191,7 @@ def turn_horizontally(axes: Sequence[Scalar], wx: Scalar, wy: Scalar) -> list[Sc
     first = 1.0 - square * (1.0 / 6.0 - square / 120.0)
     second = 0.5 - square * (1.0 / 24.0 - square / 720.0)
     turned: list[Scalar] = []
-    for j in (0, 3, 6):
+    for j in starts:
         x, y, z = axes[j : j + 3]
         along = wx * x + wy * y
         turned.append(x + first * wy * z + second * (wx * along - square * x))
