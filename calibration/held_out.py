@@ -1,6 +1,6 @@
 """Calibrate on some rows, judge on others, and say it in figures that can be compared.
 
-Nominal means after base and tool were fitted: whatever the instrument's frame, an uncalibrated arm is not blamed for it.
+Nominal means after base and tool were fitted: an uncalibrated arm is not blamed for where the instrument stood.
 """
 
 from __future__ import annotations

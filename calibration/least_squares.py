@@ -7,14 +7,17 @@ solution, so that a redundant model gives the same geometry as its base set inst
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calibration.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
+from calibration.arm_model import ArmModel, Conditions
+from calibration.error_model import LENGTH_TOLERANCE, ErrorModel, residual
 from calibration.identifiability import Identifiability, identifiability
 from calibration.measurements import Measurements, random_joints
+from calibration.observations import Observations, PoseObservations
+from calibration.threads import single_threaded
 from pickenv.arm import Geometry, Pose, forward, rotation_vector
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
@@ -28,28 +31,46 @@ class Identification:
     """A geometry identified from measurements, with its evidence.
 
     Attributes:
-        geometry: The identified geometry.
+        arm_model: The identified geometry, with the coefficients of its terms.
+        unknowns: Identified unknowns of the measurements themselves (reflectors, anchors, sockets), m.
         identifiability: What could be identified, what was dropped, and what absorbed it.
-        delta: Identified minus starting parameters, m or rad, per model parameter (0 for dropped ones).
-        standard_deviation: Of the kept parameters, from the residual's own scatter, m or rad; NaN for dropped ones.
+        delta: Identified minus starting parameters, m or rad, per parameter (0 for dropped ones).
+        covariance: Of the kept parameters, from the residual's own scatter; NaN without spare equations.
+        chi_square: Sum of squared whitened residuals.
+        degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
         residual_rms: Weighted residual RMS before each iteration and after the last.
         iterates: Geometry before each iteration and after the last.
         solve_seconds: Time of the solution alone.
         poses: Number of poses used.
-        kind: What was measured: "pose" or "position".
+        kind: What was measured: "pose", "position", ….
     """
 
-    geometry: Geometry
+    arm_model: ArmModel
+    unknowns: dict[str, float]
     identifiability: Identifiability
     delta: Array
-    standard_deviation: Array
+    covariance: Array
+    chi_square: float
+    degrees_of_freedom: int
     converged: bool
     residual_rms: tuple[float, ...]
-    iterates: tuple[Geometry, ...]
+    iterates: tuple[ArmModel, ...]
     solve_seconds: float
     poses: int
     kind: str
+
+    @property
+    def geometry(self) -> Geometry:
+        """The identified geometry."""
+        return self.arm_model.geometry
+
+    @property
+    def standard_deviation(self) -> Array:
+        """Of every parameter, m or rad; NaN for dropped ones."""
+        std = np.full(len(self.identifiability.names), np.nan)
+        std[self.identifiability.kept] = np.sqrt(np.diag(self.covariance))
+        return std
 
     def report(self) -> str:
         """A short report for people: rank, condition, what was dropped, and the parameters in mm and degrees."""
@@ -87,15 +108,21 @@ def describe_absorption(absorbed_by: dict[str, float]) -> str:
 
 
 def identify(
-    model: ErrorModel, start: Geometry, measurements: Measurements, *, max_iterations: int = 20
+    model: ErrorModel,
+    start: Geometry | ArmModel,
+    data: Measurements | Sequence[Observations],
+    *,
+    max_iterations: int = 20,
+    row_factors: Array | None = None,
 ) -> Identification:
     """Identify the model's parameters by rank-aware, weighted Gauss-Newton.
 
     Args:
         model: The parameters.
-        start: Geometry to start from; it must lie near the measurements (see `align`).
-        measurements: The data.
+        start: Geometry, or geometry with parametric terms, to start from; it must lie near the data (see `align`).
+        data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
         max_iterations: Steps at most; three or four are usual.
+        row_factors: Factors on the whitened rows ``(rows,)``, in the order of the data; for robust weights.
 
     Returns:
         The identification; ``converged`` is False if the last step was not negligible.
@@ -103,20 +130,40 @@ def identify(
     Raises:
         InputError: If there are too few poses for the model's rank.
     """
+    with single_threaded():
+        return _identify(model, start, data, max_iterations, row_factors)
+
+
+def _identify(
+    model: ErrorModel,
+    start: Geometry | ArmModel,
+    data: Measurements | Sequence[Observations],
+    max_iterations: int,
+    row_factors: Array | None,
+) -> Identification:
     begin = time.perf_counter()
-    matrix = stacked_jacobian(model, start, measurements)
-    found = identifiability(matrix, model.names, model.tolerance, len(measurements))
-    _enough_poses(model, start, measurements, found)
-    geometry = start
-    kept, scale = found.kept, model.tolerance[found.kept]
-    history = [_rms(weighted_residual(geometry, measurements))]
-    iterates = [start]
+    sets = observations_of(data)
+    arm = start if isinstance(start, ArmModel) else ArmModel.of(start)
+    unknowns = [part.start(arm) for part in sets]
+    own = tuple(name for part in sets for name in part.unknowns())
+    names = own + model.names
+    tolerance = np.concatenate([np.full(len(own), LENGTH_TOLERANCE), model.tolerance])
+    factors = 1.0 if row_factors is None else row_factors[:, None]
+    matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors)
+    poses = sum(len(part.joints) for part in sets)
+    found = identifiability(matrix, names, tolerance, poses)
+    _enough_poses(model, arm, sets, found)
+    kept, scale = found.kept, tolerance[found.kept]
+    iterates = [arm]
+    history = [_rms(weighted)]
     converged, damping = False, 0.0
     for _ in range(max_iterations):
-        weighted = weighted_residual(geometry, measurements)
         step = _solve(matrix[:, kept], weighted, damping)
-        candidate = _moved(geometry, model, kept, step * scale)
-        rms = _rms(weighted_residual(candidate, measurements))
+        change = np.zeros(len(names))
+        change[kept] = step * scale
+        moved, moved_unknowns = _moved(arm, unknowns, model, change)
+        moved_weighted = _weighted(sets, moved, moved_unknowns, factors)
+        rms = _rms(moved_weighted)
         negligible = damping == 0.0 and np.max(np.abs(step), initial=0.0) < 1e-5
         if rms > history[-1] * (1 + 1e-9):
             if negligible:  # worse by rounding alone: this is the minimum
@@ -127,26 +174,76 @@ def identify(
             if damping > 1e9:
                 break
             continue
-        geometry = candidate
+        arm, unknowns = moved, moved_unknowns
         history.append(rms)
-        iterates.append(geometry)
-        matrix = stacked_jacobian(model, geometry, measurements)
+        iterates.append(arm)
         if negligible or (damping == 0.0 and history[-2] - rms < 1e-7 * rms):  # a shortened step proves nothing
             converged = True
+            weighted = moved_weighted
             break
+        matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors)
         damping = damping / 10.0 if damping > 1e-6 else 0.0
+    own_change = np.concatenate([np.zeros(0), *unknowns]) - np.concatenate(
+        [np.zeros(0), *(part.start(iterates[0]) for part in sets)]
+    )
     return Identification(
-        geometry=geometry,
+        arm_model=arm,
+        unknowns=dict(zip(own, np.concatenate([np.zeros(0), *unknowns]).tolist(), strict=True)),
         identifiability=found,
-        delta=start.difference(geometry)[model.columns],
-        standard_deviation=_standard_deviation(matrix, geometry, measurements, found, model.tolerance),
+        delta=np.concatenate([own_change, iterates[0].difference(arm)[model.columns]]),
+        covariance=_covariance(matrix, weighted, found, tolerance),
+        chi_square=float(weighted @ weighted),
+        degrees_of_freedom=len(weighted) - found.rank,
         converged=converged,
         residual_rms=tuple(history),
         iterates=tuple(iterates),
         solve_seconds=time.perf_counter() - begin,
-        poses=len(measurements),
-        kind=measurements.kind,
+        poses=poses,
+        kind="+".join(dict.fromkeys(part.kind for part in sets)),
     )
+
+
+def observations_of(data: Measurements | Sequence[Observations]) -> tuple[Observations, ...]:
+    """Poses and positions in the role of observations; other kinds as they are."""
+    return (PoseObservations(data),) if isinstance(data, Measurements) else tuple(data)
+
+
+def _weighted(sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array], factors: Array | float) -> Array:
+    """Whitened residuals of all data."""
+    stacked = np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)])
+    return stacked if isinstance(factors, float) else stacked * factors[:, 0]
+
+
+def _system(
+    model: ErrorModel,
+    sets: Sequence[Observations],
+    arm: ArmModel,
+    unknowns: Sequence[Array],
+    tolerance: Array,
+    factors: Array | float,
+) -> tuple[Array, Array]:
+    """Whitened, scaled Jacobian (unknowns first, then the model's columns) and whitened residual."""
+    blocks, before, count = [], 0, sum(len(values) for values in unknowns)
+    for part, values in zip(sets, unknowns, strict=True):
+        by_arm, by_unknown = part.jacobian(arm, values)
+        block = np.zeros((len(by_arm), count + len(model.columns)))
+        block[:, before : before + len(values)] = by_unknown
+        block[:, count:] = by_arm[:, model.columns]
+        blocks.append(block)
+        before += len(values)
+    matrix = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+    return matrix * (tolerance * factors), _weighted(sets, arm, unknowns, factors)
+
+
+def _moved(arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array) -> tuple[ArmModel, list[Array]]:
+    """The arm and the unknowns after ``change`` (unknowns first, then the model's parameters)."""
+    moved, before = [], 0
+    for values in unknowns:
+        moved.append(values + change[before : before + len(values)])
+        before += len(values)
+    delta = np.zeros(len(arm.parameter_names))
+    delta[model.columns] = change[before:]
+    return arm.displaced(delta), moved
 
 
 def _solve(matrix: Array, right: Array, damping: float) -> Array:
@@ -159,47 +256,47 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
     return np.asarray(np.linalg.solve(r, q.T @ right))
 
 
-def _moved(geometry: Geometry, model: ErrorModel, kept: NDArray[np.int64], step: Array) -> Geometry:
-    delta = np.zeros(len(geometry.parameter_names))
-    delta[model.columns[kept]] = step
-    return geometry.displaced(delta)
-
-
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _standard_deviation(
-    matrix: Array, geometry: Geometry, measurements: Measurements, found: Identifiability, tolerance: Array
-) -> Array:
-    """Standard deviation of each kept parameter, with the residual's own scatter as the noise (GUM type A)."""
-    std = np.full(len(found.names), np.nan)
-    rows = matrix.shape[0]
-    if rows > found.rank:
-        scatter = np.sum(weighted_residual(geometry, measurements) ** 2) / (rows - found.rank)
-        inverse_r = np.linalg.inv(np.linalg.qr(matrix[:, found.kept], mode="r"))
-        std[found.kept] = np.sqrt(scatter * np.sum(inverse_r**2, axis=1)) * tolerance[found.kept]
-    return std
+def _covariance(matrix: Array, weighted: Array, found: Identifiability, tolerance: Array) -> Array:
+    """Covariance of the kept parameters, with the residual's own scatter as the noise (GUM type A); else NaN."""
+    freedom = len(weighted) - found.rank
+    if freedom <= 0:
+        return np.full((found.rank, found.rank), np.nan)
+    inverse_r = np.linalg.inv(np.linalg.qr(matrix[:, found.kept], mode="r")) * tolerance[found.kept][:, None]
+    return np.asarray((weighted @ weighted) / freedom * (inverse_r @ inverse_r.T))
 
 
-def _enough_poses(model: ErrorModel, start: Geometry, measurements: Measurements, found: Identifiability) -> None:
-    """Refuse data sets with fewer observations than identifiable parameters."""
-    rng = np.random.default_rng(0)
-    probe = Measurements(
-        joints=random_joints(start, 200, rng),
-        position=np.zeros((200, 3)),
-        rotation=None if measurements.rotation is None else np.broadcast_to(np.eye(3), (200, 3, 3)),
-        prismatic=measurements.prismatic,
-        position_std=measurements.position_std,
-        attitude_std=measurements.attitude_std,
-    )
-    full = identifiability(stacked_jacobian(model, start, probe), model.names, model.tolerance, 200).rank
-    rows = len(measurements) * measurements.rows_per_pose
+def _enough_poses(model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], found: Identifiability) -> None:
+    """Refuse data sets with fewer equations than the parameters that such measurements identify elsewhere."""
+    rows = sum(len(part.residual(arm, part.start(arm))) for part in sets)
+    part = sets[0]
+    if len(sets) > 1 or not isinstance(part, PoseObservations):
+        full = found.rank
+    else:
+        count, measured = 60, part.measurements
+        probe = replace(
+            measured,
+            joints=random_joints(arm.geometry, count, np.random.default_rng(0)),
+            position=np.zeros((count, 3)),
+            rotation=None if measured.rotation is None else np.broadcast_to(np.eye(3), (count, 3, 3)),
+            conditions=Conditions(),
+        )
+        geometric = model.columns < len(arm.geometry.parameter_names)
+        names = tuple(name for name, keep in zip(model.names, geometric, strict=True) if keep)
+        links = ErrorModel(model.columns[geometric], names, model.tolerance[geometric])
+        matrix, _ = _system(
+            links, [PoseObservations(probe)], ArmModel.of(arm.geometry), [np.zeros(0)], links.tolerance, 1.0
+        )
+        full = identifiability(matrix, links.names, links.tolerance, count).rank
     if rows <= full or (found.rank < full and rows < 2 * full):
-        needed = -(-2 * full // measurements.rows_per_pose)
+        poses = sum(len(part.joints) for part in sets)
+        needed = -int(-2 * full // (rows / poses))
         raise InputError(
-            f"{measurements.source}: {len(measurements)} poses give {rows} equations, too few for the {full} "
-            f"parameters that {measurements.kind} measurements identify; measure at least {needed} poses"
+            f"{part.source}: {poses} poses give {rows} equations, too few for the {full} parameters that {part.kind} "
+            f"measurements identify; measure at least {needed} poses"
         )
 
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 import csv
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calibration.arm_model import Conditions
 from pickenv.arm import Geometry, Plant, Pose, rotation_vector
 from pickenv.arm.geometry import Array
 from pickenv.files import write_whole
@@ -38,6 +39,7 @@ class Measurements:
         position_std: Standard uncertainty of one position coordinate, m.
         attitude_std: Standard uncertainty of one attitude coordinate, rad.
         source: Where the data come from, as messages name it.
+        conditions: Payload, temperature and torques of each pose, where known.
     """
 
     joints: Array
@@ -47,6 +49,7 @@ class Measurements:
     position_std: float = POSITION_STD
     attitude_std: float = ATTITUDE_STD
     source: str = "measurements"
+    conditions: Conditions = field(default_factory=Conditions)
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -66,7 +69,10 @@ class Measurements:
         """The data set that holds only the given rows (indices or a mask)."""
         rows = np.asarray(rows)
         rotation = None if self.rotation is None else self.rotation[rows]
-        return replace(self, joints=self.joints[rows], position=self.position[rows], rotation=rotation)
+        conditions = self.conditions.select(rows)
+        return replace(
+            self, joints=self.joints[rows], position=self.position[rows], rotation=rotation, conditions=conditions
+        )
 
     def positions_only(self) -> Measurements:
         """The same data set without attitudes."""

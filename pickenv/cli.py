@@ -31,9 +31,22 @@ def _front() -> None:
 def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
     """One progress bar per stage, on standard error so that standard output stays clean."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = (TextColumn("{task.description:<20}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description:<20}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True)) as bars:
         tasks: dict[str, Any] = {}
 
@@ -51,7 +64,7 @@ def demo(
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer reaches and epochs; worse figures, sooner.")] = False,
 ) -> None:
-    """Calibrate the simulated picking arm, pick with it raw and calibrated, and write numbers, pictures, a recording."""
+    """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording."""
     from pickenv.demo import DemoSettings, run_demo, summarise, write_run
 
     settings = DemoSettings.quick(seed) if quick else DemoSettings(seed=seed)
@@ -72,7 +85,15 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
         title=f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}",
         caption=f"success: within {summary['tolerance_mm']} mm; floor: attitude error that no joint motion removes",
     )
-    heads = ("position mean [mm]", "95 % interval", "RMS [mm]", "p95 [mm]", "attitude mean [deg]", "floor [deg]", "success")
+    heads = (
+        "position mean [mm]",
+        "95 % interval",
+        "RMS [mm]",
+        "p95 [mm]",
+        "attitude mean [deg]",
+        "floor [deg]",
+        "success",
+    )
     table.add_column("policy")
     for head in heads:
         table.add_column(head, justify="right")
@@ -109,9 +130,9 @@ def calibrate(
     out: Annotated[Path | None, typer.Option(help="Write the fitted calibration to this file (.npz).")] = None,
 ) -> None:
     """Identify a real arm from measured poses or positions, base and tool included, and judge it on held-out rows."""
+    from calibration.columns import read_measurements
     from calibration.held_out import calibrate_and_judge, choose_rows
     from calibration.measurements import Measurements
-    from calibration.columns import read_measurements
     from pickenv.arm import load_arm
     from pickenv.files import write_text
 

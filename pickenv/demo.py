@@ -281,5 +281,3 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
     # The summary comes last: where it stands, the run is complete.
     written.append(write_text(out / "summary.json", json.dumps(summarise(result), indent=2) + "\n"))
     return written
-
-

@@ -33,7 +33,7 @@ def demo_figures(result: DemoResult) -> dict[str, Callable[[], Figure]]:
     test_mm = {LABELS[key]: np.linalg.norm(e[:, :3], axis=1) * 1e3 for key, e in result.test_errors.items()}
     reach_mm = {LABELS[key]: run.position_error_mm for key, run in result.reaches.items()}
     reach_deg = {LABELS[key]: run.attitude_error_deg for key, run in result.reaches.items()}
-    left = [residual(geometry, result.identification) for geometry in found.iterates]
+    left = [residual(model.geometry, result.identification) for model in found.iterates]
     position = [_rms(error[:, :3]) * 1e3 for error in left]
     attitude = [np.degrees(_rms(error[:, 3:])) for error in left]
     kept = np.isin(np.arange(len(spectrum.names)), spectrum.kept)

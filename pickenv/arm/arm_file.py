@@ -77,7 +77,9 @@ def load_arm(name: str | Path) -> Arm:
     else:
         path = ARMS / f"{name}.toml"
         if not path.is_file():
-            raise InputError(f"unknown arm '{name}'; give one of {shipped_arms()} or a path to an arm file (.toml, .urdf)")
+            raise InputError(
+                f"unknown arm '{name}'; give one of {shipped_arms()} or a path to an arm file (.toml, .urdf)"
+            )
     return _read(path, path.stat().st_mtime_ns)
 
 

@@ -47,7 +47,9 @@ def load_urdf(path: str | Path, tip: str | None = None, base: str | None = None)
         chain.insert(0, parent_joint[link])
         link = _link(parent_joint[link], "parent")
     if not chain or (base is not None and link != base):
-        raise InputError(f"{path}: no chain of joints leads from link '{base or 'root'}' to link '{tip}'; name existing links")
+        raise InputError(
+            f"{path}: no chain of joints leads from link '{base or 'root'}' to link '{tip}'; name existing links"
+        )
     rotation, position = np.eye(3), np.zeros(3)
     names, prismatic, points, directions, lower, upper, speed = [], [], [], [], [], [], []
     for joint in chain:
@@ -59,7 +61,9 @@ def load_urdf(path: str | Path, tip: str | None = None, base: str | None = None)
         if kind == "fixed":
             continue
         if kind not in MOVING:
-            raise InputError(f"{path}: joint '{joint.get('name')}' has type '{kind}'; only serial R and P chains are supported")
+            raise InputError(
+                f"{path}: joint '{joint.get('name')}' has type '{kind}'; only serial R and P chains are supported"
+            )
         axis = joint.find("axis")
         direction = np.array([1.0, 0.0, 0.0]) if axis is None else _numbers(axis, "xyz", path)
         names.append(str(joint.get("name")))
@@ -75,7 +79,9 @@ def load_urdf(path: str | Path, tip: str | None = None, base: str | None = None)
     if not names:
         raise InputError(f"{path}: the chain to link '{tip}' has no moving joint")
     tool = Pose(position, rotation)
-    geometry = geometry_from_axes(tuple(names), tuple(prismatic), np.array(points), np.array(directions), tool, lower, upper)
+    geometry = geometry_from_axes(
+        tuple(names), tuple(prismatic), np.array(points), np.array(directions), tool, lower, upper
+    )
     return Arm(str(root.get("name", path.stem)), f"URDF {path.name}, tip {tip}", geometry, None, np.array(speed))
 
 
@@ -115,7 +121,8 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
         turn = twist * Rotation.from_euler("y", geometry.beta[i]) * Rotation.from_euler("z", geometry.theta[i])
         # Before the joint's own motion about or along z: Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d).
         local = Pose(
-            np.array([geometry.a[i], 0.0, 0.0]) + turn.as_matrix() @ np.array([0.0, 0.0, geometry.d[i]]), turn.as_matrix()
+            np.array([geometry.a[i], 0.0, 0.0]) + turn.as_matrix() @ np.array([0.0, 0.0, geometry.d[i]]),
+            turn.as_matrix(),
         )
         origin = Pose(pending.position + pending.rotation @ local.position, pending.rotation @ local.rotation)
         link = f"link{i + 1}"
@@ -138,7 +145,9 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _joint(robot: ElementTree.Element, name: str, kind: str, parent: str, child: str, origin: Pose) -> ElementTree.Element:
+def _joint(
+    robot: ElementTree.Element, name: str, kind: str, parent: str, child: str, origin: Pose
+) -> ElementTree.Element:
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
