@@ -1,0 +1,170 @@
+"""Fruit on its branch as a damped spring-pendulum, so that a push displaces fruit, and its neighbours, for a while.
+
+Each axis obeys x'' + 2ζω x' + ω² x = F/m with ω² = g/l + k/m sideways and k/m upright; steps of constant force are
+solved exactly, whatever their length. Units: m, s, N, kg. Axes as in canopy.py: x, y sideways, z up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.orchard import checks, presets
+from pickenv.orchard.checks import Array
+
+GRAVITY = 9.80665  # m/s², standard
+
+
+@dataclass(frozen=True)
+class Branch:
+    """What fruit hangs from.
+
+    Attributes:
+        pendulum: Length of the pendulum, m.
+        stiffness_sideways: N/m.
+        stiffness_upright: N/m.
+        wood: Mass of wood that moves with the fruit, kg.
+        damping_ratio: Share of critical damping.
+        coupling: Distance over which a push on one fruit falls to 1/e at its neighbours, m.
+    """
+
+    pendulum: float
+    stiffness_sideways: float
+    stiffness_upright: float
+    wood: float
+    damping_ratio: float
+    coupling: float
+
+    def __post_init__(self) -> None:
+        for key in ("pendulum", "stiffness_upright", "coupling"):
+            checks.positive(f"the {key} of a branch", getattr(self, key))
+        for key in ("stiffness_sideways", "wood", "damping_ratio"):
+            checks.not_negative(f"the {key} of a branch", getattr(self, key))
+
+
+def load_branch(name: str | Path) -> Branch:
+    """Read a branch by name (`shipped("branch")`) or from a path to a TOML file."""
+    return presets.load(
+        "branch",
+        name,
+        lambda p: Branch(
+            pendulum=p.number("pendulum_mm"),
+            stiffness_sideways=p.number("stiffness_sideways_N_per_m"),
+            stiffness_upright=p.number("stiffness_upright_N_per_m"),
+            wood=p.number("wood_kg"),
+            damping_ratio=p.number("damping_ratio"),
+            coupling=p.number("coupling_mm"),
+        ),
+    )
+
+
+def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
+    """Undamped angular frequencies along x, y, z, rad/s, shape (..., 3), for fruit masses (...) in kg."""
+    moving = _moving_mass(branch, mass)
+    sideways = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
+    return np.stack([sideways, sideways, np.sqrt(branch.stiffness_upright / moving)], axis=-1)
+
+
+def swing(
+    branch: Branch,
+    displacement: ArrayLike,
+    velocity: ArrayLike,
+    mass: ArrayLike,
+    dt: ArrayLike,
+    force: ArrayLike = (0.0, 0.0, 0.0),
+) -> tuple[Array, Array]:
+    """Displacement and velocity of fruit after ``dt`` under a constant force.
+
+    Args:
+        branch: What the fruit hangs from.
+        displacement: From where the fruit hangs at rest, m, shape (..., 3).
+        velocity: m/s, shape (..., 3).
+        mass: Fruit masses, kg, shape (...).
+        dt: s, shape (...); exact for any length.
+        force: On the fruit, N, shape (..., 3).
+
+    Returns:
+        Displacement and velocity, each of shape (..., 3).
+    """
+    start = checks.points("the displacement of fruit", displacement)
+    speed = checks.points("the velocity of fruit", velocity)
+    time = checks.numbers("the time step (s)", dt, lowest=0.0)[..., None]
+    omega = natural_frequencies(branch, mass)
+    rest = checks.points("the force on fruit", force) / (_moving_mass(branch, mass)[..., None] * omega**2)
+    zeta, x = branch.damping_ratio, start - rest
+    if zeta < 1.0:
+        damped = omega * np.sqrt(1.0 - zeta**2)
+        decay = np.exp(-zeta * omega * time)
+        even, odd = decay * np.cos(damped * time), decay * np.sin(damped * time) / damped
+    elif zeta == 1.0:
+        even = np.exp(-omega * time)
+        odd = even * time
+    else:
+        root = np.sqrt(zeta**2 - 1.0)
+        slow, fast = np.exp(-(zeta - root) * omega * time), np.exp(-(zeta + root) * omega * time)
+        even, odd = (slow + fast) / 2, (slow - fast) / (2 * omega * root)
+    drag = zeta * omega
+    return (
+        np.asarray(rest + (even + drag * odd) * x + odd * speed),
+        np.asarray((even - drag * odd) * speed - omega**2 * odd * x),
+    )
+
+
+def settling_time(branch: Branch, displacement: ArrayLike, mass: ArrayLike, within: float) -> Array:
+    """Time after which fruit released at rest stays within a distance of where it hangs.
+
+    Args:
+        branch: What the fruit hangs from.
+        displacement: At release, m, shape (..., 3).
+        mass: Fruit masses, kg, shape (...).
+        within: m.
+
+    Returns:
+        Seconds, shape (...), from the envelope of each axis, so never too short; infinite without damping.
+    """
+    checks.positive("the settling distance (m)", within)
+    far = np.abs(checks.points("the displacement of fruit", displacement))
+    omega, zeta = natural_frequencies(branch, mass), branch.damping_ratio
+    if zeta < 1.0:
+        rate, amplitude = zeta * omega, far / np.sqrt(1.0 - zeta**2)
+    else:  # the slow exponential leads; at critical damping (1 + ωt) exp(−ωt) < 2 exp(−ωt/2)
+        root = np.sqrt(zeta**2 - 1.0)
+        rate = omega * (0.5 if root < 1e-3 else zeta - root)
+        amplitude = far * (2.0 if root < 1e-3 else (zeta + root) / (2 * root))
+    share = within / np.sqrt(3.0)  # of the distance, for each of three axes
+    with np.errstate(divide="ignore", invalid="ignore"):
+        longest = np.where(amplitude > share, np.log(np.maximum(amplitude, share) / share) / rate, 0.0)
+    return np.asarray(np.where(np.linalg.norm(far, axis=-1) <= 0, 0.0, longest.max(axis=-1)))
+
+
+def coupling(branch: Branch, distance: ArrayLike) -> Array:
+    """Share of a push on one fruit that reaches another at ``distance`` m: 1 at the fruit itself, falling off by e."""
+    return np.asarray(np.exp(-checks.numbers("the distance between fruit (m)", distance, lowest=0.0) / branch.coupling))
+
+
+def pushed(branch: Branch, positions: ArrayLike, contact: ArrayLike, push: ArrayLike) -> Array:
+    """How far a push displaces each fruit, neighbours of the touched one included.
+
+    Args:
+        branch: What the fruit hangs from.
+        positions: Fruit centres, m, shape (n, 3).
+        contact: Where the arm touches, m, shape (..., 3).
+        push: How far it pushes, m, shape (..., 3).
+
+    Returns:
+        Displacements, m, shape (..., n, 3): start values for `swing`.
+    """
+    positions, contact = checks.points("fruit positions", positions), checks.points("the contact", contact)
+    push = checks.points("the push", push)
+    distance = np.linalg.norm(positions - contact[..., None, :], axis=-1)
+    return np.asarray(coupling(branch, distance)[..., None] * push[..., None, :])
+
+
+def _moving_mass(branch: Branch, mass: ArrayLike) -> Array:
+    fruit = checks.numbers("the mass of fruit (kg)", mass)
+    if (fruit <= 0).any():
+        checks.positive("the mass of fruit (kg)", float(fruit.min()))
+    return np.asarray(fruit + branch.wood)

@@ -1,0 +1,300 @@
+"""Where a stereo or RGB-D camera believes fruit to be.
+
+Along the line of sight: bias(d, light) and noise σ_z = sqrt(floor² + (a d²)²), for stereo a = σ_disparity/(f_px b);
+across it: pixel noise × d/f_px, and where fruit is partly hidden its centroid is pulled to the visible side by up to
+r/2. Fruit drops out as it disappears. Units: m, px, lx.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.errors import InputError
+from pickenv.orchard import checks, presets
+from pickenv.orchard.checks import Array, Flags
+from pickenv.orchard.detections import Detections
+
+DRAWS = 5  # normal numbers per measurement: three of noise, two for the side from which leaves hide the fruit
+SUNLIGHT = 100_000.0  # lx, a clear day
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera as an error model.
+
+    Attributes:
+        name: Name of the preset.
+        source: Where its numbers come from.
+        focal_length: px.
+        image: Width and height, px.
+        nearest: Least distance it measures, m.
+        farthest: Largest distance it measures, m.
+        depth_noise_floor: Part of the depth noise that does not grow with distance, m.
+        depth_noise: Depth noise at 1 m, growing with the square of distance, 1/m.
+        pixel_noise: Noise of a centroid in the image, px.
+        noise_light: Light at which the depth noise holds, lx.
+        noise_growth: Growth of depth noise with light, exp(growth × (light − noise_light)), 1/lx.
+        bias: Mean error along the line of sight at ``bias_distance`` and ``bias_light``, m; positive is too far.
+        bias_distance: m.
+        bias_light: lx.
+        bias_per_distance: Change of bias with distance, m/m.
+        bias_per_light: Change of bias with light, m/lx.
+        dropout: Probability of missing a fruit in full view.
+        lost_below: Visible share below which fruit is never found.
+        found_above: Visible share above which only ``dropout`` loses it; linear between the two.
+        occlusion_pull: Largest pull of the centroid to the visible side, in radii.
+        false_detections: Mean number of detections per image where there is no fruit.
+    """
+
+    name: str
+    source: str
+    focal_length: float
+    image: tuple[int, int]
+    nearest: float
+    farthest: float
+    depth_noise_floor: float
+    depth_noise: float
+    pixel_noise: float
+    noise_light: float = 0.0
+    noise_growth: float = 0.0
+    bias: float = 0.0
+    bias_distance: float = 0.0
+    bias_light: float = 0.0
+    bias_per_distance: float = 0.0
+    bias_per_light: float = 0.0
+    dropout: float = 0.0
+    lost_below: float = 0.0
+    found_above: float = 0.0
+    occlusion_pull: float = 0.0
+    false_detections: float = 0.0
+
+    def __post_init__(self) -> None:
+        name = f"of camera '{self.name}'"
+        checks.positive(f"the focal length {name} (px)", self.focal_length)
+        if len(self.image) != 2 or min(self.image) < 1:
+            raise InputError(f"the image {name} is {self.image} px; give a width and a height of at least 1")
+        checks.positive(f"the least distance {name} (m)", self.nearest)
+        if not self.nearest < self.farthest < np.inf:
+            raise InputError(
+                f"the range {name} ends at {self.farthest} m; give more than its beginning, {self.nearest} m"
+            )
+        for key in ("depth_noise_floor", "depth_noise", "pixel_noise", "false_detections", "noise_light"):
+            checks.not_negative(f"{key} {name}", getattr(self, key))
+        for key in ("noise_growth", "bias", "bias_distance", "bias_light", "bias_per_distance", "bias_per_light"):
+            checks.finite(f"{key} {name}", getattr(self, key))
+        for key in ("dropout", "lost_below", "found_above", "occlusion_pull"):
+            checks.share(f"{key} {name}", getattr(self, key))
+        if self.found_above < self.lost_below:
+            raise InputError(f"found_above {name} is {self.found_above}; give at least lost_below, {self.lost_below}")
+
+
+def load_camera(name: str | Path) -> Camera:
+    """Read a camera by name (`shipped("camera")`) or from a path to a TOML file."""
+    return presets.load("camera", name, _build)
+
+
+def stereo_depth_noise(focal_length: float, baseline: float, disparity_noise: float) -> float:
+    """Depth noise of a stereo pair at 1 m, in 1/m: σ_z = d² σ_disparity/(f_px b)."""
+    checks.positive("the focal length of a stereo pair (px)", focal_length)
+    checks.positive("the base line of a stereo pair (m)", baseline)
+    checks.not_negative("the disparity noise of a stereo pair (px)", disparity_noise)
+    return disparity_noise / (focal_length * baseline)
+
+
+def depth_noise(camera: Camera, distance: ArrayLike, light: ArrayLike = SUNLIGHT) -> Array:
+    """Standard deviation along the line of sight, m, at distances in m under light in lx."""
+    law = np.hypot(camera.depth_noise_floor, camera.depth_noise * np.asarray(distance, dtype=float) ** 2)
+    growth = np.exp(camera.noise_growth * (np.asarray(light, dtype=float) - camera.noise_light))
+    return np.asarray(law * growth)
+
+
+def depth_bias(camera: Camera, distance: ArrayLike, light: ArrayLike = SUNLIGHT) -> Array:
+    """Mean error along the line of sight, m; positive is too far."""
+    beyond = np.asarray(distance, dtype=float) - camera.bias_distance
+    brighter = np.asarray(light, dtype=float) - camera.bias_light
+    return np.asarray(camera.bias + camera.bias_per_distance * beyond + camera.bias_per_light * brighter)
+
+
+def detection_probability(camera: Camera, distance: ArrayLike, visible: ArrayLike = 1.0) -> Array:
+    """Probability that a fruit inside the image is reported, by distance in m and visible share."""
+    distance, visible = np.asarray(distance, dtype=float), checks.numbers("the visible share", visible, lowest=0.0)
+    ramp = np.clip((visible - camera.lost_below) / max(camera.found_above - camera.lost_below, 1e-12), 0.0, 1.0)
+    found = np.where(visible >= camera.found_above, 1.0, ramp) * (1.0 - camera.dropout)
+    return np.asarray(np.where((distance >= camera.nearest) & (distance <= camera.farthest), found, 0.0))
+
+
+def measured_positions(
+    camera: Camera,
+    positions: ArrayLike,
+    viewpoint: ArrayLike,
+    draws: ArrayLike,
+    *,
+    light: ArrayLike = SUNLIGHT,
+    visible: ArrayLike = 1.0,
+    diameters: ArrayLike = 0.0,
+    visible_side: ArrayLike | None = None,
+) -> Array:
+    """Where the camera believes fruit to be, given that it reports it.
+
+    Args:
+        camera: Error model.
+        positions: True fruit centres, m, shape (..., 3).
+        viewpoint: Camera positions, m, shape (..., 3).
+        draws: Standard normal numbers, shape (..., DRAWS): the caller owns the randomness.
+        light: lx, shape (...).
+        visible: Visible share of each fruit, shape (...).
+        diameters: Fruit diameters, m, shape (...); they scale the pull of occlusion.
+        visible_side: Directions in which the visible part lies, shape (..., 3), zero or None where leaves decide at
+            random.
+
+    Returns:
+        Believed positions, m, shape (..., 3).
+    """
+    positions, viewpoint = checks.points("fruit positions", positions), checks.points("the viewpoint", viewpoint)
+    draws = checks.numbers("the random draws", draws)
+    if draws.ndim == 0 or draws.shape[-1] != DRAWS:
+        raise InputError(f"a measurement takes {DRAWS} random draws, not shape {draws.shape}")
+    sight = positions - viewpoint
+    distance = np.linalg.norm(sight, axis=-1)
+    if (distance == 0).any():
+        raise InputError("a fruit lies at the viewpoint; move the camera away")
+    ray = sight / distance[..., None]
+    right, up = _across(ray)
+    lateral = camera.pixel_noise * distance / camera.focal_length
+    along = depth_bias(camera, distance, light) + depth_noise(camera, distance, light) * draws[..., 2]
+    error = along[..., None] * ray
+    error = error + (lateral * draws[..., 0])[..., None] * right + (lateral * draws[..., 1])[..., None] * up
+    chance = draws[..., 3, None] * right + draws[..., 4, None] * up
+    side = chance if visible_side is None else checks.points("the visible side", visible_side)
+    side = np.where(np.linalg.norm(side, axis=-1, keepdims=True) > 1e-9, side, chance)
+    side = side / np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-300)
+    hidden = 1.0 - np.clip(checks.numbers("the visible share", visible), 0.0, 1.0)
+    radius = checks.numbers("fruit diameters", diameters, lowest=0.0) / 2
+    return np.asarray(positions + error + (camera.occlusion_pull * radius * hidden)[..., None] * side)
+
+
+def in_image(camera: Camera, positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Flags:
+    """Whether positions (..., 3) fall into the picture of a level camera that looks along ``looking``."""
+    local = camera_frame(positions, viewpoint, looking)
+    half = np.array(camera.image) / 2 / camera.focal_length
+    ahead = local[..., 2] > 0
+    return np.asarray(ahead & (np.abs(local[..., :2]) <= half * local[..., 2:]).all(axis=-1))
+
+
+def camera_axes(looking: ArrayLike) -> Array:
+    """Axes of a level camera, rows x right, y down, z ahead, shape (..., 3, 3)."""
+    ahead = checks.directions("the direction in which the camera looks", looking)
+    right, up = _across(ahead)
+    return np.stack([right, -up, ahead], axis=-2)
+
+
+def camera_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Array:
+    """Positions (..., 3) in the camera's frame: x right, y down, z ahead, m."""
+    offset = checks.points("positions", positions) - checks.points("the viewpoint", viewpoint)
+    return np.asarray(np.einsum("...ij,...j->...i", camera_axes(looking), offset))
+
+
+def orchard_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Array:
+    """Positions (..., 3) in the camera's frame, taken back to the orchard's."""
+    local = checks.points("positions", positions)
+    return np.asarray(
+        np.einsum("...ji,...j->...i", camera_axes(looking), local) + checks.points("viewpoint", viewpoint)
+    )
+
+
+def detect(
+    camera: Camera,
+    positions: ArrayLike,
+    diameters: ArrayLike,
+    viewpoint: ArrayLike,
+    looking: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    light: float = SUNLIGHT,
+    visible: ArrayLike = 1.0,
+    visible_side: ArrayLike | None = None,
+) -> Detections:
+    """One image: which fruit is reported, where, and what else is taken for fruit.
+
+    Args:
+        camera: Error model.
+        positions: True fruit centres, m, shape (n, 3).
+        diameters: Fruit diameters, m, shape (n,) or a number.
+        viewpoint: Camera position, m, shape (3,).
+        looking: Direction in which the camera looks, shape (3,).
+        rng: Source of every random draw; its use does not depend on what is found.
+        light: lx.
+        visible: Visible share of each fruit, see `occlusion`.
+        visible_side: See `Occlusion.visible_side`.
+
+    Returns:
+        Detections in the frame of ``positions``; confidence is the visible share, one half for false ones.
+    """
+    positions, diameters = checks.fruit_arrays(positions, diameters)
+    checks.not_negative("the light (lx)", light)
+    viewpoint = checks.points("the viewpoint", viewpoint)
+    count = len(positions)
+    share = np.broadcast_to(checks.numbers("the visible share", visible, lowest=0.0), (count,))
+    chance, draws = rng.random(count), rng.normal(size=(count, DRAWS))
+    distance = np.linalg.norm(positions - viewpoint, axis=-1)
+    seen = chance < detection_probability(camera, distance, share)
+    seen &= in_image(camera, positions, viewpoint, looking)
+    believed = measured_positions(
+        camera, positions, viewpoint, draws, light=light, visible=share, diameters=diameters, visible_side=visible_side
+    )
+    false = int(rng.poisson(camera.false_detections))
+    pixel = (rng.random((false, 2)) - 0.5) * np.array(camera.image) / camera.focal_length
+    far = distance.max() if count else camera.farthest
+    near = distance.min() if count else camera.nearest
+    depth = rng.uniform(near, far, size=(false, 1)) if far > near else np.full((false, 1), near)
+    phantoms = orchard_frame(np.concatenate([pixel * depth, depth], axis=-1), viewpoint, looking)
+    return Detections(
+        positions=np.concatenate([believed[seen], phantoms]),
+        fruit=np.concatenate([np.flatnonzero(seen), np.full(false, -1)]).astype(np.int64),
+        confidence=np.concatenate([np.clip(share[seen], 0.0, 1.0), np.full(false, 0.5)]),
+    )
+
+
+def _across(ray: Array) -> tuple[Array, Array]:
+    """Two unit vectors across each line of sight: level to the right, and up."""
+    upright = np.abs(ray[..., 2:]) > 1.0 - 1e-9
+    reference = np.where(upright, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    right = np.cross(ray, reference)
+    right = right / np.linalg.norm(right, axis=-1, keepdims=True)
+    return np.asarray(right), np.cross(right, ray)
+
+
+def _build(p: presets.Preset) -> Camera:
+    focal_length = p.number("focal_length_px")
+    if "baseline_mm" in p:
+        noise = stereo_depth_noise(focal_length, p.number("baseline_mm"), p.number("disparity_noise_px"))
+    else:
+        noise = p.number("depth_noise_mm_at_1m") * 1e-3
+    width, height = (int(side) for side in p.numbers("image_px"))
+    return Camera(
+        name=p.name,
+        source=p.source,
+        focal_length=focal_length,
+        image=(width, height),
+        nearest=p.number("nearest_mm"),
+        farthest=p.number("farthest_mm"),
+        depth_noise_floor=p.number("depth_noise_floor_mm", 0.0),
+        depth_noise=noise,
+        pixel_noise=p.number("pixel_noise_px"),
+        noise_light=p.number("noise_light_lx", 0.0),
+        noise_growth=p.number("noise_growth_per_lx", 0.0),
+        bias=p.number("bias_mm"),
+        bias_distance=p.number("bias_distance_mm", 0.0),
+        bias_light=p.number("bias_light_lx", 0.0),
+        bias_per_distance=p.number("bias_per_distance", 0.0),
+        bias_per_light=p.number("bias_per_light", 0.0),
+        dropout=p.number("dropout"),
+        lost_below=p.number("lost_below"),
+        found_above=p.number("found_above"),
+        occlusion_pull=p.number("occlusion_pull"),
+        false_detections=p.number("false_detections"),
+    )

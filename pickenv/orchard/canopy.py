@@ -1,0 +1,144 @@
+"""The canopy: a slab of foliage beside the aisle, upright or leaning, in which the fruit hangs.
+
+Orchard frame: x along the row, y from the aisle into the trees, z up from the ground; y = 0 is the canopy's face at
+its lowest height. Foliage dims a line of sight as Beer and Lambert have it: exp(−projection × leaf area per volume ×
+path). Units: m, rad, m²/m³.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.errors import InputError
+from pickenv.orchard import checks, presets
+from pickenv.orchard.checks import Array, Flags
+
+ROUNDING = 1e-9  # m
+
+
+@dataclass(frozen=True)
+class Canopy:
+    """The slab of foliage that one machine stop sees; foliage goes on along the row, fruit is wanted in ``width``.
+
+    Attributes:
+        name: Name of the preset.
+        source: Where its numbers come from.
+        bottom: Height of the lowest fruit, m.
+        top: Height of the highest fruit, m.
+        depth: Horizontal thickness of the slab, m.
+        width: Length of row that one stop serves, m; x runs from −width/2 to width/2.
+        standoff: Distance from the machine's column to the face, m; the column stands at y = −standoff.
+        lean: Angle of the face from upright, rad; positive leans away from the aisle, negative hangs over it.
+        leaf_area_per_volume: One-sided leaf area, m²/m³.
+        leaf_projection: Mean share of a leaf's area that a line of sight meets.
+        approach_elevation: How steeply the tool comes from below, rad above the horizontal; π/2 is straight up.
+    """
+
+    name: str
+    source: str
+    bottom: float
+    top: float
+    depth: float
+    width: float
+    standoff: float
+    lean: float
+    leaf_area_per_volume: float
+    leaf_projection: float
+    approach_elevation: float
+
+    def __post_init__(self) -> None:
+        for key in ("depth", "width"):
+            checks.positive(f"the {key} of canopy '{self.name}' (m)", getattr(self, key))
+        for key in ("bottom", "standoff", "leaf_area_per_volume"):
+            checks.not_negative(f"the {key} of canopy '{self.name}'", getattr(self, key))
+        checks.share(f"the leaf projection of canopy '{self.name}'", self.leaf_projection)
+        checks.finite(f"the top of canopy '{self.name}' (m)", self.top)
+        if self.top <= self.bottom:
+            raise InputError(
+                f"canopy '{self.name}' is empty: its top {self.top} m is not above its bottom {self.bottom} m"
+            )
+        if not abs(self.lean) < np.pi / 3:
+            raise InputError(f"canopy '{self.name}' leans by {self.lean} rad; give less than 60 degrees (1.05 rad)")
+        if not 0 <= self.approach_elevation <= np.pi / 2:
+            raise InputError(
+                f"canopy '{self.name}' has an approach elevation of {self.approach_elevation} rad; give 0 to pi/2: from below"
+            )
+
+
+def load_canopy(name: str | Path) -> Canopy:
+    """Read a canopy by name (`shipped("canopy")`) or from a path to a TOML file."""
+    return presets.load(
+        "canopy",
+        name,
+        lambda p: Canopy(
+            name=p.name,
+            source=p.source,
+            bottom=p.number("bottom_mm"),
+            top=p.number("top_mm"),
+            depth=p.number("depth_mm"),
+            width=p.number("width_mm"),
+            standoff=p.number("standoff_mm"),
+            lean=p.number("lean_deg"),
+            leaf_area_per_volume=p.number("leaf_area_per_volume"),
+            leaf_projection=p.number("leaf_projection"),
+            approach_elevation=p.number("approach_elevation_deg"),
+        ),
+    )
+
+
+def face(canopy: Canopy, height: ArrayLike) -> Array:
+    """Where the canopy's face stands at a height: y in m, for heights in m of any shape."""
+    return np.asarray((np.asarray(height, dtype=float) - canopy.bottom) * np.tan(canopy.lean))
+
+
+def depth_behind_face(canopy: Canopy, positions: ArrayLike) -> Array:
+    """Horizontal distance behind the face, m, for positions (..., 3); negative is in the aisle."""
+    positions = checks.points("positions", positions)
+    return np.asarray(positions[..., 1] - face(canopy, positions[..., 2]))
+
+
+def in_canopy(canopy: Canopy, positions: ArrayLike) -> Flags:
+    """Whether positions (..., 3) lie in the volume that one stop serves."""
+    positions = checks.points("positions", positions)
+    behind = depth_behind_face(canopy, positions)
+    middle = np.array([0.0, canopy.depth / 2, (canopy.bottom + canopy.top) / 2])
+    half = np.array([canopy.width, canopy.depth, canopy.top - canopy.bottom]) / 2 + ROUNDING
+    upright = np.stack([positions[..., 0], behind, positions[..., 2]], axis=-1)
+    return np.asarray((np.abs(upright - middle) <= half).all(axis=-1))
+
+
+def foliage_path(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
+    """Length of the straight way from ``start`` to ``end`` (..., 3) that runs through foliage, m."""
+    start, end = checks.points("start points", start), checks.points("end points", end)
+    start, end = np.broadcast_arrays(start, end)
+    slabs = (
+        (start[..., 2], end[..., 2], canopy.bottom, canopy.top),
+        (depth_behind_face(canopy, start), depth_behind_face(canopy, end), 0.0, canopy.depth),
+    )
+    enter, leave = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])
+    for a, b, low, high in slabs:
+        run = b - a
+        still = np.abs(run) < 1e-12
+        with np.errstate(divide="ignore", invalid="ignore"):
+            first, second = (low - a) / run, (high - a) / run
+        outside = still & ((a < low) | (a > high))
+        enter = np.maximum(enter, np.where(still, np.where(outside, 1.0, 0.0), np.minimum(first, second)))
+        leave = np.minimum(leave, np.where(still, np.where(outside, 0.0, 1.0), np.maximum(first, second)))
+    return np.asarray(np.maximum(leave - enter, 0.0) * np.linalg.norm(end - start, axis=-1))
+
+
+def foliage_transmission(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
+    """Expected share of a small target at ``end`` (..., 3) that leaves do not hide from ``start``."""
+    extinction = canopy.leaf_projection * canopy.leaf_area_per_volume
+    return np.asarray(np.exp(-extinction * foliage_path(canopy, start, end)))
+
+
+def approach_direction(canopy: Canopy, positions: ArrayLike) -> Array:
+    """Unit vectors along which the tool comes up to fruit, (..., 3): from the aisle and below."""
+    positions = checks.points("positions", positions)
+    along = np.array([0.0, np.cos(canopy.approach_elevation), np.sin(canopy.approach_elevation)])
+    return np.broadcast_to(along, positions.shape).copy()

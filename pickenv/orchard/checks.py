@@ -1,0 +1,85 @@
+"""What the orchard's numbers and arrays must be: finite, of the right shape, physically possible. One sentence each."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.errors import InputError
+
+Array: TypeAlias = NDArray[np.float64]
+Flags: TypeAlias = NDArray[np.bool_]
+Integers: TypeAlias = NDArray[np.int64]
+
+
+def positive(what: str, value: float) -> None:
+    """Refuse a number that is not above zero."""
+    if not (np.isfinite(value) and value > 0):
+        raise InputError(f"{what} is {value}; give a number above zero")
+
+
+def not_negative(what: str, value: float) -> None:
+    """Refuse a number below zero."""
+    if not (np.isfinite(value) and value >= 0):
+        raise InputError(f"{what} is {value}; give a number that is not negative")
+
+
+def finite(what: str, value: float) -> None:
+    """Refuse a number that is not finite."""
+    if not np.isfinite(value):
+        raise InputError(f"{what} is {value}; give a finite number")
+
+
+def share(what: str, value: float) -> None:
+    """Refuse a number outside 0..1."""
+    if not (np.isfinite(value) and 0 <= value <= 1):
+        raise InputError(f"{what} is {value}; give a number from 0 to 1")
+
+
+def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf) -> Array:
+    """An array of finite numbers, none below ``lowest``."""
+    array = _floats(what, values)
+    if not np.isfinite(array).all():
+        raise InputError(f"{what} must be finite; at least one of its numbers is NaN or infinite")
+    if (array < lowest).any():
+        raise InputError(f"{what} must not be below {lowest:g}; the smallest is {array.min():g}")
+    return array
+
+
+def points(what: str, values: ArrayLike) -> Array:
+    """Finite points or vectors, shape (..., 3)."""
+    array = _floats(what, values)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise InputError(f"{what} must have three coordinates each, not shape {array.shape}")
+    return numbers(what, array)
+
+
+def directions(what: str, values: ArrayLike) -> Array:
+    """Vectors of any length above zero, made unit vectors, shape (..., 3)."""
+    array = points(what, values)
+    length = np.linalg.norm(array, axis=-1, keepdims=True)
+    if (length == 0).any():
+        raise InputError(f"{what} must not be zero vectors; they give directions")
+    return np.asarray(array / length)
+
+
+def fruit_arrays(positions: ArrayLike, diameters: ArrayLike) -> tuple[Array, Array]:
+    """Fruit centres (n, 3) and diameters (n,) in m; one diameter serves all fruit."""
+    centres = points("fruit positions", positions)
+    if centres.ndim != 2:
+        raise InputError(f"fruit positions must have shape (n, 3), not {centres.shape}")
+    sizes = numbers("fruit diameters", diameters)
+    if (sizes <= 0).any():
+        raise InputError(f"fruit diameters must be above zero; the smallest is {sizes.min():g} m")
+    if sizes.shape not in ((), (len(centres),)):
+        raise InputError(f"there are {len(centres)} fruit but {sizes.size} diameters; give one each")
+    return centres, np.broadcast_to(sizes, (len(centres),)).astype(float)
+
+
+def _floats(what: str, values: ArrayLike) -> Array:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what} must be an array of numbers: {error}") from error

@@ -1,0 +1,285 @@
+"""How many fruit hang where, and how big they are: fruit is clumped, and a uniform sampler is wrong.
+
+Clusters per block of the fruiting wall follow a negative binomial whose mean depends on the row of blocks and whose
+variance/mean is common to all rows; each cluster holds ``cluster_size`` apples. Blocks are independent: in the field
+neighbours correlate by 0.1 to 0.3. Units: m, kg.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.errors import InputError
+from pickenv.orchard import checks, presets
+from pickenv.orchard.checks import Array, Integers
+
+NEARLY_POISSON = 1.0 + 1e-9
+
+
+@dataclass(frozen=True)
+class FruitMap:
+    """A model of apples per block along a row of trees.
+
+    Attributes:
+        block: Edge of the square blocks of the fruiting wall, m.
+        row_means: Expected apples per block in each row of blocks, from the top row to the bottom row.
+        cluster_size: Apples per cluster.
+        cluster_variance_ratio: Variance/mean of clusters per block; 1 is Poisson, more is clumped.
+    """
+
+    block: float
+    row_means: tuple[float, ...]
+    cluster_size: int = 1
+    cluster_variance_ratio: float = 1.0
+
+    def __post_init__(self) -> None:
+        checks.positive("the block of a fruit map (m)", self.block)
+        if not self.row_means:
+            raise InputError("a fruit map needs at least one row of blocks; row_means is empty")
+        for i, mean in enumerate(self.row_means):
+            checks.not_negative(f"the density of row {i + 1} of a fruit map (apples per block)", mean)
+        if self.cluster_size != int(self.cluster_size) or self.cluster_size < 1:
+            raise InputError(f"the cluster size of a fruit map is {self.cluster_size}; give a whole number from 1")
+        if not (np.isfinite(self.cluster_variance_ratio) and self.cluster_variance_ratio >= 1):
+            ratio = self.cluster_variance_ratio
+            raise InputError(f"the cluster variance/mean of a fruit map is {ratio}; give 1 (Poisson) or more")
+
+    @property
+    def density(self) -> float:
+        """Expected apples per metre of row."""
+        return sum(self.row_means) / self.block
+
+    @property
+    def row_shares(self) -> tuple[float, ...]:
+        """Share of the apples in each row of blocks, top to bottom; sums to 1 unless there are none."""
+        total = sum(self.row_means)
+        return tuple(mean / total if total else 0.0 for mean in self.row_means)
+
+    @property
+    def variance_ratio(self) -> float:
+        """Variance/mean of apples over all blocks of the map, the spread between rows included."""
+        means = np.array(self.row_means)
+        if not means.any():
+            return float("nan")
+        within = self.cluster_size * self.cluster_variance_ratio
+        return float(within + means.var() / means.mean())
+
+    @property
+    def k(self) -> float:
+        """Dispersion of the negative binomial with this map's mean and variance: mean²/(variance − mean)."""
+        excess = self.variance_ratio - 1.0
+        return float(np.mean(self.row_means)) / excess if excess > 0 else float("inf")
+
+    @property
+    def empty_share(self) -> float:
+        """Expected share of blocks without an apple."""
+        ratio = max(self.cluster_variance_ratio, NEARLY_POISSON)
+        clusters = np.array(self.row_means) / self.cluster_size
+        return float(np.mean(np.exp(-clusters * np.log(ratio) / (ratio - 1.0))))
+
+    def scaled(self, density: float) -> FruitMap:
+        """This map with ``density`` apples per metre of row, equally clumped and equally bottom-heavy."""
+        checks.not_negative("the density of a fruit map (apples per m)", density)
+        if not self.density:
+            raise InputError("a fruit map without apples cannot be scaled; give row_means above zero")
+        return replace(self, row_means=tuple(mean * density / self.density for mean in self.row_means))
+
+    def unclumped(self) -> FruitMap:
+        """The map a uniform sampler would use: the same apples per metre, Poisson in every block of every row."""
+        even = (float(np.mean(self.row_means)),) * len(self.row_means)
+        return replace(self, row_means=even, cluster_size=1, cluster_variance_ratio=1.0)
+
+    def with_rows(self, rows: int) -> FruitMap:
+        """This map over another number of block rows: same apples per metre, same profile of height."""
+        if rows < 1:
+            raise InputError(f"a fruit map cannot have {rows} rows of blocks; give 1 or more")
+        below = np.concatenate([[0.0], np.cumsum(self.row_means)])
+        edges = np.linspace(0.0, len(self.row_means), rows + 1)
+        shares = np.diff(np.interp(edges, np.arange(len(below)), below))
+        return replace(self, row_means=tuple(float(mean) for mean in shares))
+
+
+@dataclass(frozen=True, eq=False)
+class Clumping:
+    """Statistics of apple counts; each has the leading shape of the counts.
+
+    Attributes:
+        density: Apples per metre of row.
+        variance_ratio: Variance/mean over all blocks.
+        k: Moment estimate of the negative binomial's dispersion, mean²/(variance − mean).
+        empty_share: Share of blocks without an apple.
+        row_shares: Share of the apples in each row of blocks, top to bottom, shape (..., rows).
+    """
+
+    density: Array
+    variance_ratio: Array
+    k: Array
+    empty_share: Array
+    row_shares: Array
+
+
+def clumping(counts: ArrayLike, block: float = 0.3) -> Clumping:
+    """How clumped apple counts are.
+
+    Args:
+        counts: Apples per block, shape (..., rows, columns), rows from top to bottom.
+        block: Edge of a block, m.
+    """
+    checks.positive("the block of a fruit map (m)", block)
+    counts = _counts(counts)
+    mean, variance = counts.mean(axis=(-2, -1)), counts.var(axis=(-2, -1))
+    total = counts.sum(axis=(-2, -1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return Clumping(
+            density=np.asarray(total / (counts.shape[-1] * block)),
+            variance_ratio=np.asarray(variance / mean),
+            k=np.asarray(mean**2 / (variance - mean)),
+            empty_share=np.asarray((counts == 0).mean(axis=(-2, -1))),
+            row_shares=np.asarray(counts.sum(axis=-1) / total[..., None]),
+        )
+
+
+def fit_fruit_map(matrix: ArrayLike, block: float = 0.3, cluster_size: int | None = None) -> FruitMap:
+    """Fit a fruit map to apple counts by maximum likelihood.
+
+    Args:
+        matrix: Apples per block, shape (rows, columns), top row first; empty rows and columns around the data are
+            sensing margins and are cut.
+        block: Edge of a block, m.
+        cluster_size: Apples per cluster; None takes the largest number that divides every count.
+
+    Raises:
+        InputError: If a count is negative, fractional or NaN, if all are zero, or if the cluster size does not divide
+            them.
+    """
+    from scipy.optimize import minimize_scalar
+    from scipy.stats import nbinom
+
+    counts = _counts(matrix)
+    if counts.ndim != 2:
+        raise InputError(f"a fruit map is a matrix of counts by row and column; this one has shape {counts.shape}")
+    if not counts.any():
+        raise InputError("the fruit map has no apples in any block; there is nothing to fit")
+    rows, columns = np.flatnonzero(counts.any(axis=1)), np.flatnonzero(counts.any(axis=0))
+    counts = counts[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    if cluster_size is None:
+        cluster_size = int(np.gcd.reduce(counts.astype(np.int64), axis=None))
+    if cluster_size < 1 or (counts % cluster_size).any():
+        raise InputError(f"a cluster size of {cluster_size} does not divide every count of the fruit map")
+    clusters = counts / cluster_size
+    means = clusters.mean(axis=1, keepdims=True)
+    lived, means = clusters[means[:, 0] > 0], means[means[:, 0] > 0]
+
+    def cost(log_excess: float) -> float:
+        excess = np.exp(log_excess)  # variance/mean - 1
+        return -float(np.sum(nbinom.logpmf(lived, means / excess, 1.0 / (1.0 + excess))))
+
+    best = minimize_scalar(cost, bounds=(np.log(1e-6), np.log(1e3)), method="bounded", options={"xatol": 1e-6})
+    excess = float(np.exp(best.x))
+    return FruitMap(
+        block=block,
+        row_means=tuple(float(mean) for mean in counts.mean(axis=1)),
+        cluster_size=cluster_size,
+        cluster_variance_ratio=1.0 + (excess if excess > 1e-5 else 0.0),
+    )
+
+
+def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Integers:
+    """Draw apples per block, shape (*shape, rows, columns), rows from top to bottom."""
+    if columns < 1:
+        raise InputError(f"a row of trees cannot be {columns} blocks long; give 1 or more")
+    means = np.array(fruit_map.row_means)[:, None] / fruit_map.cluster_size
+    size = (*shape, len(means), columns)
+    excess = fruit_map.cluster_variance_ratio - 1.0
+    if excess < 1e-9:
+        clusters = rng.poisson(np.broadcast_to(means, size))
+    else:
+        bearing = np.broadcast_to(means, size) > 0
+        drawn = rng.negative_binomial(np.where(bearing, means / excess, 1.0), 1.0 / (1.0 + excess))
+        clusters = np.where(bearing, drawn, 0)
+    return np.asarray(clusters * fruit_map.cluster_size, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class FruitSize:
+    """Diameters, normal and cut at both ends, and the density that turns them into masses.
+
+    Attributes:
+        mean: Mean diameter before cutting, m.
+        std: Standard deviation before cutting, m.
+        smallest: Smallest diameter, m.
+        largest: Largest diameter, m.
+        density: Mass per volume, kg/m³.
+    """
+
+    mean: float
+    std: float
+    smallest: float
+    largest: float
+    density: float
+
+    def __post_init__(self) -> None:
+        checks.positive("the mean diameter of fruit (m)", self.mean)
+        checks.not_negative("the standard deviation of fruit diameters (m)", self.std)
+        checks.positive("the smallest fruit diameter (m)", self.smallest)
+        checks.positive("the density of fruit (kg/m³)", self.density)
+        if not self.smallest <= self.mean <= self.largest:
+            raise InputError(
+                f"fruit diameters from {self.smallest} to {self.largest} m do not hold their mean {self.mean} m"
+            )
+
+
+def sample_diameters(size: FruitSize, count: int, rng: np.random.Generator) -> Array:
+    """Draw ``count`` diameters in m, by inverting the truncated normal: one uniform number each."""
+    from scipy.special import ndtr, ndtri
+
+    uniform = rng.random(count)
+    if size.std == 0:
+        return np.full(count, size.mean)
+    low, high = ndtr((np.array([size.smallest, size.largest]) - size.mean) / size.std)
+    drawn = size.mean + size.std * ndtri(low + uniform * (high - low))
+    return np.asarray(np.clip(drawn, size.smallest, size.largest))
+
+
+def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
+    """Masses of round fruit in kg."""
+    return np.asarray(size.density * np.pi / 6.0 * checks.numbers("fruit diameters", diameters, lowest=0.0) ** 3)
+
+
+def load_fruit_map(name: str | Path) -> FruitMap:
+    """Read a fruit map by name (`shipped("fruit")`) or from a path to a TOML file."""
+    return presets.load(
+        "fruit",
+        name,
+        lambda p: FruitMap(
+            p.number("block_mm"), p.numbers("row_means"), p.whole("cluster_size"), p.number("cluster_variance_ratio")
+        ),
+    )
+
+
+def load_fruit_size(name: str | Path) -> FruitSize:
+    """Read fruit diameters and density by name (`shipped("fruit_size")`) or from a path to a TOML file."""
+    return presets.load(
+        "fruit_size",
+        name,
+        lambda p: FruitSize(
+            mean=p.number("mean_mm"),
+            std=p.number("std_mm"),
+            smallest=p.number("smallest_mm"),
+            largest=p.number("largest_mm"),
+            density=p.number("density_kg_per_m3"),
+        ),
+    )
+
+
+def _counts(counts: ArrayLike) -> Array:
+    array = checks.numbers("the counts of a fruit map", counts, lowest=0.0)
+    if array.ndim < 2 or not array.size:
+        raise InputError(f"the counts of a fruit map need rows and columns; they have shape {array.shape}")
+    if (array != np.round(array)).any():
+        raise InputError("the counts of a fruit map must be whole apples; at least one is a fraction")
+    return array

@@ -1,0 +1,168 @@
+"""What a gripper forgives: a cup with a hard edge, or a compliant hand that fails ever more often.
+
+Misalignment of the fruit in the tool: lateral (across the tool's axis), axial (along it), angle. Units: m, rad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.errors import InputError
+from pickenv.orchard import checks, presets
+from pickenv.orchard.checks import Array, Flags
+
+
+@dataclass(frozen=True)
+class Cup:
+    """A rigid cup: it takes the fruit if every misalignment stays within its tolerance.
+
+    Attributes:
+        name: Name of the preset.
+        source: Where its numbers come from.
+        opening: Inner diameter, m.
+        fruit: Diameter of the fruit it is meant for, m.
+        axial: Tolerance along the axis, m.
+        angle: Tolerance of the axis' direction, rad.
+    """
+
+    name: str
+    source: str
+    opening: float
+    fruit: float
+    axial: float
+    angle: float
+
+    def __post_init__(self) -> None:
+        for key in ("opening", "fruit", "axial", "angle"):
+            checks.positive(f"{key} of gripper '{self.name}'", getattr(self, key))
+
+    @property
+    def radial(self) -> float:
+        """Radial clearance around the fruit it is meant for, m; negative if that fruit does not fit."""
+        return (self.opening - self.fruit) / 2
+
+
+@dataclass(frozen=True)
+class CompliantHand:
+    """A hand with soft fingers: logit of success = intercept − lateral·|x| − axial·|z| − angle·|φ|.
+
+    Attributes:
+        name: Name of the preset.
+        source: Where its numbers come from.
+        intercept: Logit without misalignment.
+        lateral: 1/m.
+        axial: 1/m.
+        angle: 1/rad.
+    """
+
+    name: str
+    source: str
+    intercept: float
+    lateral: float
+    axial: float
+    angle: float
+
+    def __post_init__(self) -> None:
+        checks.finite(f"intercept of gripper '{self.name}'", self.intercept)
+        for key in ("lateral", "axial", "angle"):
+            checks.not_negative(f"{key} of gripper '{self.name}'", getattr(self, key))
+
+
+Gripper: TypeAlias = Cup | CompliantHand
+
+
+@dataclass(frozen=True, eq=False)
+class Misalignment:
+    """How a fruit lies in the tool: m and rad, each of shape (...); axial is positive beyond the tool's point."""
+
+    lateral: Array
+    axial: Array
+    angle: Array
+
+
+def misalignment(offset: ArrayLike, tool_axis: ArrayLike, wanted_axis: ArrayLike | None = None) -> Misalignment:
+    """Misalignment of a fruit from geometry.
+
+    Args:
+        offset: From the tool's point to the fruit's centre, m, shape (..., 3).
+        tool_axis: Direction in which the tool approaches, shape (..., 3).
+        wanted_axis: Direction in which it should approach, shape (..., 3); None means that it does.
+    """
+    offset, axis = checks.points("the offset", offset), checks.directions("the tool axis", tool_axis)
+    axial = np.einsum("...i,...i->...", offset, axis)
+    lateral = np.linalg.norm(offset - axial[..., None] * axis, axis=-1)
+    if wanted_axis is None:
+        return Misalignment(lateral, axial, np.zeros_like(axial))
+    wanted = checks.directions("the wanted axis", wanted_axis)
+    sine = np.linalg.norm(np.cross(axis, wanted), axis=-1)
+    angle = np.arctan2(sine, np.einsum("...i,...i->...", axis, wanted))
+    return Misalignment(
+        lateral, axial, np.asarray(np.broadcast_to(angle, np.broadcast_shapes(angle.shape, axial.shape)))
+    )
+
+
+def capture_probability(
+    gripper: Gripper, lateral: ArrayLike, axial: ArrayLike, angle: ArrayLike, diameter: ArrayLike | None = None
+) -> Array:
+    """Probability that the gripper takes the fruit.
+
+    Args:
+        gripper: A cup (0 or 1) or a hand.
+        lateral: Across the tool's axis, m; sign does not matter. Shapes broadcast.
+        axial: Along the tool's axis, m.
+        angle: Between tool and wanted axis, rad.
+        diameter: Fruit diameter, m; only a cup minds. None is the fruit it is meant for.
+
+    Raises:
+        InputError: If a misalignment is NaN or infinite.
+    """
+    x = np.abs(checks.numbers("the lateral misalignment (m)", lateral))
+    z = np.abs(checks.numbers("the axial misalignment (m)", axial))
+    phi = np.abs(checks.numbers("the angular misalignment (rad)", angle))
+    if isinstance(gripper, CompliantHand):
+        logit = gripper.intercept - gripper.lateral * x - gripper.axial * z - gripper.angle * phi
+        return np.asarray(0.5 * (1.0 + np.tanh(logit / 2)))
+    fruit = gripper.fruit if diameter is None else checks.numbers("the fruit diameter (m)", diameter, lowest=0.0)
+    inside = (x <= (gripper.opening - fruit) / 2) & (z <= gripper.axial) & (phi <= gripper.angle)
+    return np.asarray(inside, dtype=np.float64)
+
+
+def captured(
+    gripper: Gripper,
+    lateral: ArrayLike,
+    axial: ArrayLike,
+    angle: ArrayLike,
+    rng: np.random.Generator,
+    diameter: ArrayLike | None = None,
+) -> Flags:
+    """Draw whether the gripper takes the fruit: one uniform number per attempt, whatever the gripper."""
+    probability = capture_probability(gripper, lateral, axial, angle, diameter)
+    return np.asarray(rng.random(probability.shape) < probability)
+
+
+def load_gripper(name: str | Path) -> Gripper:
+    """Read a gripper by name (`shipped("gripper")`) or from a path to a TOML file."""
+    return presets.load("gripper", name, _build)
+
+
+def _build(p: presets.Preset) -> Gripper:
+    kind = p.text("kind")
+    if kind == "cup":
+        return Cup(
+            p.name, p.source, p.number("opening_mm"), p.number("fruit_mm"), p.number("axial_mm"), p.number("angle_deg")
+        )
+    if kind == "hand":
+        return CompliantHand(
+            name=p.name,
+            source=p.source,
+            intercept=p.number("intercept"),
+            lateral=p.number("lateral_per_10mm") * 100.0,
+            axial=p.number("axial_per_10mm") * 100.0,
+            angle=p.number("angle_per_10deg") * 18.0 / float(np.pi),
+        )
+    raise InputError(f"{p.where}: kind of '{p.name}' is '{kind}'; give 'cup' or 'hand'")

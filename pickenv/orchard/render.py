@@ -1,0 +1,198 @@
+"""Simple stereo pictures of fruit and leaves, with the truth of what each pixel shows.
+
+Painted from far to near: fruit as shaded spheres, leaves as flat ellipses, each in both images where its depth puts
+it. Camera frame: see stereo.py. Units: m, px.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.errors import InputError
+from pickenv.orchard import checks, presets
+from pickenv.orchard.checks import Array, Integers
+from pickenv.orchard.stereo import StereoCamera, project
+
+BACKGROUND, LEAF = -1, -2
+SHARPNESS = 12  # exponent of the sun's reflection (Phong); 12 is a waxy skin
+PATCH = 16  # px, patches of light and dark behind the trees
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colours and light; colours are red, green, blue from 0 to 255.
+
+    Attributes:
+        fruit: Colour of fruit.
+        leaf: Colour of leaves.
+        background: Colour of what is far away.
+        leaf_size: Length and width of a leaf, m.
+        ambient: Light that reaches shaded sides, share.
+        highlight: Strength of the sun's reflection on fruit, share of white.
+        pixel_noise: Standard deviation of the sensor's noise, grey levels.
+        sun: Direction in which the light falls against, towards the sun, camera frame.
+    """
+
+    fruit: tuple[float, ...]
+    leaf: tuple[float, ...]
+    background: tuple[float, ...]
+    leaf_size: tuple[float, float]
+    ambient: float
+    highlight: float
+    pixel_noise: float
+    sun: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for key in ("fruit", "leaf", "background", "sun"):
+            if len(getattr(self, key)) != 3:
+                raise InputError(f"{key} of a look has {len(getattr(self, key))} numbers; give three")
+        for size in self.leaf_size:
+            checks.positive("the size of a leaf (m)", size)
+        checks.share("the ambient light", self.ambient)
+        checks.share("the highlight", self.highlight)
+        checks.not_negative("the pixel noise (grey levels)", self.pixel_noise)
+
+
+@dataclass(frozen=True, eq=False)
+class StereoPair:
+    """A rendered pair.
+
+    Attributes:
+        left: Left image, red, green, blue, shape (height, width, 3), uint8.
+        right: Right image, likewise.
+        shows: What each pixel of the left image shows: index of a fruit, LEAF or BACKGROUND, shape (height, width).
+        visible: Share of each fruit's disc in the left image that is in sight, shape (n,); 0 outside the image.
+    """
+
+    left: NDArray[np.uint8]
+    right: NDArray[np.uint8]
+    shows: Integers
+    visible: Array
+
+
+def load_look(name: str | Path) -> Look:
+    """Read a look by name (`shipped("look")`) or from a path to a TOML file."""
+    return presets.load(
+        "look",
+        name,
+        lambda p: Look(
+            fruit=p.numbers("fruit_rgb"),
+            leaf=p.numbers("leaf_rgb"),
+            background=p.numbers("background_rgb"),
+            leaf_size=(p.number("leaf_length_mm"), p.number("leaf_width_mm")),
+            ambient=p.number("ambient"),
+            highlight=p.number("highlight"),
+            pixel_noise=p.number("pixel_noise"),
+            sun=p.numbers("sun"),
+        ),
+    )
+
+
+def sample_leaves(
+    low: ArrayLike, high: ArrayLike, leaf_area_per_volume: float, look: Look, rng: np.random.Generator
+) -> Array:
+    """Leaf centres (m, 3) spread evenly over a box of the camera frame, by leaf area per volume (m²/m³)."""
+    low, high = (
+        checks.points("the low corner of the foliage", low),
+        checks.points("the high corner of the foliage", high),
+    )
+    checks.not_negative("the leaf area per volume (m²/m³)", leaf_area_per_volume)
+    if (high < low).any():
+        raise InputError("the foliage has a high corner below its low corner; exchange them")
+    area = np.pi / 4 * look.leaf_size[0] * look.leaf_size[1]
+    count = rng.poisson(leaf_area_per_volume * float(np.prod(high - low)) / area)
+    return np.asarray(low + (high - low) * rng.random((count, 3)))
+
+
+def render_stereo(
+    camera: StereoCamera,
+    positions: ArrayLike,
+    diameters: ArrayLike,
+    leaves: ArrayLike,
+    look: Look,
+    rng: np.random.Generator,
+) -> StereoPair:
+    """Paint fruit and leaves into both images.
+
+    Args:
+        camera: The stereo pair.
+        positions: Fruit centres in the camera frame, m, shape (n, 3).
+        diameters: Fruit diameters, m, shape (n,) or a number.
+        leaves: Leaf centres in the camera frame, m, shape (m, 3); see `sample_leaves`.
+        look: Colours and light.
+        rng: Source of leaf attitudes, shades, background and noise.
+
+    Raises:
+        InputError: If fruit or leaves lie behind the camera or a number is not finite.
+    """
+    positions, diameters = checks.fruit_arrays(positions, diameters)
+    leaves = checks.points("leaf positions", leaves).reshape(-1, 3)
+    width, height = camera.image
+    fruit_at, leaf_at = project(camera, positions), project(camera, leaves)
+    attitude, shade = _leaf_shapes(look, len(leaves), rng)
+    images = [_background(look, camera.image, rng) for _ in range(2)]
+    shows = np.full((height, width), BACKGROUND, dtype=np.int64)
+    whole = np.zeros(len(positions))
+    depth = np.concatenate([positions[:, 2], leaves[:, 2]])
+    for item in np.argsort(-depth, kind="stable"):
+        is_fruit = item < len(positions)
+        i = int(item) if is_fruit else int(item) - len(positions)
+        at, z = (fruit_at[i], positions[i, 2]) if is_fruit else (leaf_at[i], leaves[i, 2])
+        reach = camera.focal_length / z * (diameters[i] / 2 if is_fruit else max(look.leaf_size) / 2)
+        if is_fruit:
+            whole[i] = np.pi * reach**2
+        for eye, image in enumerate(images):
+            column, row = at[0] - eye * at[2], at[1]
+            left, right = max(int(column - reach), 0), min(int(column + reach) + 2, width)
+            top, bottom = max(int(row - reach), 0), min(int(row + reach) + 2, height)
+            if left >= right or top >= bottom:
+                continue
+            u = (np.arange(left, right) - column) / reach
+            v = ((np.arange(top, bottom) - row) / reach)[:, None]
+            if is_fruit:
+                inside, colour = _sphere(look, u, v)
+            else:
+                a = attitude[i]
+                inside = (a[0, 0] * u + a[0, 1] * v) ** 2 + (a[1, 0] * u + a[1, 1] * v) ** 2 <= 1.0
+                colour = shade[i]
+            patch = image[top:bottom, left:right]
+            patch[inside] = colour[inside] if is_fruit else colour
+            if eye == 0:
+                shows[top:bottom, left:right][inside] = i if is_fruit else LEAF
+    noisy = [np.clip(im + look.pixel_noise * rng.normal(size=im.shape), 0, 255).astype(np.uint8) for im in images]
+    seen = np.bincount(shows[shows >= 0], minlength=len(positions))
+    return StereoPair(noisy[0], noisy[1], shows, np.clip(seen / np.maximum(whole, 1e-12), 0.0, 1.0))
+
+
+def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Which pixels a unit sphere covers, and their colours."""
+    square = np.asarray(u**2 + v**2, dtype=np.float64)
+    ahead = np.sqrt(np.clip(1.0 - square, 0.0, None))
+    sun = np.array(look.sun) / np.linalg.norm(look.sun)
+    facing = np.clip(sun[0] * u + sun[1] * v - sun[2] * ahead, 0.0, None)
+    mirrored = np.clip(2 * facing * ahead + sun[2], 0.0, None)  # the reflected ray's share towards the camera
+    light = look.ambient + (1.0 - look.ambient) * facing
+    white = 255.0 * look.highlight * mirrored[..., None] ** SHARPNESS
+    return square <= 1.0, np.asarray(light[..., None] * np.array(look.fruit) + white, dtype=np.float64)
+
+
+def _leaf_shapes(look: Look, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Projected ellipses of leaves of all attitudes, as matrices that map them to the unit disc, and their colours."""
+    basis, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))
+    size = np.array(look.leaf_size) / max(look.leaf_size)
+    axes = basis[:, :2, :2] * size  # the leaf's two half axes, seen along z
+    thin = np.abs(np.linalg.det(axes)) < 1e-3
+    axes[thin] = np.diag([1e-3, 1e-3])  # seen edge-on: nothing
+    shade = np.array(look.leaf) * (0.7 + 0.6 * rng.random((count, 1)))
+    return np.asarray(np.linalg.inv(axes), dtype=np.float64), shade
+
+
+def _background(look: Look, image: tuple[int, int], rng: np.random.Generator) -> Array:
+    """Patches of light and dark."""
+    coarse = 0.7 + 0.6 * rng.random((image[1] // PATCH + 1, image[0] // PATCH + 1))
+    fine = np.kron(coarse, np.ones((PATCH, PATCH)))[: image[1], : image[0]]
+    return np.asarray(fine[..., None] * np.array(look.background))

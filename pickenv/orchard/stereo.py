@@ -1,0 +1,108 @@
+"""A stereo pair of pinhole cameras and the steps by which fruit is read from its pictures.
+
+Camera frame: x right, y down, z ahead, origin at the left camera; the right camera is a base line further along x.
+Units: m, px.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.errors import InputError
+from pickenv.orchard import checks, presets
+from pickenv.orchard.checks import Array
+
+
+@dataclass(frozen=True)
+class StereoCamera:
+    """Two parallel cameras.
+
+    Attributes:
+        name: Name of the preset.
+        source: Where its numbers come from.
+        focal_length: px.
+        baseline: m.
+        image: Width and height, px.
+        nearest: Least distance that is matched, m.
+        farthest: Largest distance that is matched, m.
+        erosions: Erosions of 3 × 3 after the threshold.
+        dilations: Dilations of 3 × 3 at the end.
+        least_area_share: Regions below this share of the largest are noise.
+        least_correlation: Correlation from which a match counts.
+    """
+
+    name: str
+    source: str
+    focal_length: float
+    baseline: float
+    image: tuple[int, int]
+    nearest: float
+    farthest: float
+    erosions: int
+    dilations: int
+    least_area_share: float
+    least_correlation: float
+
+    def __post_init__(self) -> None:
+        name = f"of stereo camera '{self.name}'"
+        for key in ("focal_length", "baseline", "nearest"):
+            checks.positive(f"{key} {name}", getattr(self, key))
+        for key in ("erosions", "dilations"):
+            checks.not_negative(f"{key} {name}", getattr(self, key))
+        for key in ("least_area_share", "least_correlation"):
+            checks.share(f"{key} {name}", getattr(self, key))
+        if len(self.image) != 2 or min(self.image) < 16:
+            raise InputError(f"the image {name} is {self.image} px; give a width and a height of at least 16")
+        if not self.nearest < self.farthest < np.inf:
+            raise InputError(
+                f"the range {name} ends at {self.farthest} m; give more than its beginning, {self.nearest} m"
+            )
+        if self.focal_length * self.baseline / self.nearest >= self.image[0]:
+            raise InputError(f"at its least distance the disparity {name} is wider than its image; raise nearest")
+
+
+def load_stereo_camera(name: str | Path) -> StereoCamera:
+    """Read a stereo camera by name (`shipped("vision")`) or from a path to a TOML file."""
+    return presets.load("vision", name, _build)
+
+
+def project(camera: StereoCamera, positions: ArrayLike) -> Array:
+    """Column and row in the left image and disparity, px, shape (..., 3), of positions in the camera frame (..., 3)."""
+    x, y, z = np.moveaxis(checks.points("positions in the camera frame", positions), -1, 0)
+    if (z <= 0).any():
+        raise InputError("a position lies behind the camera; positions in the camera frame need z above zero")
+    column = camera.image[0] / 2 - 0.5 + camera.focal_length * x / z
+    row = camera.image[1] / 2 - 0.5 + camera.focal_length * y / z
+    return np.stack([column, row, camera.focal_length * camera.baseline / z], axis=-1)
+
+
+def triangulate(camera: StereoCamera, pixels: ArrayLike) -> Array:
+    """Positions in the camera frame, m, from column, row and disparity, (..., 3): inverse of `project`."""
+    column, row, disparity = np.moveaxis(checks.points("pixels", pixels), -1, 0)
+    if (disparity <= 0).any():
+        raise InputError("a disparity is not above zero; such a point is at infinity")
+    z = camera.focal_length * camera.baseline / disparity
+    x = (column - camera.image[0] / 2 + 0.5) * z / camera.focal_length
+    y = (row - camera.image[1] / 2 + 0.5) * z / camera.focal_length
+    return np.stack([x, y, z], axis=-1)
+
+
+def _build(p: presets.Preset) -> StereoCamera:
+    width, height = (int(side) for side in p.numbers("image_px"))
+    return StereoCamera(
+        name=p.name,
+        source=p.source,
+        focal_length=p.number("focal_length_px"),
+        baseline=p.number("baseline_mm"),
+        image=(width, height),
+        nearest=p.number("nearest_mm"),
+        farthest=p.number("farthest_mm"),
+        erosions=p.whole("erosions"),
+        dilations=p.whole("dilations"),
+        least_area_share=p.number("least_area_share"),
+        least_correlation=p.number("least_correlation"),
+    )
