@@ -3,10 +3,8 @@
 #   make test                 style, types, tests
 #   make demo ARGS=--quick    options for the command
 #   make ... PYTHON=python3.12  another Python, for a new .venv
-#   make ... TORCH_INDEX=https://download.pytorch.org/whl/cpu  the small CPU build of torch on Linux
 
 PYTHON ?= python3
-TORCH_INDEX ?=
 ARGS ?=
 
 VENV := .venv
@@ -54,7 +52,7 @@ $(RUNTIME): pyproject.toml constraints.txt
 		echo "'$(PYTHON)' cannot make a virtual environment; on Debian or Ubuntu: apt install python3-venv" >&2; exit 1; }
 	@echo "Setting up $(VENV) (once; some minutes, mostly the download of torch)"
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
-	@$(PIP) install $(if $(TORCH_INDEX),--extra-index-url $(TORCH_INDEX)) -c constraints.txt torch
+	@$(PIP) install -c constraints.txt torch
 	@$(PIP) install -c constraints.txt -e .
 	@touch $@
 
