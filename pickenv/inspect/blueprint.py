@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 BACKGROUND = (34, 34, 42)
 """Explicit, so that 3D views look the same in the light and in the dark theme."""
-EYE_DISTANCE = 2.05
+EYE_DISTANCE = 2.2
 """In units of the shown box's radius."""
 REACHES_PER_SECOND = 2.0
 
@@ -42,7 +42,7 @@ def comparison_blueprint(comparison: Comparison, gain: float) -> rrb.Blueprint:
         _space(
             rrb,
             comparison,
-            f"{policy.label} | error magnitude, corner cut away",
+            f"{policy.label} | error magnitude, mm, corner cut away",
             [f"+ /world/field/{policy.key}/voxels"],
         )
         for policy in policies
@@ -135,7 +135,7 @@ def _slice(rrb: Any, comparison: Comparison, policy: PolicyErrors) -> Any:
     return rrb.TensorView(
         origin=entity,
         contents=[f"+ {entity}"],
-        name=f"{policy.label} | error magnitude at height z (slider)",
+        name=f"{policy.label} | error magnitude, mm, at height z (slider)",
         slice_selection=rrb.TensorSliceSelection(
             width=2, height=1, indices=[TensorDimensionIndexSelection(dimension=0, index=middle)], slider=[0]
         ),

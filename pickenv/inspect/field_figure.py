@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-PANEL_WIDTH, HEIGHT = 8.0 / 3.0, 4.1
-"""Inches."""
+PANEL_WIDTH, BESIDE_PANELS = 8.0 / 3.0, 1.6
+"""Inches; the latter is the height of the titles and the colour bar."""
 MOST_ARROWS = 400
 """More arrows than this would cover each other: only every second, third … cell along each axis is drawn."""
 BACKGROUND, INK, FAINT = "#14141a", "#e8e8ee", "#6a6a78"
@@ -52,7 +52,9 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
     gain = gain or _round_down(1.1 * spacing / (top * 1e-3))
     dark = {"text.color": INK, "figure.facecolor": BACKGROUND, "axes.facecolor": BACKGROUND, "axes.grid": False}
     with style(**dark, **{"axes.titlelocation": "center"}):
-        figure = new_figure(PANEL_WIDTH * max(len(policies), 2), HEIGHT)
+        low, high = _extent(comparison, _View(comparison))
+        height = min(0.93 * PANEL_WIDTH * (high[1] - low[1]) / (high[0] - low[0]), PANEL_WIDTH)
+        figure = new_figure(PANEL_WIDTH * max(len(policies), 2), height + BESIDE_PANELS)
         colours = policy_colours([policy.key for policy in policies])
         panels = figure.subplots(1, len(policies), squeeze=False)[0]
         for axes, policy, colour in zip(panels, policies, colours, strict=True):
@@ -184,14 +186,15 @@ def _axis_text(axes: Axes, corners: Array, view: _View, axis: int) -> None:
     score = [flat[list(edge)].mean(axis=0)[0 if axis == 2 else 1] for edge in edges]
     i, j = edges[int(np.argmin(score))]
     middle = (flat[i] + flat[j]) / 2.0
-    direction = (flat[j] - flat[i]) / np.linalg.norm(flat[j] - flat[i])
+    length = float(np.linalg.norm(flat[j] - flat[i]))
+    direction = (flat[j] - flat[i]) / length
     outward = np.array([-direction[1], direction[0]])
     outward *= np.sign(outward @ middle) or 1.0
     angle = np.degrees(np.arctan2(direction[1], direction[0]))
     angle = 90.0 - (90.0 - angle) % 180.0
     options: dict[str, Any] = {"ha": "center", "va": "center", "rotation": angle, "fontsize": 7.5, "zorder": 4.0}
     off = 0.09 * view.radius * outward
-    x, y = middle + off
+    x, y = middle + off * (1.0 if length > 0.8 * view.radius else 2.1)  # a short edge has room for its ends only
     axes.text(x, y, f"{'xyz'[axis]} (m)", **options)
     for end, value, inward in ((flat[i], corners[i, axis], direction), (flat[j], corners[j, axis], -direction)):
         x, y = end + off + 0.11 * view.radius * inward

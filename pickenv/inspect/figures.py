@@ -88,7 +88,7 @@ def error_per_pose(errors_mm: Mapping[str, ArrayLike], *, tolerance_mm: float | 
         axes.set_title("Position error at each test pose")
         for (label, values), colour in zip(series.items(), _rgb(policy_colours(list(series))), strict=True):
             number = np.arange(1, len(values) + 1)
-            name = f"{label}: mean {values.mean():.3g} mm, max {values.max():.3g} mm"
+            name = f"{label}: mean {values.mean():.2f} mm, max {values.max():.2f} mm"
             axes.plot(number, values, "o-", color=colour, label=name, markersize=3.0, linewidth=1.1)
         if tolerance_mm is not None:
             name = f"tolerance {tolerance_mm:g} mm"
@@ -148,31 +148,29 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
 
     Args:
         residual_rms_mm: Position residual RMS ``(I + 1,)``, mm.
-        attitude_rms_deg: Attitude residual RMS ``(I + 1,)``, degrees, on an axis of its own.
+        attitude_rms_deg: Attitude residual RMS ``(I + 1,)``, degrees, in a panel of its own.
     """
-    position = _series({"residual": residual_rms_mm})["residual"]
-    blue, purple = _rgb([*policy_colours(["ls"]), OTHERS[0]])
     from matplotlib.ticker import MaxNLocator
 
+    curves = {"position residual, RMS (mm)": residual_rms_mm}
+    if attitude_rms_deg is not None:
+        curves["attitude residual, RMS (deg)"] = attitude_rms_deg
+    series, (blue,) = _series(curves), _rgb(policy_colours(["ls"]))
     with style():
-        figure = new_figure(WIDTH * 0.6, 3.2)
-        axes = figure.add_subplot(xlabel="iteration (number)", ylabel="position residual, RMS (mm)")
-        axes.set_title("Convergence of least squares")
-        axes.semilogy(position, "o-", color=blue, label="position", markersize=4.0)
-        axes.annotate(
-            f"{position[-1]:.3g} mm", (len(position) - 1, position[-1]), (0, 7), textcoords="offset points", ha="right"
-        )
-        _plain_decades(axes.yaxis)
-        if attitude_rms_deg is not None:
-            attitude = _series({"attitude": attitude_rms_deg})["attitude"]
-            other = axes.twinx()
-            other.semilogy(attitude, "s--", color=purple, label="attitude", markersize=3.5)
-            other.set_ylabel("attitude residual, RMS (deg)", color=purple)
-            other.grid(visible=False)
-            other.spines["right"].set_visible(True)
-            _plain_decades(other.yaxis)
-            figure.legend(loc="outside lower center", ncols=2)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        figure = new_figure(WIDTH * (0.6 if len(series) == 1 else 1.0), 3.2)
+        panels: Any = figure.subplots(1, len(series), squeeze=False)[0]
+        for axes, (label, values) in zip(panels, series.items(), strict=True):
+            axes.semilogy(values, "o-", color=blue, markersize=4.0)
+            for i in sorted({0, len(values) - 1}):
+                text = f"{values[i]:.3g}"
+                axes.annotate(
+                    text, (i, values[i]), (5, 6), textcoords="offset points", ha="left" if i == 0 else "right"
+                )
+            axes.set(xlabel="iteration (number)", ylabel=label)
+            axes.margins(y=0.12)
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            _plain_decades(axes.yaxis)
+        panels[0].set_title("Convergence of least squares")
     return figure
 
 
@@ -196,6 +194,7 @@ def network_convergence(
             axes.semilogy(values, color=colour, label=label)
         if best_epoch is not None:
             axes.axvline(best_epoch, color=DARK, linestyle=":", linewidth=1.2, label=f"kept: epoch {best_epoch}")
+        _plain_decades(axes.yaxis)
         axes.legend()
     return figure
 
@@ -211,7 +210,7 @@ def parameter_spectrum(
     """What the poses can tell about each parameter: the diagonal of R of a pivoted QR, or singular values.
 
     Args:
-        magnitudes: |R_ii| in the order of pivoting, or singular values ``(P,)``, all in one (scaled) unit.
+        magnitudes: |R_ii| of a pivoted QR, or singular values ``(P,)``, all in one (scaled) unit.
         kept: Whether each one was kept ``(P,)``.
         names: Parameter names in the same order, for a diagonal of R; none for singular values.
         threshold: Value below which one is dropped; drawn when given.
@@ -227,7 +226,7 @@ def parameter_spectrum(
     with style():
         figure = new_figure(WIDTH, 3.5)
         axes = figure.add_subplot(ylabel=quantity or f"{'|R$_{ii}$|' if diagonal else 'singular value'} (scaled, –)")
-        axes.set_xlabel("parameter, in the order of pivoting" if diagonal else "singular value (number)")
+        axes.set_xlabel("parameter" if diagonal else "singular value (number)")
         axes.set_title(
             f"Identifiability: {int(kept.sum())} of {len(values)} {'parameters' if diagonal else 'values'} kept"
         )
@@ -246,7 +245,7 @@ def parameter_spectrum(
                 tick.set_color("black" if chosen else red)
         else:
             axes.set_xticks(place, [str(i + 1) for i in place], fontsize=8)
-        axes.legend(loc="upper right", frameon=True, edgecolor="none", framealpha=0.9)
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=3, borderaxespad=0.2)
     return figure
 
 
@@ -264,7 +263,7 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
     units = ["mm" if slides else "deg" for slides in geometry.prismatic]
     shown = {label: np.asarray(q, dtype=float).reshape(-1, n) * scale for label, q in sets.items()}
     lower, upper = geometry.lower * scale, geometry.upper * scale
-    colours = _rgb([(0, 114, 178), (230, 159, 0), (110, 110, 118), *OTHERS])
+    colours = _rgb([OTHERS[0], OTHERS[1], (70, 70, 78), *OTHERS[2:]])  # sets are not policies
     with style(**{"font.size": 7.5, "axes.grid": False}):
         figure = new_figure(WIDTH, WIDTH * 0.95)
         grid: Any = figure.subplots(n, n, squeeze=False)
@@ -317,7 +316,9 @@ def _plain_decades(axis: Any) -> None:
     """Write a logarithmic axis's ticks as plain numbers: 0.5 instead of 5 × 10 to the power of −1."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    low, high = axis.get_view_interval()
+    within_a_decade = high < 10.0 * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0) if within_a_decade else (1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 

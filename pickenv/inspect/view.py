@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from pickenv.arm.geometry import Array
 from pickenv.inspect.comparison import Comparison
 
-EYE_TURN, EYE_LIFT = 0.6, 0.45
-"""rad; how far the eye stands beside and above the line from the arm's base through the field."""
+EYE_TURN, EYE_LIFT = 0.5, 0.45
+"""rad; how far the eye stands beside and above the normal of the field's widest upright face."""
 
 
 def shown_box(comparison: Comparison) -> tuple[Array, float]:
@@ -19,10 +19,18 @@ def shown_box(comparison: Comparison) -> tuple[Array, float]:
 
 
 def eye_direction(comparison: Comparison) -> Array:
-    """Unit vector ``(3,)`` from the field to the eye: from beyond the field, above it and to one side."""
-    centre, _ = shown_box(comparison)
-    outward = np.arctan2(*(centre - comparison.nominal.base.position)[1::-1]) + EYE_TURN
-    return np.array([np.cos(outward) * np.cos(EYE_LIFT), np.sin(outward) * np.cos(EYE_LIFT), np.sin(EYE_LIFT)])
+    """Unit vector ``(3,)`` from the field to the eye, which looks from outside at the widest upright face, obliquely.
+
+    Outside is where the arm's base is not; oblique, so that cells behind each other do not hide each other.
+    """
+    width_x, width_y, _ = comparison.grid_shape
+    x, y, _ = shown_box(comparison)[0] - comparison.nominal.base.position
+    outward = float(np.arctan2(y, x))
+    along_x = width_y > width_x or (width_y == width_x and abs(x) > abs(y))
+    normal = float(np.arctan2(0.0, x) if along_x else np.arctan2(y, 0.0))
+    side = 1.0 if np.sin(outward - normal) >= 0.0 else -1.0
+    turn = normal + side * EYE_TURN
+    return np.array([np.cos(turn) * np.cos(EYE_LIFT), np.sin(turn) * np.cos(EYE_LIFT), np.sin(EYE_LIFT)])
 
 
 def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
