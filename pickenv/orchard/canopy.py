@@ -64,8 +64,9 @@ class Canopy:
         if not abs(self.lean) < np.pi / 3:
             raise InputError(f"canopy '{self.name}' leans by {self.lean} rad; give less than 60 degrees (1.05 rad)")
         if not 0 <= self.approach_elevation <= np.pi / 2:
+            angle = self.approach_elevation
             raise InputError(
-                f"canopy '{self.name}' has an approach elevation of {self.approach_elevation} rad; give 0 to pi/2: from below"
+                f"canopy '{self.name}' has an approach elevation of {angle} rad; give 0 to pi/2, from below"
             )
 
 

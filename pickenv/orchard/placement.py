@@ -16,6 +16,7 @@ from pickenv.orchard.checks import Array, Integers
 from pickenv.orchard.fruit import FruitMap, FruitSize, sample_counts, sample_diameters
 
 ROUNDS = 2000  # of pushing apart; a block with 18 apples takes a few hundred
+MOST_FILLED = 0.5  # of a block's volume; spheres thrown in at random jam at 0.64
 OVERLAP = 1e-4  # m that two fruit may dent each other
 
 
@@ -65,6 +66,9 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
     row, column = np.nonzero(counts)
     low = np.stack([column * cell[0] - canopy.width / 2, np.zeros(len(row)), canopy.top - (row + 1) * cell[2]], axis=-1)
     low = np.repeat(low, counts[row, column], axis=0)  # the near, lower, left corner of each fruit's block
+    roomy = np.prod(cell + size.mean) / (np.pi / 6 * size.mean**3) * MOST_FILLED
+    if counts.max() > roomy:
+        raise _too_full(canopy, int(counts.sum()))
     clusters = np.repeat(np.arange(len(low) // fruit_map.cluster_size), fruit_map.cluster_size)
     diameters = sample_diameters(size, len(low), rng)
     middle = low[:: fruit_map.cluster_size] + cell * rng.random((len(low) // fruit_map.cluster_size, 3))
@@ -109,6 +113,10 @@ def _apart(upright: Array, low: Array, high: Array, diameters: Array, canopy: Ca
         np.add.at(moved, second, step)
         leaning = leaning + moved
         upright = leaning - face(canopy, leaning[:, 2])[:, None] * lean
-    raise InputError(
-        f"canopy '{canopy.name}' is too full to keep {len(upright)} fruit apart; lower the density or deepen the canopy"
+    raise _too_full(canopy, len(upright))
+
+
+def _too_full(canopy: Canopy, count: int) -> InputError:
+    return InputError(
+        f"canopy '{canopy.name}' is too full to keep {count} fruit apart; lower the density or deepen the canopy"
     )

@@ -16,7 +16,7 @@ import numpy as np
 from pickenv.errors import InputError
 
 FOLDER = Path(__file__).parent
-UNITS = {"mm": 1e-3, "deg": float(np.pi / 180.0)}
+PER_SI = {"mm": 1000.0, "deg": 180.0 / float(np.pi)}  # of the unit in one metre, one radian
 Thing = TypeVar("Thing")
 
 
@@ -63,7 +63,7 @@ class Preset:
         if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
             given = "is missing" if value is None else f"is {value!r}"
             raise InputError(f"{self.where}: {key} of '{self.name}' {given}; give a finite number")
-        return float(value) * UNITS.get(key.rpartition("_")[2], 1.0)
+        return float(value) / PER_SI.get(key.rpartition("_")[2], 1.0)
 
     def refuse_unread(self) -> None:
         """A key that nobody reads is a misspelt one."""

@@ -91,9 +91,8 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
         right: Right image, likewise.
 
     Returns:
-        One detection per region that finds its match in the right image; which true fruit it is, is not known (-1);
-        confidence is the
-        correlation of the match.
+        One detection per region that finds its match in the right image; its confidence is the match's correlation,
+        and which true fruit it is, is not known (-1).
 
     Raises:
         InputError: If the images are not of the camera's size or are not colour images.

@@ -1,0 +1,190 @@
+"""Impossible orchards are refused with one clear sentence."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pickenv.errors import InputError
+from pickenv.orchard import (
+    Branch,
+    Detections,
+    FruitMap,
+    FruitSize,
+    approach_clear,
+    capture_probability,
+    clumping,
+    detachment_probability,
+    detect,
+    fit_fruit_map,
+    foliage_path,
+    load_branch,
+    load_camera,
+    load_canopy,
+    load_detachment,
+    load_fruit_map,
+    load_fruit_size,
+    load_gripper,
+    load_look,
+    load_stereo_camera,
+    locate,
+    match_detections,
+    measured_positions,
+    misalignment,
+    natural_frequencies,
+    occlusion,
+    project,
+    reachable,
+    render_stereo,
+    sample_counts,
+    sample_fruit,
+    sample_leaves,
+    settling_time,
+    shipped,
+    stereo_depth_noise,
+    swing,
+    triangulate,
+)
+
+NAN = float("nan")
+RNG = np.random.default_rng(0)
+CANOPY, CAMERA, STEREO = load_canopy("li2016"), load_camera("azure_kinect"), load_stereo_camera("li2016")
+BRANCH, HAND, LOOK = load_branch("apple"), load_gripper("compliant_hand"), load_look("red_apples")
+NONE = np.zeros((0, 3))
+
+CASES: dict[str, tuple[Callable[[], Any], str]] = {
+    "negative density": (lambda: FruitMap(0.3, (1.0, -2.0)), "density of row 2"),
+    "negative scale": (lambda: load_fruit_map("v_trellis").scaled(-1.0), "density"),
+    "no rows": (lambda: FruitMap(0.3, ()), "row_means is empty"),
+    "underdispersed": (lambda: FruitMap(0.3, (1.0,), 1, 0.5), "1 (Poisson) or more"),
+    "half a cluster": (lambda: FruitMap(0.3, (1.0,), 0), "cluster size"),
+    "NaN block": (lambda: FruitMap(NAN, (1.0,)), "block"),
+    "negative counts": (lambda: fit_fruit_map([[1, -1], [2, 0]]), "below 0"),
+    "NaN counts": (lambda: fit_fruit_map([[1, NAN], [2, 0]]), "NaN"),
+    "fractional counts": (lambda: clumping([[0.5, 1.0]]), "fraction"),
+    "no apples": (lambda: fit_fruit_map(np.zeros((3, 4))), "no apples"),
+    "one number": (lambda: fit_fruit_map(3), "rows and columns"),
+    "words": (lambda: fit_fruit_map([["a", "b"]]), "array of numbers"),
+    "foreign cluster": (lambda: fit_fruit_map([[1, 4], [2, 0]], cluster_size=3), "does not divide"),
+    "no length": (lambda: sample_counts(load_fruit_map("v_trellis"), 0, RNG), "blocks long"),
+    "mean outside": (lambda: FruitSize(0.1, 0.0, 0.05, 0.09, 840.0), "do not hold their mean"),
+    "overfull": (
+        lambda: sample_fruit(load_fruit_map("v_trellis").scaled(2000.0), load_fruit_size("apple"), CANOPY, RNG),
+        "too full",
+    ),
+    "empty canopy": (lambda: replace(CANOPY, top=CANOPY.bottom), "is empty"),
+    "no depth": (lambda: replace(CANOPY, depth=0.0), "depth"),
+    "negative leaves": (lambda: replace(CANOPY, leaf_area_per_volume=-1.0), "leaf_area_per_volume"),
+    "flat on the ground": (lambda: replace(CANOPY, lean=1.5), "leans"),
+    "from above": (lambda: replace(CANOPY, approach_elevation=-0.5), "from below"),
+    "NaN point": (lambda: foliage_path(CANOPY, [0, NAN, 1], [0, 1, 1]), "NaN"),
+    "flat point": (lambda: foliage_path(CANOPY, [0, 1], [0, 1]), "three coordinates"),
+    "eye in a fruit": (lambda: occlusion(CANOPY, [[0, 0.1, 1]], 0.08, [0, 0.1, 1.01]), "inside a fruit"),
+    "diameters amiss": (lambda: occlusion(CANOPY, [[0, 0.1, 1]], [0.1, 0.1], [0, -1, 1]), "1 fruit but 2"),
+    "no diameter": (lambda: occlusion(CANOPY, [[0, 0.1, 1]], 0.0, [0, -1, 1]), "above zero"),
+    "reach amiss": (lambda: reachable(np.zeros((2, 3)), [True]), "one true or false per fruit"),
+    "reach in numbers": (lambda: reachable(np.zeros((1, 3)), [0.7]), "one true or false per fruit"),
+    "no tool": (lambda: approach_clear(np.zeros((2, 3)), 0.1, [0, 0, 1], -1.0), "tool radius"),
+    "no direction": (lambda: approach_clear(np.zeros((2, 3)), 0.1, [0, 0, 0], 0.1), "zero vectors"),
+    "negative noise": (lambda: replace(CAMERA, depth_noise=-1.0), "depth_noise"),
+    "range reversed": (lambda: replace(CAMERA, farthest=0.1), "range"),
+    "no focal length": (lambda: replace(CAMERA, focal_length=0.0), "focal length"),
+    "sure of dropout": (lambda: replace(CAMERA, dropout=1.5), "from 0 to 1"),
+    "thresholds crossed": (lambda: replace(CAMERA, lost_below=0.9), "found_above"),
+    "no base line": (lambda: stereo_depth_noise(500.0, 0.0, 0.5), "base line"),
+    "NaN fruit": (lambda: detect(CAMERA, [[0, NAN, 0]], 0.1, [0, 0, 0], [0, 1, 0], RNG), "NaN"),
+    "dark": (lambda: detect(CAMERA, [[0, 1, 0]], 0.1, [0, 0, 0], [0, 1, 0], RNG, light=-1.0), "light"),
+    "eye on a fruit": (lambda: measured_positions(CAMERA, [0, 0, 0], [0, 0, 0], np.zeros(5)), "at the viewpoint"),
+    "few draws": (lambda: measured_positions(CAMERA, [0, 1, 0], [0, 0, 0], np.zeros(3)), "5 random draws"),
+    "ragged detections": (lambda: Detections(np.zeros((2, 3)), np.zeros(1, int), np.zeros(2)), "fruit has another"),
+    "matched nowhere": (lambda: match_detections(Detections(NONE, np.zeros(0, int), np.zeros(0)), NONE, 0.0), "above"),
+    "NaN misalignment": (lambda: capture_probability(HAND, NAN, 0.0, 0.0), "lateral"),
+    "no axis": (lambda: misalignment([0, 0, 0], [0, 0, 0]), "zero vectors"),
+    "hand that likes errors": (lambda: replace(HAND, lateral=-1.0), "lateral of gripper"),
+    "no pendulum": (lambda: Branch(0.0, 1.0, 1.0, 0.1, 0.1, 0.1), "pendulum"),
+    "negative damping": (lambda: replace(BRANCH, damping_ratio=-0.1), "damping_ratio"),
+    "weightless": (lambda: natural_frequencies(BRANCH, 0.0), "mass of fruit"),
+    "back in time": (lambda: swing(BRANCH, [0, 0, 0], [0, 0, 0], 0.2, -1.0), "time step"),
+    "settled at once": (lambda: settling_time(BRANCH, [0, 0, 0], 0.2, 0.0), "settling distance"),
+    "NaN pull": (lambda: detachment_probability(load_detachment("apple"), pull=NAN), "pull"),
+    "disparity too wide": (lambda: replace(STEREO, nearest=0.05), "raise nearest"),
+    "behind the camera": (lambda: project(STEREO, [0, 0, -1]), "behind the camera"),
+    "at infinity": (lambda: triangulate(STEREO, [320, 240, 0]), "at infinity"),
+    "fruit behind the camera": (lambda: render_stereo(STEREO, [[0, 0, -1]], 0.1, NONE, LOOK, RNG), "behind"),
+    "negative foliage": (lambda: sample_leaves([0, 0, 1], [1, 1, 2], -1.0, LOOK, RNG), "leaf area"),
+    "inside out": (lambda: sample_leaves([0, 0, 2], [1, 1, 1], 1.0, LOOK, RNG), "exchange"),
+    "small picture": (lambda: locate(STEREO, np.zeros((4, 4, 3), "u1"), np.zeros((4, 4, 3), "u1")), "left image"),
+    "grey picture": (lambda: locate(STEREO, np.zeros((480, 640), "u1"), np.zeros((480, 640), "u1")), "uint8"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_impossible_input_is_refused_in_one_sentence(case: str) -> None:
+    attempt, words = CASES[case]
+    with pytest.raises(InputError, match=re.escape(words)) as caught:
+        attempt()
+    assert "\n" not in str(caught.value) and str(caught.value).count(". ") == 0
+
+
+LOADERS: dict[str, Callable[[str | Path], object]] = {
+    "branch": load_branch,
+    "camera": load_camera,
+    "canopy": load_canopy,
+    "detachment": load_detachment,
+    "fruit": load_fruit_map,
+    "fruit_size": load_fruit_size,
+    "gripper": load_gripper,
+    "look": load_look,
+    "vision": load_stereo_camera,
+}
+
+
+@pytest.mark.parametrize("kind", LOADERS)
+def test_every_preset_loads_and_an_unknown_one_names_those_that_are(kind: str) -> None:
+    for name in shipped(kind):
+        LOADERS[kind](name)
+    with pytest.raises(InputError, match=rf"unknown {kind} 'nobody'; give one of \['"):
+        LOADERS[kind]("nobody")
+    with pytest.raises(InputError, match="does not exist"):
+        LOADERS[kind]("nowhere.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (
+            "block_mm = 300\nrow_means = [1]\ncluster_size = 1\ncluster_variance_ratio = 1\nsize = 2",
+            "unknown key 'size'",
+        ),
+        ("block_mm = 300\nrow_means = [1]\ncluster_size = 1", "cluster_variance_ratio of 'mine' is missing"),
+        ("block_mm = 300\nrow_means = [1]\ncluster_size = 1.5\ncluster_variance_ratio = 1", "whole number"),
+        ("block_mm = 'wide'", "give a finite number"),
+        ("block_mm = 300\nrow_means = 1", "list of numbers"),
+        ("block_mm = -300\nrow_means = [1]\ncluster_size = 1\ncluster_variance_ratio = 1", "above zero"),
+        ("block_mm = ", "not valid TOML"),
+    ],
+)
+def test_a_file_of_ones_own_is_read_strictly(tmp_path: Path, text: str, complaint: str) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=re.escape(complaint)):
+        load_fruit_map(path)
+
+
+def test_a_file_of_ones_own_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        "block_mm = 250\nrow_means = [1, 2]\ncluster_size = 1\ncluster_variance_ratio = 3\n", encoding="utf-8"
+    )
+    assert load_fruit_map(path) == FruitMap(0.25, (1.0, 2.0), 1, 3.0)
+
+
+def test_a_preset_that_is_not_a_table_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "gripper.toml"
+    path.write_text("kind = 'magnet'\n", encoding="utf-8")
+    with pytest.raises(InputError, match="give 'cup' or 'hand'"):
+        load_gripper(path)

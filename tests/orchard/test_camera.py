@@ -1,0 +1,136 @@
+"""Cameras err as their sources say: bias, noise with the square of distance, light, dropout, pull of occlusion."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pickenv.orchard import (
+    DRAWS,
+    Camera,
+    Detections,
+    camera_frame,
+    depth_noise,
+    detect,
+    detection_probability,
+    load_camera,
+    match_detections,
+    measured_positions,
+    orchard_frame,
+    shipped,
+    stereo_depth_noise,
+)
+
+ORIGIN, AHEAD = np.zeros(3), np.array([0.0, 1.0, 0.0])
+units = st.floats(-1.0, 1.0)
+
+
+def depth_errors(camera: Camera, distance: float, light: float) -> np.ndarray:
+    draws = np.random.default_rng(0).normal(size=(20_000, DRAWS))
+    return measured_positions(camera, [0.0, distance, 0.0], ORIGIN, draws, light=light)[:, 1] - distance
+
+
+def test_azure_kinect_in_sun_at_one_and_a_half_metres() -> None:
+    error = depth_errors(load_camera("azure_kinect"), 1.5, 100_000)
+    assert error.mean() == pytest.approx(0.017, abs=2e-4)
+    assert error.std() == pytest.approx(0.006, abs=1e-4)
+
+
+@pytest.mark.parametrize(("light", "rmse"), [(53_800, 0.0391), (106_150, 0.0836)])
+def test_d455f_outdoors_errs_39_to_84_mm(light: float, rmse: float) -> None:
+    assert np.sqrt(np.mean(depth_errors(load_camera("d455f"), 1.5, light) ** 2)) == pytest.approx(rmse, rel=0.02)
+
+
+@pytest.mark.parametrize(("distance", "error"), [(1.0, 0.0069), (1.6, 0.0112)])
+def test_the_laser_line_is_good_to_millimetres(distance: float, error: float) -> None:
+    assert depth_noise(load_camera("laser_line"), distance) == pytest.approx(error, rel=0.01)
+
+
+@given(units, st.floats(0.6, 3.0), units, st.integers(0, 2**32))
+def test_the_perfect_camera_does_not_err(x: float, y: float, z: float, seed: int) -> None:
+    draws = np.random.default_rng(seed).normal(size=DRAWS)
+    seen = measured_positions(load_camera("perfect"), [x, y, z], ORIGIN, draws, visible=0.3, diameters=0.08)
+    assert seen == pytest.approx([x, y, z], abs=1e-12)
+
+
+def test_stereo_noise_grows_with_the_square_of_distance() -> None:
+    camera = load_camera("bumblebee2")
+    assert camera.depth_noise == stereo_depth_noise(513.5, 0.120, 0.5)
+    assert depth_noise(camera, 2.0) == pytest.approx(4 * depth_noise(camera, 1.0))
+    assert depth_noise(camera, 1.0) == pytest.approx(0.0081, abs=1e-4)
+
+
+@given(st.floats(0.0, 1.0), st.integers(0, 2**32))
+def test_occlusion_pulls_to_the_visible_side_by_at_most_half_a_radius(visible: float, seed: int) -> None:
+    camera, side = load_camera("azure_kinect"), np.array([1.0, 0.0, 0.0])
+    draws = np.random.default_rng(seed).normal(size=DRAWS)
+    seen = [
+        measured_positions(camera, [0.2, 1.2, 0.1], ORIGIN, draws, visible=v, diameters=0.08, visible_side=side)
+        for v in (1.0, visible)
+    ]
+    pull = seen[1] - seen[0]
+    assert pull == pytest.approx([0.5 * 0.04 * (1 - visible), 0.0, 0.0], abs=1e-12)
+
+
+def test_where_leaves_hide_it_the_pull_goes_anywhere_across_the_line_of_sight() -> None:
+    camera = load_camera("azure_kinect")
+    draws = np.zeros((4000, DRAWS))
+    draws[:, 3:] = np.random.default_rng(1).normal(size=(4000, 2))
+    seen = measured_positions(camera, [0.0, 1.0, 0.0], ORIGIN, draws, visible=0.4, diameters=0.08)
+    pull = seen - [0.0, 1.017, 0.0]
+    assert np.linalg.norm(pull, axis=-1) == pytest.approx(0.012)
+    assert pull[:, 1] == pytest.approx(0.0, abs=1e-12)
+    assert np.abs(pull.mean(axis=0)).max() < 5e-4
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_the_more_is_visible_the_likelier_it_is_found(a: float, b: float) -> None:
+    for name in shipped("camera"):
+        camera = load_camera(name)
+        low, high = detection_probability(camera, 1.0, sorted((a, b)))
+        assert 0.0 <= low <= high <= 1.0
+
+
+def test_fruit_hidden_too_far_or_beside_the_picture_is_not_reported() -> None:
+    positions = [[0.0, 1.5, 0.0], [0.0, 9.0, 0.0], [5.0, 1.5, 0.0], [0.0, -1.5, 0.0], [0.1, 1.5, 0.0]]
+    camera, rng = load_camera("azure_kinect"), np.random.default_rng(3)
+    found = [detect(camera, positions, 0.075, ORIGIN, AHEAD, rng, visible=[1, 1, 1, 1, 0.1]) for _ in range(50)]
+    assert all(set(d.fruit) <= {0, -1} and 0 in d.fruit for d in found)
+    assert 0 < np.mean([(d.fruit == -1).sum() for d in found]) < 0.3
+
+
+def test_dropout_is_as_frequent_as_stated() -> None:
+    camera, rng = load_camera("d455f"), np.random.default_rng(4)
+    grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 50), [1.5], np.linspace(-0.3, 0.3, 40)), axis=-1).reshape(-1, 3)
+    found = detect(camera, grid, 0.075, ORIGIN, AHEAD, rng)
+    assert (found.fruit >= 0).sum() / len(grid) == pytest.approx(0.95, abs=0.02)
+
+
+def test_one_seed_gives_one_image() -> None:
+    rng = np.random.default_rng(0)
+    positions = rng.uniform([-0.5, 1, -0.5], [0.5, 2, 0.5], size=(30, 3))
+    images = [
+        detect(load_camera("d455f"), positions, 0.075, ORIGIN, AHEAD, np.random.default_rng(9), visible=0.6)
+        for _ in range(2)
+    ]
+    np.testing.assert_array_equal(images[0].positions, images[1].positions)
+    np.testing.assert_array_equal(images[0].fruit, images[1].fruit)
+
+
+@given(st.tuples(units, units, units), st.tuples(units, units, units))
+def test_the_camera_frame_and_back(position: tuple, looking: tuple) -> None:
+    looking = np.add(looking, [0.0, 2.5, 0.0])
+    there = camera_frame(position, [0.1, -1.0, 1.5], looking)
+    assert orchard_frame(there, [0.1, -1.0, 1.5], looking) == pytest.approx(position, abs=1e-9)
+    assert np.linalg.norm(there) == pytest.approx(np.linalg.norm(np.subtract(position, [0.1, -1.0, 1.5])))
+
+
+def test_a_level_camera_sees_right_to_the_right_and_up_above() -> None:
+    right, down, ahead = camera_frame([0.3, 2.0, 0.2], ORIGIN, AHEAD)
+    assert (right, down, ahead) == pytest.approx((0.3, -0.2, 2.0))
+
+
+def test_detections_are_named_by_the_nearest_fruit_one_to_one() -> None:
+    seen = Detections(np.array([[0.0, 0, 1], [0.02, 0, 1], [5.0, 0, 1]]), np.full(3, -1), np.ones(3))
+    named = match_detections(seen, [[0.03, 0, 1], [0.001, 0, 1], [2.0, 0, 1]], within=0.05)
+    assert named.fruit.tolist() == [1, 0, -1]
