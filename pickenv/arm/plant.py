@@ -8,7 +8,7 @@ alone; the others have a state (`pickenv.arm.dynamics`). Numbers may be arrays: 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
@@ -32,7 +32,7 @@ from pickenv.arm.effects import (
     gravity_torques,
     yielded_joints,
 )
-from pickenv.arm.geometry import Geometry, Pose
+from pickenv.arm.geometry import Array, Geometry, Pose
 from pickenv.arm.ground import BaseTilt
 from pickenv.arm.hysteresis import Backlash, StickBand
 from pickenv.arm.kinematics import Chain, Frame, Scalar, chain_of, frames, pose_of, split_joints, tool_frame
@@ -66,6 +66,16 @@ class MeasurementNoise:
     attitude_std: float
 
 
+def placed_chain(chain: Chain, place: Callable[[Array], Scalar]) -> Chain:
+    """A chain of many arms with its arrays where the executor wants them."""
+    links = []
+    for link in chain.links:
+        beta = None if link.beta is None else (place(link.beta[0]), place(link.beta[1]))
+        numbers = {name: place(getattr(link, name)) for name in link._fields if name not in ("prismatic", "beta")}
+        links.append(link._replace(beta=beta, **numbers))
+    return chain._replace(links=tuple(links))
+
+
 @dataclass(frozen=True, eq=False)
 class Plant:
     """An arm as its controller knows it, and everything that makes the real one differ.
@@ -87,6 +97,7 @@ class Plant:
         settling: Vibration after moves, or None.
         encoder: Resolution of the motor encoders, or None.
         servo: Following error of the drives, or None.
+        place: Puts the arrays of a batch of arms where the executor wants them (`batch.plants_on`), or None.
     """
 
     name: str
@@ -105,11 +116,15 @@ class Plant:
     settling: Settling | None = None
     encoder: Encoder | None = None
     servo: Servo | None = None
+    place: Callable[[Array], Scalar] | None = None
 
     @cached_property
     def chain(self) -> Chain:
         """The true geometry made ready for the executors, at the temperature at which it holds."""
-        return chain_of(self.geometry, math if self.geometry.alpha.ndim == 1 else np)
+        if self.geometry.alpha.ndim == 1:
+            return chain_of(self.geometry)
+        chain = chain_of(self.geometry, np)
+        return chain if self.place is None else placed_chain(chain, self.place)
 
     @cached_property
     def warm_chain(self) -> Chain:
