@@ -14,7 +14,7 @@ from pickenv.arm.geometry import Array
 from pickenv.inspect.comparison import Comparison, PolicyErrors
 from pickenv.inspect.recording import record_comparison
 
-CELLS, STEP = 10, 0.055
+STEP = 0.055
 
 
 @pytest.fixture(autouse=True)
@@ -42,16 +42,18 @@ def identified_geometry(plant: Plant, rng: np.random.Generator) -> Geometry:
     return geometry
 
 
-def synthetic_comparison(seed: int = 7, reaches: int = 100, tolerance_mm: float = 1.0) -> Comparison:
+def synthetic_comparison(
+    seed: int = 7, reaches: int = 100, tolerance_mm: float = 1.0, cells_per_axis: int = 10
+) -> Comparison:
     """Raw, LS and LS + BPNN on the arm of Qiao 2026; LS fits the geometry, BPNN removes most of what is left."""
     plant = load_plant("qiao2026")
     nominal, rng = plant.arm.nominal, np.random.default_rng(seed)
     identified = identified_geometry(plant, rng)
     middle = forward(nominal, (nominal.lower + nominal.upper) / 2.0)
-    origin = middle.position - (CELLS - 1) / 2.0 * STEP
-    index = np.stack(np.meshgrid(*[np.arange(CELLS)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    origin = middle.position - (cells_per_axis - 1) / 2.0 * STEP
+    index = np.stack(np.meshgrid(*[np.arange(cells_per_axis)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     points = origin + STEP * index
-    fruit = origin + STEP * (CELLS - 1) * rng.random((reaches, 3))
+    fruit = origin + STEP * (cells_per_axis - 1) * rng.random((reaches, 3))
     everything = np.concatenate([points, fruit])
     joints, raw, reached = reach(plant, nominal, everything, middle.rotation)
     ls_joints, ls, ls_reached = reach(plant, identified, everything, middle.rotation)
@@ -85,7 +87,7 @@ def synthetic_comparison(seed: int = 7, reaches: int = 100, tolerance_mm: float 
         identified=identified,
         seed=seed,
         tolerance_mm=tolerance_mm,
-        grid_shape=(CELLS, CELLS, CELLS),
+        grid_shape=(cells_per_axis, cells_per_axis, cells_per_axis),
         grid_origin=origin,
         grid_step=STEP,
         field_index=index[cells],

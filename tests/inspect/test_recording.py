@@ -145,8 +145,11 @@ def test_the_file_says_what_it_is(reading: Any, comparison: Comparison) -> None:
 def test_equal_seeds_give_equal_files_and_other_seeds_others(
     make_comparison: Callable[..., Comparison], tmp_path: Path
 ) -> None:
-    again = [record_comparison(make_comparison(seed=3, reaches=20), tmp_path / f"{i}" / "errors.rrd") for i in (1, 2)]
-    other = record_comparison(make_comparison(seed=4, reaches=20), tmp_path / "other.rrd")
+    again = [
+        record_comparison(make_comparison(seed=3, reaches=20, cells_per_axis=4), tmp_path / f"{i}" / "errors.rrd")
+        for i in (1, 2)
+    ]
+    other = record_comparison(make_comparison(seed=4, reaches=20, cells_per_axis=4), tmp_path / "other.rrd")
     assert compare(again[0], again[1]) == 0
     assert compare(again[0], other) == 1
 
@@ -191,7 +194,7 @@ import os, runpy, sys
 from pickenv.inspect import recording
 module = runpy.run_path(sys.argv[1])
 recording._send_histograms = lambda *_: os._exit(9)
-recording.record_comparison(module["synthetic_comparison"](reaches=5), sys.argv[2])
+recording.record_comparison(module["synthetic_comparison"](reaches=5, cells_per_axis=3), sys.argv[2])
 """
     conftest, path = Path(__file__).with_name("conftest.py"), tmp_path / "errors.rrd"
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
@@ -226,7 +229,7 @@ import runpy, sys
 from pickenv.errors import InputError
 from pickenv.inspect import record_comparison
 try:
-    record_comparison(runpy.run_path(sys.argv[1])["synthetic_comparison"](reaches=5), sys.argv[2])
+    record_comparison(runpy.run_path(sys.argv[1])["synthetic_comparison"](reaches=5, cells_per_axis=3), sys.argv[2])
 except InputError as error:
     sys.exit("RERUN" not in str(error))
 sys.exit(2)
