@@ -11,8 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Plant
-from pickenv.arm.effects import boom_flexure, driven_joints, gravity_torques, yielded_joints
 from pickenv.arm.geometry import Array, Geometry
 from pickenv.arm.kinematics import Chain, Frame, attach, chain_of, frames, split_joints
 
@@ -47,19 +45,22 @@ def nominal_points(geometry: Geometry, q: ArrayLike) -> Array:
     return _points(chain, frames(np, chain, joints), joints)
 
 
-def true_points(plant: Plant, q: ArrayLike) -> Array:
-    """Points ``(..., 2n + 2, 3)`` in m along the true arm, with all its effects, for joint commands ``(..., n)``."""
-    joints = split_joints(plant.geometry.joints, q)
-    chain = chain_of(plant.geometry)
-    if plant.transmission_error is not None:
-        joints = driven_joints(np, plant.transmission_error, joints)
-    if plant.joint_compliance is not None and plant.load is not None:
-        torques = gravity_torques(chain, frames(np, chain, joints), plant.load)
-        joints = yielded_joints(plant.joint_compliance, torques, joints)
-    flexure = None
-    if plant.boom_bending is not None:
-        flexure = boom_flexure(plant.boom_bending, plant.load.payload if plant.load else 0.0, joints)
-    return _points(chain, frames(np, chain, joints, flexure), joints)
+def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
+    """Points ``(..., 2n + 2, 3)`` along the true arm, in m: its true geometry, drawn to where the tool really stood.
+
+    Where along the arm compliance, drives or the ground displace it is not asked: what they add at the tool is spread
+    evenly along the links. Base and tool are exact.
+
+    Args:
+        geometry: True geometry.
+        q: Joint commands ``(..., n)``, rad or m.
+        tool: True tool positions ``(..., 3)``, m.
+    """
+    points = nominal_points(geometry, q)
+    lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1)
+    along = np.concatenate([np.zeros_like(lengths[..., :1]), np.cumsum(lengths, axis=-1)], axis=-1)
+    rest = np.asarray(tool, dtype=float) - points[..., -1, :]
+    return np.asarray(points + (along / along[..., -1:])[..., None] * rest[..., None, :])
 
 
 def _points(chain: Chain, frame_list: Sequence[Frame], joints: Sequence[Array]) -> Array:

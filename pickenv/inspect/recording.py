@@ -195,8 +195,9 @@ def _send_scene(scribe: _Scribe, comparison: Comparison, gain: float) -> None:
     if not scribe.reaches:
         return
     scribe.still("world/fruit", rr.Points3D(comparison.fruit, colors=[FRUIT], radii=FRUIT_RADIUS))
-    joints = comparison.policies[0].reach_joints
-    believed, true = nominal_points(comparison.nominal, joints), true_points(comparison.plant, joints)
+    first = comparison.policies[0]
+    believed = nominal_points(comparison.nominal, first.reach_joints)
+    true = true_points(comparison.plant.geometry, first.reach_joints, first.reach_positions)
     parts = drawn_parts(believed)
     drawn = believed + gain * (true - believed)
     _send_arm(scribe, "world/arm/nominal", believed, parts, GREY, "majorwireframe", 1.0)

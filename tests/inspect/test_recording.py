@@ -119,8 +119,8 @@ def last_rod_ends(reading: Any, entity: str, reaches: int) -> np.ndarray:
 
 
 def test_the_arms_end_where_the_tool_is(reading: Any, comparison: Comparison) -> None:
-    q, reaches = comparison.policies[0].reach_joints, len(comparison.fruit)
-    believed, true = forward(comparison.nominal, q).position, comparison.plant.tool_pose(q).position
+    first, reaches = comparison.policies[0], len(comparison.fruit)
+    believed, true = forward(comparison.nominal, first.reach_joints).position, first.reach_positions
     drawn = believed + 25.0 * (true - believed)
     for name, position in (("nominal", believed), ("true", true), ("exaggerated", drawn)):
         ends = last_rod_ends(reading, f"/world/arm/{name}", reaches)
