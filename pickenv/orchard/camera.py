@@ -108,7 +108,8 @@ def stereo_depth_noise(focal_length: float, baseline: float, disparity_noise: fl
 def depth_noise(camera: Camera, distance: ArrayLike, light: ArrayLike = SUNLIGHT) -> Array:
     """Standard deviation along the line of sight, m, at distances in m under light in lx."""
     law = np.hypot(camera.depth_noise_floor, camera.depth_noise * np.asarray(distance, dtype=float) ** 2)
-    growth = np.exp(camera.noise_growth * (np.asarray(light, dtype=float) - camera.noise_light))
+    brighter = checks.numbers("the light (lx)", light, lowest=0.0) - camera.noise_light
+    growth = np.exp(camera.noise_growth * brighter)
     return np.asarray(law * growth)
 
 
@@ -159,22 +160,26 @@ def measured_positions(
     if draws.ndim == 0 or draws.shape[-1] != DRAWS:
         raise InputError(f"a measurement takes {DRAWS} random draws, not shape {draws.shape}")
     sight = positions - viewpoint
-    distance = np.linalg.norm(sight, axis=-1)
+    distance = np.sqrt(np.einsum("...i,...i->...", sight, sight))
     if (distance == 0).any():
         raise InputError("a fruit lies at the viewpoint; move the camera away")
     ray = sight / distance[..., None]
     right, up = _across(ray)
     lateral = camera.pixel_noise * distance / camera.focal_length
     along = depth_bias(camera, distance, light) + depth_noise(camera, distance, light) * draws[..., 2]
-    error = along[..., None] * ray
-    error = error + (lateral * draws[..., 0])[..., None] * right + (lateral * draws[..., 1])[..., None] * up
-    chance = draws[..., 3, None] * right + draws[..., 4, None] * up
-    side = chance if visible_side is None else checks.points("the visible side", visible_side)
-    side = np.where(np.linalg.norm(side, axis=-1, keepdims=True) > 1e-9, side, chance)
-    side = side / np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-300)
     hidden = 1.0 - np.clip(checks.numbers("the visible share", visible), 0.0, 1.0)
-    radius = checks.numbers("fruit diameters", diameters, lowest=0.0) / 2
-    return np.asarray(positions + error + (camera.occlusion_pull * radius * hidden)[..., None] * side)
+    pull = camera.occlusion_pull * hidden * checks.numbers("fruit diameters", diameters, lowest=0.0) / 2
+    chance = pull / np.maximum(np.hypot(draws[..., 3], draws[..., 4]), 1e-300)  # of a random side
+    known: Array | float = 0.0
+    if visible_side is not None:
+        side = checks.points("the visible side", visible_side)
+        length = np.sqrt(np.einsum("...i,...i->...", side, side))
+        given = length > 1e-9
+        known = side * np.where(given, pull / np.where(given, length, 1.0), 0.0)[..., None]
+        chance = np.where(given, 0.0, chance)
+    across = (lateral * draws[..., 0] + chance * draws[..., 3])[..., None] * right
+    upwards = (lateral * draws[..., 1] + chance * draws[..., 4])[..., None] * up
+    return np.asarray(positions + along[..., None] * ray + across + upwards + known)
 
 
 def in_image(camera: Camera, positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Flags:
@@ -261,11 +266,11 @@ def detect(
 
 def _across(ray: Array) -> tuple[Array, Array]:
     """Two unit vectors across each line of sight: level to the right, and up."""
-    upright = np.abs(ray[..., 2:]) > 1.0 - 1e-9
-    reference = np.where(upright, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
-    right = np.cross(ray, reference)
-    right = right / np.linalg.norm(right, axis=-1, keepdims=True)
-    return np.asarray(right), np.cross(right, ray)
+    x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
+    level = np.sqrt(x**2 + y**2)
+    upright = level < 1e-9  # looking straight up or down there is no level direction to the right: take the row's
+    a, b = (np.where(upright, rest, part / np.where(upright, 1.0, level)) for rest, part in ((1.0, y), (0.0, -x)))
+    return np.stack([a, b, np.zeros_like(z)], axis=-1), np.stack([b * z, -a * z, a * y - b * x], axis=-1)
 
 
 def _build(p: presets.Preset) -> Camera:

@@ -123,12 +123,12 @@ def foliage_path(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
     enter, leave = np.zeros(start.shape[:-1]), np.ones(start.shape[:-1])
     for a, b, low, high in slabs:
         run = b - a
-        still = np.abs(run) < 1e-12
-        with np.errstate(divide="ignore", invalid="ignore"):
-            first, second = (low - a) / run, (high - a) / run
-        outside = still & ((a < low) | (a > high))
-        enter = np.maximum(enter, np.where(still, np.where(outside, 1.0, 0.0), np.minimum(first, second)))
-        leave = np.minimum(leave, np.where(still, np.where(outside, 0.0, 1.0), np.maximum(first, second)))
+        still = np.abs(run) < ROUNDING
+        outside = np.abs((a + b) / 2 - (low + high) / 2) > (high - low) / 2 + ROUNDING  # asked of ways along the slab
+        run = np.where(still, 1.0, run)
+        first, second = (low - a) / run, (high - a) / run
+        enter = np.maximum(enter, np.where(still, outside, np.minimum(first, second)))
+        leave = np.minimum(leave, np.where(still, ~outside, np.maximum(first, second)))
     return np.asarray(np.maximum(leave - enter, 0.0) * np.linalg.norm(end - start, axis=-1))
 
 

@@ -238,7 +238,7 @@ def sample_diameters(size: FruitSize, count: int, rng: np.random.Generator) -> A
     from scipy.special import ndtr, ndtri
 
     uniform = rng.random(count)
-    if size.std == 0:
+    if size.std < 1e-9 * size.mean:
         return np.full(count, size.mean)
     low, high = ndtr((np.array([size.smallest, size.largest]) - size.mean) / size.std)
     drawn = size.mean + size.std * ndtri(low + uniform * (high - low))

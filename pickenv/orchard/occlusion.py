@@ -79,7 +79,7 @@ def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpo
 def disc_cover(radius: ArrayLike, other: ArrayLike, apart: ArrayLike) -> Array:
     """Share of a disc's area under another disc, whose centre is ``apart`` away; any shapes that broadcast."""
     r, s, d = (np.asarray(value, dtype=float) for value in np.broadcast_arrays(radius, other, apart))
-    inside = d <= np.abs(r - s)
+    inside = d <= np.abs(r - s) + 1e-12 * (r + s)
     safe = np.where(inside | (d >= r + s), np.maximum(r, s), d)  # any distance at which the discs cross
     a = np.arccos(np.clip((safe**2 + r**2 - s**2) / (2 * safe * r), -1.0, 1.0))
     b = np.arccos(np.clip((safe**2 + s**2 - r**2) / (2 * safe * s), -1.0, 1.0))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.orchard import (
@@ -21,6 +21,8 @@ from pickenv.orchard import (
     stem_ends,
     swing,
 )
+
+quick = settings(deadline=None, derandomize=True)
 
 MASS = 0.185
 REST = np.zeros(3)
@@ -58,6 +60,7 @@ def test_damping_takes_the_logarithmic_decrement_per_period() -> None:
     assert np.log(0.05 / there[0]) == pytest.approx(2 * np.pi * zeta / np.sqrt(1 - zeta**2))
 
 
+@quick
 @given(branches, vectors, vectors, vectors, st.floats(0.0, 2.0), st.floats(0.0, 2.0))
 def test_two_steps_are_one_long_step(b: Branch, x: tuple, v: tuple, force: tuple, t1: float, t2: float) -> None:
     once = swing(b, x, v, MASS, t1 + t2, force)
@@ -66,6 +69,7 @@ def test_two_steps_are_one_long_step(b: Branch, x: tuple, v: tuple, force: tuple
     assert once[1] == pytest.approx(twice[1], abs=1e-8)
 
 
+@quick
 @given(branches, vectors, vectors, vectors)
 def test_a_small_step_obeys_the_equation_of_motion(b: Branch, x: tuple, v: tuple, force: tuple) -> None:
     dt, omega = 1e-6, natural_frequencies(b, MASS)
@@ -74,6 +78,7 @@ def test_a_small_step_obeys_the_equation_of_motion(b: Branch, x: tuple, v: tuple
     assert (speed - v) / dt == pytest.approx(acceleration, rel=1e-3, abs=1e-3)
 
 
+@quick
 @given(branches, vectors)
 def test_a_steady_push_ends_at_force_over_stiffness(b: Branch, force: tuple) -> None:
     b = replace(b, damping_ratio=0.5)
@@ -82,6 +87,7 @@ def test_a_steady_push_ends_at_force_over_stiffness(b: Branch, force: tuple) -> 
     assert there == pytest.approx(np.array(force) / stiffness, abs=1e-9)
 
 
+@quick
 @given(branches, vectors, st.floats(0.0, 1.0))
 def test_after_the_settling_time_fruit_stays_close(b: Branch, x: tuple, later: float) -> None:
     time = settling_time(b, x, MASS, within=2e-3)
@@ -128,6 +134,7 @@ def test_ninety_five_of_a_hundred_apples_come_off_at_28_newtons_or_a_quarter_new
     assert detached(strength, twist=-0.257).mean() == pytest.approx(0.95, abs=0.005)
 
 
+@quick
 @given(st.floats(0.0, 100.0), st.floats(0.0, 1.0), st.integers(0, 2**32))
 def test_what_a_pull_or_twist_detaches_both_together_detach(pull: float, twist: float, seed: int) -> None:
     limits = load_detachment("apple")

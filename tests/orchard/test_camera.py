@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.orchard import (
@@ -20,6 +20,8 @@ from pickenv.orchard import (
     shipped,
     stereo_depth_noise,
 )
+
+quick = settings(deadline=None, derandomize=True)
 
 ORIGIN, AHEAD = np.zeros(3), np.array([0.0, 1.0, 0.0])
 units = st.floats(-1.0, 1.0)
@@ -46,6 +48,7 @@ def test_the_laser_line_is_good_to_millimetres(distance: float, error: float) ->
     assert depth_noise(load_camera("laser_line"), distance) == pytest.approx(error, rel=0.01)
 
 
+@quick
 @given(units, st.floats(0.6, 3.0), units, st.integers(0, 2**32))
 def test_the_perfect_camera_does_not_err(x: float, y: float, z: float, seed: int) -> None:
     draws = np.random.default_rng(seed).normal(size=DRAWS)
@@ -60,6 +63,7 @@ def test_stereo_noise_grows_with_the_square_of_distance() -> None:
     assert depth_noise(camera, 1.0) == pytest.approx(0.0081, abs=1e-4)
 
 
+@quick
 @given(st.floats(0.0, 1.0), st.integers(0, 2**32))
 def test_occlusion_pulls_to_the_visible_side_by_at_most_half_a_radius(visible: float, seed: int) -> None:
     camera, side = load_camera("azure_kinect"), np.array([1.0, 0.0, 0.0])
@@ -83,6 +87,7 @@ def test_where_leaves_hide_it_the_pull_goes_anywhere_across_the_line_of_sight() 
     assert np.abs(pull.mean(axis=0)).max() < 5e-4
 
 
+@quick
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_the_more_is_visible_the_likelier_it_is_found(a: float, b: float) -> None:
     for name in shipped("camera"):
@@ -117,6 +122,7 @@ def test_one_seed_gives_one_image() -> None:
     np.testing.assert_array_equal(images[0].fruit, images[1].fruit)
 
 
+@quick
 @given(st.tuples(units, units, units), st.tuples(units, units, units))
 def test_the_camera_frame_and_back(position: tuple, looking: tuple) -> None:
     looking = np.add(looking, [0.0, 2.5, 0.0])
@@ -134,3 +140,23 @@ def test_detections_are_named_by_the_nearest_fruit_one_to_one() -> None:
     seen = Detections(np.array([[0.0, 0, 1], [0.02, 0, 1], [5.0, 0, 1]]), np.full(3, -1), np.ones(3))
     named = match_detections(seen, [[0.03, 0, 1], [0.001, 0, 1], [2.0, 0, 1]], within=0.05)
     assert named.fruit.tolist() == [1, 0, -1]
+
+
+@pytest.mark.parametrize("looking", [[0.0, 0.0, 1.0], [0.0, 0.0, -2.0], [1.0, 1.0, 0.3], [0.0, -1.0, 1e-12]])
+def test_a_camera_has_right_handed_axes_wherever_it_looks(looking: list[float]) -> None:
+    axes = camera_frame(np.eye(3), ORIGIN, looking).T  # rows: right, down, ahead
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+
+
+def test_a_batch_errs_as_single_measurements_do() -> None:
+    rng, camera = np.random.default_rng(2), load_camera("d455f")
+    fruit, draws = rng.uniform([-1, 1, 0], [1, 2, 1], (4, 6, 3)), rng.normal(size=(4, 6, DRAWS))
+    view, visible = rng.uniform(-0.5, 0.5, (4, 6, 3)), rng.random((4, 6))
+    side = rng.normal(size=(4, 6, 3)) * (rng.random((4, 6, 1)) > 0.5)
+    arguments = {"visible": visible, "visible_side": side}
+    many = measured_positions(camera, fruit, view, draws, diameters=0.07, **arguments)
+    at = (2, 3)
+    single = {name: value[at] for name, value in arguments.items()}
+    one = measured_positions(camera, fruit[at], view[at], draws[at], diameters=0.07, **single)
+    np.testing.assert_array_equal(many[at], one)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.orchard import (
@@ -18,6 +18,8 @@ from pickenv.orchard import (
     shipped,
 )
 from pickenv.orchard.occlusion import disc_cover
+
+quick = settings(deadline=None, derandomize=True)
 
 AISLE = [0.0, -1.0, 1.6]
 coordinates = st.floats(-3.0, 3.0)
@@ -36,6 +38,7 @@ def test_a_v_trellis_hangs_over_the_aisle() -> None:
     assert depth_behind_face(canopy, high) > depth_behind_face(canopy, low)
 
 
+@quick
 @given(point, point)
 def test_the_way_through_foliage_is_the_same_both_ways_and_no_longer_than_the_way(a: tuple, b: tuple) -> None:
     for name in shipped("canopy"):
@@ -45,6 +48,7 @@ def test_the_way_through_foliage_is_the_same_both_ways_and_no_longer_than_the_wa
         assert -1e-12 <= through <= np.linalg.norm(np.subtract(a, b)) + 1e-9
 
 
+@quick
 @given(point, point)
 def test_the_way_through_foliage_is_what_small_steps_measure(a: tuple, b: tuple) -> None:
     canopy = load_canopy("v_trellis")
@@ -61,6 +65,7 @@ def test_foliage_dims_as_beer_and_lambert_have_it() -> None:
     assert seen == pytest.approx(np.exp(-extinction * np.array([0.0, 0.1, 0.2, 0.4])))
 
 
+@quick
 @given(st.floats(0.01, 1.0), st.floats(0.01, 1.0), st.floats(0.0, 2.0))
 def test_a_covered_area_is_the_same_from_either_disc(r: float, s: float, apart: float) -> None:
     assert disc_cover(r, s, apart) * r**2 == pytest.approx(disc_cover(s, r, apart) * s**2, abs=1e-9)

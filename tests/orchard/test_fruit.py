@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.orchard import (
@@ -22,6 +22,8 @@ from pickenv.orchard import (
     sample_diameters,
     sample_fruit,
 )
+
+quick = settings(deadline=None, derandomize=True)
 
 COLUMNS = slice(12, 179)  # of the mapped row: the rest is sensing margin
 ROWS = slice(1, 5)
@@ -120,12 +122,14 @@ maps = st.builds(
 )
 
 
+@quick
 @given(maps, st.integers(1, 12))
 def test_other_numbers_of_rows_keep_the_apples_per_metre(fruit_map: FruitMap, rows: int) -> None:
     assert fruit_map.with_rows(rows).density == pytest.approx(fruit_map.density)
     assert fruit_map.with_rows(len(fruit_map.row_means)).row_means == pytest.approx(fruit_map.row_means)
 
 
+@quick
 @given(maps, st.floats(0.5, 60.0))
 def test_scaling_sets_the_density_and_keeps_the_shares(fruit_map: FruitMap, density: float) -> None:
     scaled = fruit_map.scaled(density)
@@ -133,6 +137,7 @@ def test_scaling_sets_the_density_and_keeps_the_shares(fruit_map: FruitMap, dens
     assert scaled.row_shares == pytest.approx(fruit_map.row_shares)
 
 
+@quick
 @given(maps, st.integers(0, 2**32))
 def test_counts_are_whole_clusters_and_one_seed_repeats_them(fruit_map: FruitMap, seed: int) -> None:
     counts = sample_counts(fruit_map, 12, np.random.default_rng(seed))
@@ -157,6 +162,7 @@ def test_apples_are_75_mm_wide_and_weigh_180_g() -> None:
     assert fruit_masses(size, 0.0749) == pytest.approx(0.185, abs=0.001)
 
 
+@quick
 @given(st.floats(0.03, 0.1), st.floats(0.0, 0.03), st.integers(0, 2**32))
 def test_diameters_stay_within_their_cut(mean: float, std: float, seed: int) -> None:
     size = FruitSize(mean, std, 0.9 * mean, 1.2 * mean, 840.0)

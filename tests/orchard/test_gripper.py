@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.orchard import CompliantHand, Cup, capture_probability, captured, load_gripper, misalignment
+
+quick = settings(deadline=None, derandomize=True)
 
 vectors = st.tuples(*[st.floats(-0.2, 0.2)] * 3)
 
@@ -69,6 +71,7 @@ def test_lis_cup_clears_five_millimetres() -> None:
     assert capture_probability(cup, 0.0, 0.0, 0.0, diameter=0.0749) == 0.0  # a real apple does not fit
 
 
+@quick
 @given(st.floats(0, 0.1), st.floats(0, 0.1), st.floats(0, 1), st.floats(0, 0.05))
 def test_more_misalignment_never_helps(lateral: float, axial: float, angle: float, more: float) -> None:
     for name in ("li_cup", "compliant_hand"):
@@ -81,6 +84,7 @@ def test_more_misalignment_never_helps(lateral: float, axial: float, angle: floa
         assert capture_probability(gripper, -lateral, -axial, -angle) == here
 
 
+@quick
 @given(vectors, vectors)
 def test_lateral_and_axial_are_the_offsets_two_legs(offset: tuple, axis: tuple) -> None:
     axis = np.add(axis, [0.0, 0.0, 1.0])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.orchard import (
@@ -18,6 +18,8 @@ from pickenv.orchard import (
     sample_leaves,
     triangulate,
 )
+
+quick = settings(deadline=None, derandomize=True)
 
 CAMERA, LOOK = load_stereo_camera("li2016"), load_look("red_apples")
 GRID = np.stack(np.meshgrid(np.linspace(-0.45, 0.45, 4), np.linspace(-0.3, 0.3, 3)), axis=-1).reshape(-1, 2)
@@ -54,6 +56,7 @@ def test_the_camera_is_the_papers() -> None:
     assert (CAMERA.erosions, CAMERA.dilations, CAMERA.least_area_share) == (2, 2, 0.2)
 
 
+@quick
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.3, 5))
 def test_triangulation_undoes_projection(x: float, y: float, z: float) -> None:
     assert triangulate(CAMERA, project(CAMERA, [x, y, z])) == pytest.approx([x, y, z], abs=1e-9)
