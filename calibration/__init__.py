@@ -4,10 +4,11 @@ Usable without Gymnasium; imports only `pickenv.arm`. torch is loaded when a net
 """
 
 from calibration.bpnn import Bpnn, BpnnSettings, train_bpnn
-from calibration.calibration import Calibration, Fit, fit
+from calibration.calibration import Calibration
 from calibration.columns import read_measurements
 from calibration.compensation import Compensator
 from calibration.error_model import complete_model, frames_model, link_model
+from calibration.fitting import Fit, fit
 from calibration.identifiability import Identifiability, identifiability
 from calibration.least_squares import Identification, align, identify
 from calibration.measurements import Measurements, random_joints, simulated_tracker

@@ -35,6 +35,14 @@ class Conditions:
         parts = {name: getattr(self, name) for name in ("payload", "temperature", "torque")}
         return Conditions(**{name: None if part is None else part[rows] for name, part in parts.items()})
 
+    def spread(self, shape: tuple[int, ...]) -> Conditions:
+        """One value each, repeated for a batch of poses of this shape (flattened)."""
+        count = int(np.prod(shape))
+        parts = {name: getattr(self, name) for name in ("payload", "temperature")}
+        return Conditions(
+            **{name: None if part is None else np.broadcast_to(part, (count,)) for name, part in parts.items()}
+        )
+
     def inputs(self) -> Array | None:
         """Payload and temperature as columns ``(N, k)`` for a learnt residual; None if neither is known."""
         columns = [part for part in (self.payload, self.temperature) if part is not None]

@@ -1,25 +1,22 @@
-"""A fitted calibration: fit, predict, compensate, save and load. One file, no pickle, refused on another arm."""
+"""A fitted calibration: predict, compensate, save and load. One file, no pickle, refused on another arm."""
 
 from __future__ import annotations
 
 import json
-import platform
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calibration.bpnn import Bpnn, BpnnSettings, train_bpnn
+from calibration.arm_model import ArmModel, Conditions
 from calibration.compensation import Compensator
-from calibration.error_model import ErrorModel, complete_model, frames_model, link_model, residual
-from calibration.least_squares import Identification, align, identify, refuse_another_arm
-from calibration.measurements import Measurements
+from calibration.residual_models import LearntResidual
+from calibration.terms import term_from
 from pickenv.arm import Arm, Geometry, Pose
 from pickenv.arm.geometry import LINK_PARAMETERS, Array
 from pickenv.errors import InputError
@@ -33,6 +30,37 @@ DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zi
 
 
 @dataclass(frozen=True, eq=False)
+class Remainder:
+    """What the true pose differs from the identified geometry by: parametric terms plus the learnt residual.
+
+    Attributes:
+        model: Gives the terms.
+        learnt: Learnt residual, or None.
+        conditions: Payload and temperature, one value each (or one per pose).
+    """
+
+    model: ArmModel
+    learnt: LearntResidual | None
+    conditions: Conditions
+
+    def parts(self) -> bool:
+        """Whether there is anything to add."""
+        return bool(self.model.terms) or self.learnt is not None
+
+    def predict(self, joints: ArrayLike) -> Array:
+        """Pose residual ``(..., 6)``, m and rad, at joints ``(..., n)``; one learnt from positions turns nothing."""
+        joints = np.asarray(joints, dtype=float)
+        total = np.zeros((*joints.shape[:-1], 6))
+        if self.model.terms:
+            total += self.model.displacement(joints, self.conditions.spread(joints.shape[:-1]))
+        if self.learnt is not None:
+            inputs = self.conditions.spread(joints.shape[:-1]).inputs() if self.learnt.inputs.conditions else None
+            learnt = self.learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
+            total[..., : learnt.shape[-1]] += learnt
+        return total
+
+
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """What a calibration found for one arm.
 
@@ -40,47 +68,60 @@ class Calibration:
         arm_name: Name of the arm.
         arm_fingerprint: Hash of the arm's nominal geometry; `load` refuses another arm's calibration.
         nominal: What the controller believes; where base and tool were fitted, with the fitted base and tool.
-        identified: The calibrated geometry.
-        network: Learnt residual, or None.
+        model: The calibrated geometry with its parametric terms.
+        learnt: Learnt residual, or None.
         record: Evidence for people and programs: data hash, seeds, versions, rank, dropped parameters.
     """
 
     arm_name: str
     arm_fingerprint: str
     nominal: Geometry
-    identified: Geometry
-    network: Bpnn | None
+    model: ArmModel
+    learnt: LearntResidual | None
     record: Mapping[str, Any]
 
-    def compensator(self, *, with_residual: bool = True) -> Compensator:
-        """The map from joint targets to joint commands, with the learnt residual unless told otherwise."""
-        return Compensator(self.nominal, self.identified, self.network if with_residual else None)
+    @property
+    def identified(self) -> Geometry:
+        """The calibrated geometry."""
+        return self.model.geometry
 
-    def compensate(self, joints: ArrayLike) -> Array:
+    def compensator(self, *, with_residual: bool = True, conditions: Conditions | None = None) -> Compensator:
+        """The map from joint targets to joint commands.
+
+        Args:
+            with_residual: Whether the learnt residual takes part; parametric terms always do.
+            conditions: Payload and temperature, one value each, for terms and residuals that need them.
+        """
+        remainder = Remainder(self.model, self.learnt if with_residual else None, conditions or Conditions())
+        return Compensator(self.nominal, self.identified, remainder if remainder.parts() else None)
+
+    def compensate(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Joint commands for joint targets ``(..., n)``, rad or m."""
-        return self.compensator()(joints)
+        return self.compensator(conditions=conditions)(joints)
 
-    def predict(self, joints: ArrayLike) -> Pose:
+    def predict(self, joints: ArrayLike, conditions: Conditions | None = None) -> Pose:
         """Expected true tool pose at joint commands ``(..., n)``."""
-        return self.compensator().predict(joints)
+        return self.compensator(conditions=conditions).predict(joints)
 
-    def geometric(self) -> Calibration:
+    def without_residual(self) -> Calibration:
         """This calibration without its learnt residual."""
-        return replace(self, network=None)
+        return replace(self, learnt=None)
 
     def save(self, path: str | Path) -> Path:
         """Write one file (NumPy archive, no pickle), whole or not at all; ``.npz`` is appended if missing."""
         arrays: dict[str, Array] = {}
         for key, geometry in (("nominal", self.nominal), ("identified", self.identified)):
             arrays |= {f"{key}/{name}": value for name, value in geometry_arrays(geometry).items()}
-        if self.network is not None:
-            arrays |= {f"network/{name}": value for name, value in self.network.arrays().items()}
+        arrays["coefficients"] = self.model.coefficients
+        if self.learnt is not None:
+            arrays |= {f"learnt/{name}": value for name, value in self.learnt.arrays().items()}
         header = {
             "format": FORMAT,
             "arm": self.arm_name,
             "arm_fingerprint": self.arm_fingerprint,
             "joint_names": self.nominal.joint_names,
             "prismatic": self.nominal.prismatic,
+            "terms": [term.specification() for term in self.model.terms],
             "record": self.record,
         }
 
@@ -107,7 +148,7 @@ class Calibration:
                 f"calibration file {path} does not exist; run `pickenv demo` or `pickenv calibrate` to make one"
             )
         try:
-            with np.load(path, allow_pickle=False) as archive:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 arrays = {key: archive[key] for key in archive.files}
             header = json.loads(str(arrays.pop("header")))
             file_format = int(header["format"])
@@ -122,13 +163,15 @@ class Calibration:
             )
         try:
             names, prismatic = tuple(header["joint_names"]), tuple(header["prismatic"])
-            network = _part(arrays, "network")
+            learnt = _part(arrays, "learnt")
+            identified = geometry_from_arrays(_part(arrays, "identified"), names, prismatic)
+            terms = tuple(term_from(term) for term in header["terms"])
             return Calibration(
                 arm_name=header["arm"],
                 arm_fingerprint=header["arm_fingerprint"],
                 nominal=geometry_from_arrays(_part(arrays, "nominal"), names, prismatic),
-                identified=geometry_from_arrays(_part(arrays, "identified"), names, prismatic),
-                network=Bpnn.from_arrays(network) if network else None,
+                model=ArmModel(identified, terms, arrays["coefficients"]),
+                learnt=LearntResidual.from_arrays(learnt) if learnt else None,
                 record=header["record"],
             )
         except DAMAGE as error:
@@ -164,108 +207,3 @@ def geometry_from_arrays(
     base = Pose(named["base_position"], named["base_rotation"])
     tool = Pose(named["tool_position"], named["tool_rotation"])
     return Geometry(joint_names, prismatic, **numbers, base=base, tool=tool)
-
-
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A calibration together with how it was found.
-
-    Attributes:
-        calibration: The result.
-        identification: Evidence of the least-squares stage.
-        aligned: Evidence of the base and tool fit, where they were unknown.
-    """
-
-    calibration: Calibration
-    identification: Identification
-    aligned: Identification | None
-
-
-def fit(
-    arm: Arm,
-    measurements: Measurements,
-    residual_measurements: Measurements | None = None,
-    *,
-    known_frames: bool = False,
-    rng: np.random.Generator | None = None,
-    settings: BpnnSettings | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Fit:
-    """Calibrate an arm: least squares on the geometry, then, if data are given for it, the network on what remains.
-
-    Args:
-        arm: The arm.
-        measurements: Poses for the identification (the paper: 100).
-        residual_measurements: Poses for the network (the paper: 200), or None for geometry alone.
-        known_frames: True if the instrument measures in the arm's own base frame with the tool known (simulation);
-            then the paper's 24 parameters are identified. Else base, tool and Hayati's beta are fitted too.
-        rng: Seeds the network; needed with ``residual_measurements``.
-        settings: Network settings.
-        progress: Called with (epochs done, epochs in all).
-
-    Raises:
-        InputError: If there are too few poses, the data do not fit the arm, or the identification does not converge.
-    """
-    aligned = None
-    nominal = arm.nominal
-    model: ErrorModel = link_model(nominal)
-    if not known_frames:
-        aligned = align(nominal, measurements, frames_model(nominal))
-        nominal, model = aligned.geometry, complete_model(nominal)
-    else:
-        refuse_another_arm(nominal, measurements, "with base and tool taken as known")
-    found = identify(model, nominal, measurements)
-    if not found.converged:
-        raise InputError(
-            f"{measurements.source}: the identification did not converge (residual {found.residual_rms[-1]:.3g} "
-            "standard uncertainties); check units, joint signs and outliers, or measure more varied poses"
-        )
-    network = None
-    trained: dict[str, Any] | None = None
-    if residual_measurements is not None:
-        if rng is None:
-            raise ValueError("give rng, which seeds the network")
-        if residual_measurements.rotation is None:
-            raise InputError(f"{residual_measurements.source}: the network learns pose residuals; measure full poses")
-        targets = residual(found.geometry, residual_measurements)
-        trained = {
-            "data_fingerprint": residual_measurements.fingerprint(),
-            "poses": len(residual_measurements),
-            "settings": asdict(settings or BpnnSettings()),
-            "generator": _generator_state(rng),
-        }
-        network = train_bpnn(residual_measurements.joints, targets, rng, settings, progress)
-    record = {
-        "source": measurements.source,
-        "data_fingerprint": measurements.fingerprint(),
-        "poses": len(measurements),
-        "kind": measurements.kind,
-        "rank": found.identifiability.rank,
-        "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
-        "network": trained,
-        "versions": _versions("torch") if trained else _versions(),
-    }
-    calibration = Calibration(arm.name, arm.fingerprint(), nominal, found.geometry, network, record)
-    return Fit(calibration, found, aligned)
-
-
-def _generator_state(rng: np.random.Generator) -> Any:
-    """The generator's state as it stands, in plain numbers: what reproduces the network to the bit."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: plain(item) for key, item in value.items()}
-        return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-
-    return plain(rng.bit_generator.state)
-
-
-def _versions(*more: str) -> dict[str, str]:
-    """Versions of what computed the calibration."""
-    found = {"python": platform.python_version()}
-    for name in ("pickenv", "numpy", "scipy", *more):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:  # a checkout that was never installed
-            found[name] = "not installed"
-    return found

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.arm_model import ArmModel
 from calibration.measurements import Measurements
 from pickenv.arm import Geometry, forward, parameter_jacobian, pose_error
 from pickenv.arm.geometry import Array, Pose
@@ -59,6 +60,17 @@ def complete_model(geometry: Geometry) -> ErrorModel:
 def frames_model(geometry: Geometry) -> ErrorModel:
     """Base and tool pose only: what must be fitted before a nominal error can be stated honestly."""
     return _model(geometry, [name for name in geometry.parameter_names if name.startswith(("base_", "tool_"))])
+
+
+def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
+    """The model's parameters and the coefficients of the arm's terms."""
+    count = len(arm.geometry.parameter_names)
+    names = arm.parameter_names[count:]
+    return ErrorModel(
+        np.concatenate([model.columns, np.arange(count, count + len(names))]),
+        model.names + names,
+        np.concatenate([model.tolerance, arm.term_tolerances]),
+    )
 
 
 def _is_extra(name: str) -> bool:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from calibration.calibration import Fit, fit
 from calibration.error_model import residual
+from calibration.fitting import Fit, fit
 from calibration.measurements import Measurements
 from calibration.metrics import ErrorStatistics, error_statistics
 from calibration.splits import blocked_split, random_split

@@ -130,8 +130,8 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         progress=lambda done, total: report("training network", done, total),
     )
     calibration = fitted.calibration
-    assert calibration.network is not None
-    r2 = held_out_r2(residual(calibration.identified, test), calibration.network.predict(test.joints))
+    assert calibration.learnt is not None
+    r2 = held_out_r2(residual(calibration.identified, test), calibration.learnt.predict(test.joints))
     compensators: dict[str, Compensator | None] = {
         "raw": None,
         "ls": calibration.compensator(with_residual=False),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calibration import Bpnn
 from calibration.error_model import residual
 from pickenv.inspect import figures
 from pickenv.inspect.field_figure import error_fields
@@ -23,8 +24,9 @@ def demo_figures(result: DemoResult) -> dict[str, Callable[[], Figure]]:
 
     found = result.fit.identification
     spectrum = found.identifiability
-    network = result.fit.calibration.network
-    assert network is not None
+    learnt = result.fit.calibration.learnt
+    assert learnt is not None and isinstance(learnt.model, Bpnn)
+    loss = learnt.model.loss
     sets = {
         "identification": result.identification.joints,
         "network": result.network.joints,
@@ -43,7 +45,7 @@ def demo_figures(result: DemoResult) -> dict[str, Callable[[], Figure]]:
         "position_error_by_policy": lambda: figures.error_by_method(reach_mm),
         "attitude_error_by_policy": lambda: figures.error_by_method(reach_deg, quantity="attitude error", unit="deg"),
         "least_squares_convergence": lambda: figures.least_squares_convergence(position, attitude),
-        "network_convergence": lambda: figures.network_convergence(network.loss),
+        "network_convergence": lambda: figures.network_convergence(loss),
         "parameter_spectrum": lambda: figures.parameter_spectrum(spectrum.r_diagonal, kept, names=spectrum.names),
         "joint_coverage": lambda: figures.joint_coverage(result.plant.arm.nominal, sets),
     }
