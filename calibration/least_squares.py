@@ -14,6 +14,7 @@ import numpy as np
 
 from calibration.arm_model import ArmModel, Conditions
 from calibration.error_model import LENGTH_TOLERANCE, ErrorModel, residual
+from calibration.gauge import identifiable_parameters
 from calibration.identifiability import Identifiability, identifiability
 from calibration.measurements import Measurements, random_joints
 from calibration.observations import Observations, PoseObservations
@@ -151,20 +152,22 @@ def _identify(
     factors = 1.0 if row_factors is None else row_factors[:, None]
     matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors)
     poses = sum(len(part.joints) for part in sets)
-    found = identifiability(matrix, names, tolerance, poses)
+    found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance)
     _enough_poses(model, arm, sets, found)
     kept, scale = found.kept, tolerance[found.kept]
     iterates = [arm]
     history = [_rms(weighted)]
     converged, damping = False, 0.0
     for _ in range(max_iterations):
-        step = _solve(matrix[:, kept], weighted, damping)
+        step = whole = _solve(matrix[:, kept], weighted, 0.0)
+        if damping:
+            step = _solve(matrix[:, kept], weighted, damping)
         change = np.zeros(len(names))
         change[kept] = step * scale
         moved, moved_unknowns = _moved(arm, unknowns, model, change)
         moved_weighted = _weighted(sets, moved, moved_unknowns, factors)
         rms = _rms(moved_weighted)
-        negligible = damping == 0.0 and np.max(np.abs(step), initial=0.0) < 1e-5
+        negligible = np.max(np.abs(whole), initial=0.0) < 1e-5  # a shortened step proves nothing
         if rms > history[-1] * (1 + 1e-9):
             if negligible:  # worse by rounding alone: this is the minimum
                 converged = True
@@ -177,7 +180,7 @@ def _identify(
         arm, unknowns = moved, moved_unknowns
         history.append(rms)
         iterates.append(arm)
-        if negligible or (damping == 0.0 and history[-2] - rms < 1e-7 * rms):  # a shortened step proves nothing
+        if negligible or (damping == 0.0 and history[-2] - rms < 1e-7 * rms):
             converged = True
             weighted = moved_weighted
             break

@@ -40,6 +40,11 @@ class Observations(Protocol):
         """Name of the kind."""
         ...
 
+    @property
+    def framed(self) -> bool:
+        """Whether the instrument has a frame, so that the arm's base pose can be seen at all."""
+        ...
+
     def unknowns(self) -> tuple[str, ...]:
         """Names of the kind's own unknowns, all lengths (m)."""
         ...
@@ -82,6 +87,11 @@ class PoseObservations:
     def kind(self) -> str:
         """Either "pose" or "position"."""
         return self.measurements.kind
+
+    @property
+    def framed(self) -> bool:
+        """Poses and positions are stated in the instrument's frame."""
+        return True
 
     def unknowns(self) -> tuple[str, ...]:
         """None: base and tool are parameters of the geometry."""
@@ -130,6 +140,7 @@ class ReflectorObservations:
     conditions: Conditions = NONE_KNOWN
     source: str = "reflectors"
     kind: str = "reflectors"
+    framed: bool = True
 
     def unknowns(self) -> tuple[str, ...]:
         """Reflector positions in the tool's frame."""
@@ -185,6 +196,7 @@ class DistanceObservations:
     conditions: Conditions = NONE_KNOWN
     source: str = "wire lengths"
     kind: str = "distance"
+    framed: bool = False
 
     def unknowns(self) -> tuple[str, ...]:
         """The anchor."""
@@ -234,6 +246,7 @@ class SocketObservations:
     conditions: Conditions = NONE_KNOWN
     source: str = "sockets"
     kind: str = "sockets"
+    framed: bool = False
 
     def unknowns(self) -> tuple[str, ...]:
         """Positions of the sockets."""

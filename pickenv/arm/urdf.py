@@ -5,6 +5,7 @@ Lengths in metres and angles in radians, as URDF has them; rpy is rotation about
 
 from __future__ import annotations
 
+import warnings
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -72,10 +73,12 @@ def load_urdf(path: str | Path, tip: str | None = None, base: str | None = None)
         directions.append(rotation @ direction)
         limit = joint.find("limit")
         attributes = {} if limit is None or kind == "continuous" else limit.attrib
-        low, high = float(attributes.get("lower", -np.pi)), float(attributes.get("upper", np.pi))
-        lower.append(low)
-        upper.append(high)
-        speed.append(float(attributes.get("velocity", 1.0)))
+        numbers = {"lower": -np.pi, "upper": np.pi, "velocity": 1.0}
+        for key in numbers.keys() & attributes.keys():
+            numbers[key] = _number(attributes[key], f"{key} limit of joint '{joint.get('name')}'", path)
+        lower.append(numbers["lower"])
+        upper.append(numbers["upper"])
+        speed.append(numbers["velocity"])
     if not names:
         raise InputError(f"{path}: the chain to link '{tip}' has no moving joint")
     tool = Pose(position, rotation)
@@ -109,6 +112,16 @@ def _numbers(element: ElementTree.Element | None, key: str, path: Path) -> Array
     if values.shape != (3,) or not np.isfinite(values).all():
         raise InputError(f"{path}: '{text}' is not three numbers ({key})")
     return values
+
+
+def _number(text: str, owner: str, path: Path) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"{path}: the {owner} is '{text}'; give a finite number")
+    return value
 
 
 def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
@@ -151,7 +164,9 @@ def _joint(
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
-    rpy = Rotation.from_matrix(origin.rotation).as_euler("xyz")
+    with warnings.catch_warnings():  # at pitch 90 deg roll is set to zero, which is as good an answer as any
+        warnings.filterwarnings("ignore", message="Gimbal lock")
+        rpy = Rotation.from_matrix(origin.rotation).as_euler("xyz")
     xyz = " ".join(repr(float(v)) for v in origin.position)
     ElementTree.SubElement(joint, "origin", xyz=xyz, rpy=" ".join(repr(float(v)) for v in rpy))
     return joint
