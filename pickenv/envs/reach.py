@@ -194,7 +194,7 @@ class ReachEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             InputError: If the action is not finite or has another shape.
         """
         values = np.asarray(action, dtype=float)
-        if values.shape != (len(self._increment),) or not math.isfinite(values.sum()):
+        if values.shape != (len(self._increment),) or not all(map(math.isfinite, values.tolist())):
             raise InputError(f"action {values} is not {len(self._increment)} finite numbers between -1 and 1")
         self._target = [
             min(max(target + min(max(share, -1.0), 1.0) * most, low), high)

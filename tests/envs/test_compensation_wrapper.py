@@ -1,0 +1,139 @@
+"""CompensationWrapper: invisible to the policy, visible in the true error."""
+
+import copy
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import RecordEpisodeStatistics, RescaleAction, TimeLimit
+
+from agents import ScriptedReach
+from pickenv.errors import InputError
+from pickenv.wrappers import CompensationWrapper
+
+
+@pytest.fixture
+def reach(make):
+    def build(**arguments):
+        return make(**{"plant": "geometry_only"} | arguments)
+
+    return build
+
+
+def run(env, seed=3, steps=60):
+    """Observations, flags and informations of an episode of seeded random actions."""
+    rng = np.random.default_rng(seed)
+    observation, info = env.reset(seed=seed)
+    seen, flags, infos = [observation], [], [info]
+    for _ in range(steps):
+        observation, _, terminated, truncated, info = env.step(rng.uniform(-1, 1, 6).astype(np.float32))
+        seen.append(observation)
+        flags.append((terminated, truncated))
+        infos.append(info)
+    return np.array(seen), flags, infos
+
+
+def driven(env, policy, seed):
+    """The last observation and information of an episode of the policy."""
+    observation, info = env.reset(seed=seed)
+    policy.reset()
+    truncated = False
+    while not truncated:
+        observation, _, _, truncated, info = env.step(policy.act(observation))
+    return observation, info
+
+
+def test_observations_are_equal_to_the_bit_and_the_command_is_not(reach, compensator):
+    bare, wrapped = reach(), CompensationWrapper(reach(), compensator)
+    assert wrapped.observation_space == bare.observation_space and wrapped.action_space == bare.action_space
+    seen, flags, infos = run(bare)
+    seen_too, flags_too, infos_too = run(wrapped)
+    assert np.array_equal(seen, seen_too) and flags == flags_too
+    commands, corrected = (np.array([info["joint_command"] for info in i]) for i in (infos, infos_too))
+    assert np.abs(corrected - commands).max(axis=0).min() > 1e-6
+    assert infos[0].keys() == infos_too[0].keys()
+
+
+@pytest.mark.parametrize("plant", ["geometry_only", "qiao2026"])
+def test_the_believed_end_stays_and_the_true_error_shrinks(reach, compensator, plant):
+    """Design: same believed end point with and without the wrapper, smaller true error with it."""
+    bare, wrapped = reach(plant=plant), CompensationWrapper(reach(plant=plant), compensator)
+    ends = [(driven(bare, ScriptedReach(bare), s), driven(wrapped, ScriptedReach(wrapped), s)) for s in range(15)]
+    for (seen, _), (seen_too, _) in ends:
+        assert np.array_equal(seen, seen_too)
+        assert np.linalg.norm(seen[12:15]) < 1e-5  # the believed tool is at the fruit
+    raw, better = (np.array([pair[i][1]["position_error_mm"] for pair in ends]) for i in (0, 1))
+    assert raw.mean() > 1.0
+    if plant == "geometry_only":
+        assert better.max() < 0.02  # what single precision of the observation leaves
+    else:
+        assert better.mean() < raw.mean()
+
+
+def test_its_place_in_the_stack_does_not_matter(reach, compensator):
+    inside = RecordEpisodeStatistics(TimeLimit(CompensationWrapper(reach().unwrapped, compensator), 60))
+    outside = CompensationWrapper(RecordEpisodeStatistics(TimeLimit(reach().unwrapped, 60)), compensator)
+    between = RescaleAction(CompensationWrapper(reach(), compensator), np.float32(-1), np.float32(1))
+    reference = run(inside)
+    for env in (outside, between):
+        seen, flags, infos = run(env)
+        assert np.array_equal(seen, reference[0]) and flags == reference[1]
+        np.testing.assert_array_equal(
+            [info["pose_error"] for info in infos], [info["pose_error"] for info in reference[2]]
+        )
+
+
+def test_seeds_and_resets_are_left_alone(reach, compensator):
+    bare, wrapped = reach(feedback="camera", camera_noise_mm=2.0), None
+    wrapped = CompensationWrapper(reach(feedback="camera", camera_noise_mm=2.0), compensator)
+    for seed in (1, None, None):
+        one, other = bare.reset(seed=seed)[0], wrapped.reset(seed=seed)[0]
+        assert np.array_equal(one[:18], other[:18])  # the camera's own offset is the true one, and moves
+        action = np.full(6, 0.3, dtype=np.float32)
+        assert np.array_equal(bare.step(action)[0][:18], wrapped.step(action)[0][:18])
+
+
+def test_closing_removes_it(reach, compensator):
+    env = reach()
+    before = run(env)[2][-1]["pose_error"]
+    wrapped = CompensationWrapper(env, compensator)
+    assert not np.array_equal(run(wrapped)[2][-1]["pose_error"], before)
+    wrapped.close()
+    wrapped.close()
+    assert np.array_equal(run(env)[2][-1]["pose_error"], before)
+    CompensationWrapper(env, compensator)  # and another may take its place
+
+
+def test_wrapping_twice_is_refused_and_leaves_the_first(reach, compensator):
+    env = CompensationWrapper(reach(), compensator)
+    with pytest.raises(InputError, match="already has a compensator; wrap it once"):
+        CompensationWrapper(env, lambda joints: joints)
+    assert env.unwrapped.compensator is compensator
+
+
+def test_an_environment_without_a_seam_is_refused(compensator):
+    with pytest.raises(InputError, match="has no compensation seam"):
+        CompensationWrapper(gym.make("CartPole-v1"), compensator)
+
+
+def test_a_copy_has_its_own(reach, compensator):
+    env = CompensationWrapper(reach(), compensator)
+    twin = copy.deepcopy(env)
+    reference = run(twin)[2][-1]["pose_error"]
+    env.close()
+    assert np.array_equal(run(twin)[2][-1]["pose_error"], reference)
+
+
+def test_ppo_trains_through_it(reach, compensator):
+    from stable_baselines3 import PPO
+
+    def train():
+        env = CompensationWrapper(reach(), compensator)
+        model = PPO("MlpPolicy", env, n_steps=128, batch_size=64, n_epochs=2, seed=0, device="cpu")
+        before = model.policy.state_dict()["action_net.weight"].clone()
+        model.learn(256)
+        return before, model.policy.state_dict()["action_net.weight"]
+
+    before, after = train()
+    assert np.isfinite(after.numpy()).all() and not np.array_equal(before.numpy(), after.numpy())
+    assert np.array_equal(train()[1].numpy(), after.numpy())  # twice the same
