@@ -152,7 +152,7 @@ class PosePlan:
                 f"{part.drawn.condition:.1f}), O1 {part.planned.o1 / part.drawn_o1:.2f} times theirs"
             )
         lines.append(
-            f"  moves take {self.travel_seconds:.0f} s in this order, {self.random_travel_seconds:.0f} s in a random one"
+            f"  moves take {self.travel_seconds:.0f} s in this order, {self.random_travel_seconds:.0f} s in another"
         )
         if self.predicted_error is not None and self.random_predicted_error is not None:
             lines.append(
@@ -287,8 +287,8 @@ def _elsewhere(geometry: Geometry, design: Design, joints: Array) -> Array:
 
 def _observed(rows: Array) -> Observability:
     """Observability of stacked rows ``(M, r, p)``."""
-    values: Array = np.linalg.svd(rows.reshape(-1, rows.shape[-1]), compute_uv=False)
-    return observability(values, len(rows))
+    values = np.linalg.svd(rows.reshape(-1, rows.shape[-1]), compute_uv=False)
+    return observability(np.asarray(values, dtype=float), len(rows))
 
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> AgainstChance:
