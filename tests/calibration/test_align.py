@@ -18,7 +18,8 @@ def placed(geometry, seed, reach=0.1):
     rng = np.random.default_rng(seed)
     base = Pose(rng.uniform(-5, 5, 3), rotation_matrix(rng.normal(size=3) * 2))
     tool = Pose(
-        geometry.tool.position + rng.uniform(-reach, reach, 3), rotation_matrix(rng.normal(size=3)) @ geometry.tool.rotation
+        geometry.tool.position + rng.uniform(-reach, reach, 3),
+        rotation_matrix(rng.normal(size=3)) @ geometry.tool.rotation,
     )
     return replace(geometry, base=base, tool=tool)
 

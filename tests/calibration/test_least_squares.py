@@ -81,8 +81,11 @@ def test_table_1_is_explained_by_all_24_with_truncation(qiao, exact):
 
 @pytest.mark.parametrize("millimetres", [False, True])
 def test_the_papers_17_explode_in_normal_equations_and_not_here(qiao, exact, millimetres):
-    """Eq (11) as printed is singular: J'J has condition 1e16 and worse (rank 15 of 17), so that NumPy either refuses it
-    or steps by 1e16 m (measured: d1 = -3.9e19 mm, d2 = +3.9e19 mm). Ours drops d2 and theta6 and leaves 0.13-0.14 mm."""
+    """Eq (11) as printed is singular: J'J has condition 1e16 and worse (rank 15 of 17).
+
+    NumPy either refuses it or steps by 1e16 m (measured: d1 = -3.9e19 mm, d2 = +3.9e19 mm). Ours drops d2 and theta6
+    and leaves 0.13-0.14 mm.
+    """
     data, whole = exact(qiao.true, 100), link_model(qiao.nominal)
     model = some_of(whole, set(whole.names) - PAPER_DROPS)
     rows = np.repeat([1e3 if millimetres else 1.0, 1.0], 3)
@@ -168,4 +171,4 @@ def test_the_report_says_what_was_found(qiao, exact):
     hasty = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.true, 60), max_iterations=1).report()
     assert hasty.startswith("NOT CONVERGED")
     assert describe_absorption({}) == "has no effect on these measurements"
-    assert "and 2 more" in describe_absorption({name: 1.0 for name in "abcdef"})
+    assert "and 2 more" in describe_absorption(dict.fromkeys("abcdef", 1.0))

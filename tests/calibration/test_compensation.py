@@ -1,0 +1,102 @@
+"""Compensation (Qiao 2026 eqs (13)-(16), Fig. 3): the true tool goes where the nominal one was meant to go."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calibration import Compensator, random_joints
+from pickenv.arm import forward, load_arm, noncompensable_error, pose_error
+
+
+def interior(geometry, count, seed=0):
+    """Joints far enough from the limits that corrections have room."""
+    span = geometry.upper - geometry.lower
+    return np.random.default_rng(seed).uniform(
+        geometry.lower + 0.1 * span, geometry.upper - 0.1 * span, (count, len(span))
+    )
+
+
+def shrunk(arm, share):
+    """The arm with a share of Table 1's deviations."""
+    return arm.nominal.displaced(share * arm.nominal.difference(arm.true))
+
+
+def missed(compensator, truth, joints):
+    """Largest position error, m, and compensable attitude error, rad, of the true tool."""
+    command = compensator(joints)
+    error = pose_error(forward(compensator.nominal, joints), forward(truth, command))
+    error = error - noncompensable_error(truth, command, error)
+    return np.linalg.norm(error[:, :3], axis=1).max(), np.linalg.norm(error[:, 3:], axis=1).max()
+
+
+def test_one_correction_is_right_to_second_order(qiao):
+    joints = interior(qiao.nominal, 300)
+    whole, half = (
+        np.array(missed(Compensator(qiao.nominal, shrunk(qiao, s), iterations=1), shrunk(qiao, s), joints))
+        for s in (1, 0.5)
+    )
+    assert whole[0] < 2e-5 and whole[1] < 2e-5  # of 4.5 mm and 3.4 mrad
+    assert (whole / half > 3).all()
+
+
+def test_two_corrections_leave_nanometres(qiao):
+    position, attitude = missed(Compensator(qiao.nominal, qiao.true), qiao.true, interior(qiao.nominal, 300))
+    assert position < 2e-7 and attitude < 1e-6
+
+
+@given(seed=st.integers(0, 2**32 - 1), scale=st.floats(0, 20))
+@settings(max_examples=30, deadline=None)
+def test_joint_limits_are_kept(qiao, seed, scale):
+    """However wrong the arm, and at the very limits."""
+    rng = np.random.default_rng(seed)
+    joints = random_joints(qiao.nominal, 20, rng)
+    joints[:10] = np.where(rng.random((10, 6)) < 0.5, qiao.nominal.lower, qiao.nominal.upper)
+    command = Compensator(qiao.nominal, shrunk(qiao, scale))(joints)
+    assert (command >= qiao.nominal.lower).all() and (command <= qiao.nominal.upper).all()
+
+
+def test_corrections_are_small_where_the_literal_inverse_commands_metres(qiao):
+    joints = random_joints(qiao.nominal, 2000, np.random.default_rng(0))
+    assert np.abs(Compensator(qiao.nominal, qiao.true)(joints) - joints).max() < 0.02
+
+
+@pytest.mark.parametrize("arm", ["qiao2026", "ur5", "wam"])
+def test_a_perfect_arm_is_left_alone(arm):
+    nominal = load_arm(arm).nominal
+    joints = random_joints(nominal, 100, np.random.default_rng(0))
+    np.testing.assert_allclose(Compensator(nominal, nominal)(joints), joints, atol=1e-12)
+
+
+def test_a_batch_is_its_poses_one_by_one(protocol):
+    compensator = protocol[0].calibration.compensator()
+    joints = random_joints(compensator.nominal, 12, np.random.default_rng(0))
+    batch = compensator(joints.reshape(3, 4, 6))
+    assert batch.shape == (3, 4, 6)
+    np.testing.assert_allclose(batch.reshape(12, 6), [compensator(q) for q in joints], atol=1e-12)
+
+
+DRIFT = np.array([1e-3, -2e-3, 5e-4, 0, 0, 0])
+
+
+class Drift:
+    """A residual that is the same everywhere."""
+
+    def predict(self, joints):
+        return np.zeros((*np.shape(joints)[:-1], 6)) + DRIFT
+
+
+def test_a_residual_is_expected_and_countered(qiao):
+    joints = interior(qiao.nominal, 100)
+    compensator = Compensator(qiao.nominal, qiao.nominal, Drift())
+    there = forward(qiao.nominal, compensator(joints)).position + DRIFT[:3]
+    np.testing.assert_allclose(there, forward(qiao.nominal, joints).position, atol=1e-7)
+    expected = compensator.predict(joints).position - forward(qiao.nominal, joints).position
+    np.testing.assert_allclose(expected, Drift().predict(joints)[:, :3], atol=1e-15)
+
+
+def test_the_joints_asked_for_are_not_written_over(qiao):
+    joints = interior(qiao.nominal, 5)
+    before = joints.copy()
+    Compensator(qiao.nominal, qiao.true)(joints)
+    assert np.array_equal(joints, before)
