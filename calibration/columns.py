@@ -185,7 +185,8 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Column
         stem = name.rpartition("_")[0]
         found = [column for column in header if column.rpartition("_")[0] == stem]
         if len(found) != 1 or found[0].rpartition("_")[2] not in LENGTHS + ANGLES:
-            fault = f"has the unknown unit '{found[0].rpartition('_')[2]}'" if found else "is missing"
+            unit = found[0].rpartition("_")[2] if found else ""
+            fault = "is given twice" if len(found) > 1 else f"has the unknown unit '{unit}'" if found else "is missing"
             raise InputError(
                 f"{where}: joint column '{name}' {fault}; our format has {', '.join(expected)}, x_mm, y_mm, z_mm"
             )
@@ -362,9 +363,11 @@ def _assemble(table: _Table, description: ColumnDescription, geometry: Geometry)
             bad = int(np.argmax(np.abs(np.linalg.norm(values, axis=1) - 1.0)))
             raise InputError(f"{table.where}: row {table.lines[bad]} holds a quaternion that is not of unit length")
         if kind == "angle" and np.abs(values).max() > 4 * np.pi:
+            bad, column = divmod(int(np.argmax(np.abs(values))), values.shape[1])
+            hint = "its unit is probably deg" if description.rotation_unit == "rad" else "correct or remove the row"
             raise InputError(
-                f"{table.where}: attitudes reach {np.abs(values).max():.0f} rad, which no rotation needs; "
-                f"the unit '{description.rotation_unit}' is probably wrong, give deg"
+                f"{table.where}: row {table.lines[bad]}, column '{description.rotation[column]}' is "
+                f"{np.abs(values[bad, column]):.0f} rad, which no rotation needs; {hint}"
             )
         rotation = convert(values).as_matrix()
     return Measurements(

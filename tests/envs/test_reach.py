@@ -238,5 +238,5 @@ def test_impossible_actions_are_refused_and_move_nothing(make, action, shape):
 
 
 def test_a_tilt_that_the_arm_cannot_take_is_said_so(make):
-    with pytest.raises(InputError, match="found no pose .* raise max_tilt_deg"):
+    with pytest.raises(InputError, match=r"found no pose .* raise max_tilt_deg"):
         make(max_tilt_deg=1e-4).reset(seed=0)
