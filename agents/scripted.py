@@ -22,7 +22,7 @@ class ScriptedReach:
         """Read the arm's nominal geometry and increments from ``env``, a `pickenv/Reach-v0`, wrapped or not."""
         inner = env.unwrapped
         self.geometry: Geometry = inner.plant.arm.nominal
-        self.increment = np.array(inner._increment)
+        self.increment = np.array(inner.increment)
         self._wanted: Array | None = None
 
     def reset(self) -> None:

@@ -14,6 +14,16 @@ try:
 except PackageNotFoundError:  # a checkout that was never installed
     __version__ = "0.0.0"
 
-gymnasium.register(id="pickenv/Reach-v0", entry_point="pickenv.envs.reach:ReachEnv", max_episode_steps=60)
+for _name, _module, _class in (
+    ("Reach", "reach", "Reach"),
+    ("ReachGoal", "reach_goal", "ReachGoal"),
+    ("ReachIdeal", "reach_ideal", "ReachIdeal"),
+):
+    gymnasium.register(
+        id=f"pickenv/{_name}-v0",
+        entry_point=f"pickenv.envs.{_module}:{_class}Env",
+        vector_entry_point=f"pickenv.envs.vector:{_class}VectorEnv",
+        max_episode_steps=60,
+    )
 
 __all__ = ["InputError", "__version__"]

@@ -11,25 +11,26 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import load_plant
+from pickenv.arm.batch import plant_at
 from pickenv.arm.geometry import Array
-from pickenv.arm.kinematics import Frame, chain_of, frame_error, tool_frame
+from pickenv.arm.kinematics import Frame, tool_frame
 from pickenv.arm.plant import Plant
+from pickenv.envs.arms import changed_plant, choose_arm, population_size
+from pickenv.envs.executors import FLOATS, NUMPY, Executor, Scalar
+from pickenv.envs.simulation import Look, ReachState, begin, flat_observation, goal_attempt, look, move, true_reward
+from pickenv.envs.spaces import action_space, check_options, flat_space
+from pickenv.envs.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
+from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, Task, check_choice, make_task
 from pickenv.errors import InputError
 
-CONTROL_PERIOD = 0.1
-"""Time between two actions, s: with the arm file's joint speeds it bounds one action's increment."""
-
-MOST_CAMERA_NOISE_MM = 100.0
-"""Ten standard deviations of the camera then stay within the metre that the observation's bounds leave for errors."""
-
-FEEDBACK = ("encoders", "camera")
-REWARDS = ("dense", "sparse")
+EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
+RENDER_MODES = ("human", "rgb_array")
 
 Compensate = Callable[[Array], Array]
+Information = dict[str, Any]
 
 
-class ReachEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
     """Bring the tool to a fruit, in the attitude asked for, with an arm that is not what its controller believes.
 
     ## Description
@@ -62,7 +63,7 @@ class ReachEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     | Num   | Observation                                                          | Min  | Max  | Unit |
     |-------|----------------------------------------------------------------------|------|------|------|
-    | 0-5   | joint readings, scaled to the joint limits                           | -1   | 1    | 1    |
+    | 0-5   | joint readings (motor side, as nominal joints), scaled to the limits | -1   | 1    | 1    |
     | 6-8   | believed tool position (nominal forward kinematics of the readings)  | -R   | R    | m    |
     | 9-11  | fruit position as the camera saw it                                  | -R   | R    | m    |
     | 12-14 | fruit minus believed tool position                                   | -2R  | 2R   | m    |
@@ -82,19 +83,35 @@ class ReachEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     ## Starting State
 
     All joints at mid-range. Wanted poses are drawn from the nominal arm's joint ranges, 5 % away from the limits, such
-    that the tool points upwards within `max_tilt_deg`: the arm picks from below. `reset(options=...)` takes
-    `"start_joints"` and `"goal_joints"` (rad and m).
+    that the tool points upwards within `max_tilt_deg`: the arm picks from below. A plant with memory (backlash,
+    vibration, warm-up) starts at rest, cold and not yet sunk. `reset(options=...)` takes `"start_joints"` and
+    `"goal_joints"` (rad and m) and, where `arms` is not "fixed", `"arm"`, the number of the arm in the population.
+
+    Every random number is a hash of seed and episode (`pickenv.envs.streams`): resets without a seed go on through the
+    seed's episodes, and an environment gives the same episodes alone, in a `SyncVectorEnv` and in the native vector
+    environment.
 
     ## Episode End
 
-    - Termination: never; final accuracy is the point, so reaching the fruit does not end the episode.
+    - Termination: never, unless `end_on_success`; final accuracy is the point, so reaching the fruit does not end the
+      episode.
     - Truncation: after 60 steps (`max_episode_steps` of `gym.make`).
 
     ## Information
 
-    `info` has the same keys after `reset` and `step`: `position_error_mm`, `attitude_error_deg`, `is_success` (bool),
-    `pose_error` (true tool against fruit: m, and rotation vector in rad), `joint_command` (what the drives got),
-    `tool_position` (true, m), `fruit_position` (true, m).
+    `info` has the same keys after `reset` and `step`:
+
+    | Key                   | Meaning                                                               | Unit   |
+    |-----------------------|-----------------------------------------------------------------------|--------|
+    | `position_error_mm`   | distance between true tool and fruit; joints can remove all of it     | mm     |
+    | `attitude_error_deg`  | angle between true and wanted attitude                                | deg    |
+    | `noncompensable_deg`  | the part of that angle which no joint motion removes                  | deg    |
+    | `compensable_deg`     | the rest: sqrt(attitude_error^2 - noncompensable^2)                   | deg    |
+    | `is_success`          | whether the fruit is inside the capture region                        | bool   |
+    | `pose_error`          | true tool against fruit, and its rotation vector                      | m, rad |
+    | `joint_command`       | what the drives got                                                   | rad, m |
+    | `tool_position`       | true tool position                                                    | m      |
+    | `fruit_position`      | true fruit position                                                   | m      |
 
     ## Arguments
 
@@ -108,7 +125,8 @@ class ReachEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ```
 
-    - `plant` (str, default "qiao2026"): preset or path of a plant file; "geometry_only" is Table 1 alone.
+    - `plant` (str, default "qiao2026"): preset or path of a plant file; "geometry_only" is Table 1 alone, "ideal" has
+      no error at all.
     - `without` (sequence of str): effects of the plant to switch off.
     - `feedback` ("encoders" or "camera"): whether the camera's tool-to-fruit offset is part of the observation.
     - `camera_noise_mm` (float, 0 to 100, default 0): standard deviation per axis of all that the camera sees.
@@ -116,171 +134,210 @@ class ReachEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     - `angle_tolerance_deg` (float, default 10): attitude tolerance of the capture region.
     - `reward` ("dense" or "sparse").
     - `max_tilt_deg` (float, default 30): largest angle between the wanted tool axis and the vertical.
+    - `end_on_success` (bool, default False): whether the first step inside the capture region ends the episode.
+    - `arms` ("fixed", "per_env" or "per_episode"): the plant's own true arm, or one of a population, chosen once per
+      environment or anew in every episode. `tolerances` (class or file, default "medium"), `population` (int, default
+      256) and `population_seed` (int, default 0) say which; judge a policy on a population that it never saw.
+    - `executor` ("floats" or "numpy"): floats are fast; with "numpy" an environment gives the same bits as the native
+      vector environment on NumPy.
+    - `render_mode` (None, "human" or "rgb_array").
+
+    `gym.make_vec("pickenv/Reach-v0", num_envs=4096)` makes the native vector environment,
+    `pickenv.envs.vector.ReachVectorEnv`, which takes the same arguments and more.
 
     ## Version History
 
     * v0: First version.
     """
 
-    metadata = {"render_modes": [], "render_fps": 10}  # noqa: RUF012
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
 
-    def __init__(
-        self,
-        plant: str = "qiao2026",
-        without: Sequence[str] = (),
-        feedback: str = "encoders",
-        camera_noise_mm: float = 0.0,
-        tolerance_mm: float = 5.0,
-        angle_tolerance_deg: float = 10.0,
-        reward: str = "dense",
-        max_tilt_deg: float = 30.0,
-        render_mode: str | None = None,
-    ) -> None:
+    def __init__(self, *, executor: str = "floats", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        _choice("feedback", feedback, FEEDBACK)
-        _choice("reward", reward, REWARDS)
-        for name, value, low in (
-            ("tolerance_mm", tolerance_mm, 0.0),
-            ("angle_tolerance_deg", angle_tolerance_deg, 0.0),
-            ("camera_noise_mm", camera_noise_mm, None),
-            ("max_tilt_deg", max_tilt_deg, 0.0),
-        ):
-            if not math.isfinite(value) or value < 0 or value == low:
-                raise InputError(
-                    f"{name} is {value}; give a finite number {'above' if low == 0.0 else 'not below'} zero"
-                )
-        if camera_noise_mm > MOST_CAMERA_NOISE_MM:
-            raise InputError(f"camera_noise_mm is {camera_noise_mm}; give at most {MOST_CAMERA_NOISE_MM:.0f}")
-        self.plant: Plant = load_plant(plant, without=without)
-        self.feedback, self.reward_kind, self.render_mode = feedback, reward, render_mode
-        self.camera_noise = camera_noise_mm * 1e-3
-        self.tolerance_mm, self.angle_tolerance_deg = float(tolerance_mm), float(angle_tolerance_deg)
-        self.max_tilt = math.radians(max_tilt_deg)
+        check_choice("executor", executor, tuple(EXECUTORS))
+        if render_mode is not None:
+            check_choice("render_mode", render_mode, RENDER_MODES)
+        self.task: Task = make_task(**arguments)
+        self.plant: Plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, 0)
+        self.render_mode = render_mode
         self.compensator: Compensate | None = None
-        geometry = self.plant.arm.nominal
-        self._chain = chain_of(geometry)
-        self._lower, self._upper = geometry.lower.tolist(), geometry.upper.tolist()
-        self._increment = (self.plant.arm.speed * CONTROL_PERIOD).tolist()
-        n, reach = geometry.joints, _reach_bound(self.plant)
-        high = np.array([1.0] * n + [reach] * 6 + [2 * reach] * 3 + [math.pi] * 3, dtype=np.float32)
-        if feedback == "camera":
-            high = np.append(high, np.full(3, 2 * reach, dtype=np.float32))
-        self.observation_space = spaces.Box(-high, high, dtype=np.float32)
-        self.action_space = spaces.Box(-1.0, 1.0, (n,), dtype=np.float32)
-        self._target: list[float] = []
+        self.observation_space: spaces.Space[Any] = flat_space(self.task)
+        self.action_space: Any = action_space(self.task)
+        self._x: Executor = EXECUTORS[executor]
+        self._stream: int | None = None
+        self._episode = 0
+        self._step = 0
+        self._key: Scalar = 0
+        self._arm = 0
+        self._state: ReachState | None = None
+        self._scene: Look | None = None
+        self._window: Any = None
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Information]:
         """Start an episode; see the class for `options`."""
         super().reset(seed=seed)
         options = options or {}
-        unknown = set(options) - {"start_joints", "goal_joints"}
-        if unknown:
-            raise InputError(f"unknown reset option '{sorted(unknown)[0]}'; give start_joints or goal_joints")
-        middle = [(low + high) / 2 for low, high in zip(self._lower, self._upper, strict=True)]
-        self._target = self._given_joints(options, "start_joints") or middle
-        goal = self._given_joints(options, "goal_joints") or self._draw_goal()
-        self._goal: Frame = tool_frame(math, self._chain, goal)
-        seen = self._camera(self._goal[9:12])
-        self._goal_seen: Frame = (*self._goal[:9], *seen)
-        observation, info, _ = self._look()
-        return observation, info
+        check_options(options)
+        if seed is not None or self._stream is None:
+            given = self.np_random_seed
+            self._stream = seed_word(given if given is not None and given >= 0 else fresh_seed(self.np_random))
+            self._episode = 0
+        else:
+            self._episode += 1
+        x, task = self._x, self.task
+        self._key = episode_key(x, self._word(self._stream), self._word(self._episode))
+        self._take_arm(options.get("arm"))
+        start = self._given(options, "start_joints") or self._numbers(task.middle)
+        goal = self._given(options, "goal_joints")
+        frame: Frame = tool_frame(x.m, task.nominal, goal) if goal is not None else self._draw_goal()
+        self._state = begin(x, task, self.plant, self._key, start, frame, self._command(start))
+        self._step = 0
+        observation, _, information = self._look(0.0)
+        if self.render_mode == "human":
+            self.render()
+        return observation, information
 
-    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
         """Move the joint target by `action` and see where the true tool goes.
 
         Raises:
-            InputError: If the action is not finite or has another shape.
+            InputError: If the action is not finite or has another shape, or before the first reset.
         """
         values = np.asarray(action, dtype=float)
-        if values.shape != (len(self._increment),) or not all(map(math.isfinite, values.tolist())):
-            raise InputError(f"action {values} is not {len(self._increment)} finite numbers between -1 and 1")
-        self._target = [
-            min(max(target + min(max(share, -1.0), 1.0) * most, low), high)
-            for target, share, most, low, high in zip(
-                self._target, values.tolist(), self._increment, self._lower, self._upper, strict=True
+        if values.shape != (self.task.joints,) or not math.isfinite(values.sum()):
+            raise InputError(f"action {values} is not {self.task.joints} finite numbers between -1 and 1")
+        if self._state is None:
+            raise InputError("step was called before reset; call reset first")
+        target = move(self._x, self.task, self._state.target, self._numbers(values.tolist()))
+        self._state = self._state._replace(target=target)
+        self._step += 1
+        observation, reward, information = self._look(CONTROL_PERIOD)
+        if self.render_mode == "human":
+            self.render()
+        return observation, reward, self.task.end_on_success and information["is_success"], False, information
+
+    def render(self) -> Any:
+        """Draw the nominal ghost, the true arm and the fruit: an RGB array, or a window for "human"."""
+        if self.render_mode is None:
+            gym.logger.warn(
+                "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
             )
-        ]
-        observation, info, reward = self._look()
-        return observation, reward, False, False, info
+            return None
+        from pickenv.envs.drawing import Window, reach_pixels
+
+        if self._scene is None:
+            raise InputError("render was called before reset; call reset first")
+        plant = self.plant
+        if self._x is not FLOATS and self.task.arms != "fixed":
+            plant = plant_at(self.task.plant, self._arm)
+        parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
+        scene = Look(*parts)  # type: ignore[arg-type]
+        picture = reach_pixels(plant, self.joint_target, scene, self.task.tolerance_mm)
+        if self.render_mode == "rgb_array":
+            return picture
+        self._window = self._window or Window(self.metadata["render_fps"])
+        self._window.show(picture)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
 
     @property
     def joint_target(self) -> Array:
         """The nominal joint target that the actions have built up, rad or m."""
-        return np.array(self._target)
+        return np.array([] if self._state is None else self._plain(self._state.target))
 
-    def _look(self) -> tuple[NDArray[np.float32], dict[str, Any], float]:
-        """Observation, information and reward at the present joint target."""
-        target = self._target
-        command = target if self.compensator is None else self.compensator(np.array(target)).tolist()
-        # The encoders sit on the motor side and see the command; readings are mapped back to nominal joints, so that a
-        # compensator stays invisible to a policy that servoes on its believed tool position.
-        believed = tool_frame(math, self._chain, target)
-        offset = frame_error(believed, self._goal_seen)
-        readings = [
-            2.0 * (q - low) / (high - low) - 1.0 for q, low, high in zip(target, self._lower, self._upper, strict=True)
-        ]
-        true = self.plant.tool_frame_floats(command)
-        error = frame_error(self._goal, true)
-        numbers = [*readings, *believed[9:12], *self._goal_seen[9:12], *offset]
-        if self.feedback == "camera":
-            numbers += self._camera((-error[0], -error[1], -error[2]))
-        distance = 1e3 * math.sqrt(error[0] * error[0] + error[1] * error[1] + error[2] * error[2])
-        angle = math.degrees(math.sqrt(error[3] * error[3] + error[4] * error[4] + error[5] * error[5]))
-        success = distance <= self.tolerance_mm and angle <= self.angle_tolerance_deg
-        if self.reward_kind == "dense":
-            reward = -math.log10(1.0 + distance) - 0.5 * math.log10(1.0 + angle)
-        else:
-            reward = 0.0 if success else -1.0
-        info = {
+    @property
+    def increment(self) -> Array:
+        """Largest increment of each joint in one action, rad or m."""
+        return np.array(self.task.increment)
+
+    @property
+    def arm(self) -> int:
+        """Number of the true arm in its population; 0 for a fixed one."""
+        return self._arm
+
+    def _observe(self, scene: Look) -> tuple[Any, float]:
+        """Observation and reward; variants with other observations override it."""
+        reward: Scalar = true_reward(self._x, self.task, scene)
+        return np.array(self._plain(flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
+
+    def _look(self, dt: float) -> tuple[Any, float, Information]:
+        """Let time pass at the present joint target, then observation, reward and information."""
+        state, plain = self._state, self._plain
+        assert state is not None
+        command = self._command(state.target)
+        moment = self._word(self._step)
+        plant, scene = look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
+        self._state, self._scene = state._replace(plant=plant), scene
+        observation, reward = self._observe(scene)
+        distance, angle, lost, kept = plain((scene.distance_mm, scene.angle_deg, scene.lost_deg, scene.kept_deg))
+        information = {
             "position_error_mm": distance,
             "attitude_error_deg": angle,
-            "is_success": success,
-            "pose_error": np.array(error),
-            "joint_command": np.array(command),
-            "tool_position": np.array(true[9:12]),
-            "fruit_position": np.array(self._goal[9:12]),
+            "noncompensable_deg": lost,
+            "compensable_deg": kept,
+            "is_success": bool(scene.success),
+            "pose_error": np.array(plain(scene.error)),
+            "joint_command": np.array(plain(scene.command)),
+            "tool_position": np.array(plain(scene.tool)),
+            "fruit_position": np.array(plain(scene.fruit)),
         }
-        return np.array(numbers, dtype=np.float32), info, reward
+        return observation, reward, information
 
-    def _camera(self, point: Sequence[float]) -> list[float]:
-        """A point as the camera sees it."""
-        if not self.camera_noise:
-            return list(point)
-        return [v + float(e) for v, e in zip(point, self.np_random.normal(0.0, self.camera_noise, 3), strict=True)]
+    def _command(self, target: Sequence[Scalar]) -> Sequence[Scalar]:
+        """What the drives get for a joint target."""
+        if self.compensator is None:
+            return target
+        command: list[float] = self.compensator(np.array(self._plain(target))).tolist()
+        return self._numbers(command)
 
-    def _given_joints(self, options: dict[str, Any], key: str) -> list[float] | None:
+    def _take_arm(self, asked: int | None) -> None:
+        """Choose the true arm of this episode."""
+        x, task = self._x, self.task
+        if task.arms == "fixed":
+            if asked is not None:
+                raise InputError("option arm needs a population; make the environment with arms='per_episode'")
+            return
+        if asked is None:
+            assert self._stream is not None
+            key = self._key
+            if task.arms == "per_env":
+                key = episode_key(x, self._word(self._stream), self._word(0))
+            asked = int(self._plain((choose_arm(x, key),))[0] * population_size(task))
+        self._arm = number = task.given_arm(asked)
+        if x is FLOATS:
+            self.plant = plant_at(task.plant, number)
+        else:
+            self.plant = changed_plant(task.plant, lambda values: values[number : number + 1])
+
+    def _draw_goal(self) -> Frame:
+        """Frame of the first pose drawn whose tool points upwards."""
+        x, task = self._x, self.task
+        stream = stream_key(x, self._key, GOAL)
+        for attempt in range(GOAL_ATTEMPTS):
+            joints, upright = goal_attempt(x, task, stream, attempt)
+            if upright:
+                return tool_frame(x.m, task.nominal, joints)
+        raise task.no_goal()
+
+    def _given(self, options: dict[str, Any], key: str) -> Sequence[Scalar] | None:
         if options.get(key) is None:
             return None
-        joints = np.asarray(options[key], dtype=float)
-        lower, upper = np.array(self._lower), np.array(self._upper)
-        if joints.shape != lower.shape or not np.all((joints >= lower) & (joints <= upper)):
-            raise InputError(f"{key} must be {len(lower)} joints (rad, m) inside the joint limits {lower} to {upper}")
-        return [float(v) for v in joints]
+        return self._numbers(self.task.given_joints(key, options[key]).tolist())
 
-    def _draw_goal(self) -> list[float]:
-        """Joints of a wanted pose: uniform in the inner 90 % of the ranges, tool upwards within the largest tilt."""
-        lower, upper = np.array(self._lower), np.array(self._upper)
-        margin = 0.05 * (upper - lower)
-        for _ in range(10_000):
-            joints: list[float] = self.np_random.uniform(lower + margin, upper - margin).tolist()
-            if tool_frame(math, self._chain, joints)[8] >= math.cos(self.max_tilt):
-                return joints
-        raise InputError(
-            f"arm '{self.plant.arm.name}' found no pose with its tool within {math.degrees(self.max_tilt):.0f} deg of "
-            "the vertical; raise max_tilt_deg"
-        )
+    def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:
+        """Floats as the executor wants them."""
+        return values if self._x is FLOATS else [np.array([value]) for value in values]
 
+    def _plain(self, values: Sequence[Scalar]) -> list[float]:
+        """The executor's numbers as floats."""
+        if self._x is FLOATS:
+            return list(values)
+        return [float(value[0]) if isinstance(value, np.ndarray) else float(value) for value in values]
 
-def _choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise InputError(f"{name} is {value!r}; give one of {', '.join(allowed)}")
-
-
-def _reach_bound(plant: Plant) -> float:
-    """A radius that no tool position leaves, m: the sum of all lengths, plus 1 m for errors and camera noise."""
-    g = plant.arm.nominal
-    slides = np.array(g.prismatic) * np.maximum(np.abs(g.lower), np.abs(g.upper))
-    lengths = np.abs(g.a).sum() + np.abs(g.d).sum() + slides.sum()
-    return float(lengths + np.linalg.norm(g.base.position) + np.linalg.norm(g.tool.position) + 1.0)
+    def _word(self, number: int) -> Scalar:
+        return number if self._x is FLOATS else np.array([number], dtype=np.uint64)
