@@ -80,7 +80,7 @@ def test_another_attitude_convention_is_refused(qiao, exact, known_frames):
 
 @pytest.mark.parametrize("fault", SPOILT)
 def test_known_frames_are_no_excuse(qiao, exact, fault):
-    with pytest.raises(InputError, match="unit|signs"):
+    with pytest.raises(InputError, match=r"unit|signs"):
         fit(qiao, SPOILT[fault](exact(qiao.true, 80)), known_frames=True)
 
 
