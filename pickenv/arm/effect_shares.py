@@ -6,7 +6,7 @@ short wait, on a machine that has been running for some time.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -115,7 +115,7 @@ def effect_shares(
     def reached(*effects: str) -> Array:
         some = plant.without(name for name in EFFECTS if name not in effects)
         if "geometry" not in effects:
-            some = Plant(some.name, some.arm, plant.arm.nominal, **{n: getattr(some, n) for n in ("load", *EFFECTS)})
+            some = replace(some, geometry=plant.arm.nominal)
         return _reached(some, joints, running_time, pace)
 
     everything = reached(*on)

@@ -46,13 +46,6 @@ class Table:
             Table({key: value}, self.name, self.where, (key,)).number(key, positive=positive, signed=signed)
         return tuple(float(value) for value in values)
 
-    def share(self, key: str) -> float:
-        """A number from 0 up to, and without, 1."""
-        value = self.number(key)
-        if value >= 1:
-            raise self.fail(key, "a number from 0 to below 1")
-        return value
-
     def choice(self, key: str, allowed: Iterable[str], default: str) -> str:
         """One of ``allowed``."""
         value = self.table.get(key, default)
