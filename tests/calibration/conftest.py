@@ -1,11 +1,12 @@
 """What the tests of calibration share: arms, plants, and measurements free of noise."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calibration import Fit, Measurements, fit, random_joints, simulated_tracker
+from calibration import Fit, Measurements, fit, random_joints, read_measurements, simulated_tracker
 from pickenv.arm import Arm, Geometry, Plant, forward, load_arm, load_plant
 
 Exact = Callable[..., Measurements]
@@ -45,3 +46,11 @@ def protocol(request: pytest.FixtureRequest, dynamic: Plant) -> tuple[Fit, Measu
     rng = np.random.default_rng(request.param)
     sets = [simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (100, 200, 1000)]
     return fit(dynamic.arm, sets[0], sets[1], known_frames=True, rng=rng), sets[2]
+
+
+@pytest.fixture(scope="session")
+def measured_ur5(data_folder: Path) -> tuple[Geometry, Measurements]:
+    """A real arm: nominal UR5, and 1000 positions of it on a grid, in the order in which they were measured."""
+    geometry = load_arm("ur5").nominal
+    file = data_folder / "ur5_wam_jacobi2025/UR5/3D_UR5_uncalibrated_grid_cleaned.csv"
+    return geometry, read_measurements(file, geometry, "ur5_jacobi2025")
