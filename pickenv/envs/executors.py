@@ -51,6 +51,10 @@ class Executor:
     unit: Callable[[Scalar], Scalar]
     word: Callable[[int], Scalar]
 
+    def __reduce__(self) -> tuple[Callable[[str], Executor], tuple[str]]:
+        """Pickled and copied by name: modules and lambdas are neither."""
+        return executor_named, (self.name,)
+
 
 def _float_where(condition: bool, yes: Scalar, no: Scalar) -> Scalar:
     return yes if condition else no
@@ -112,6 +116,11 @@ def torch_executor() -> Executor:
         unit=lambda word: shifted(word, 11).to(torch.float64) * 2.0**-53,
         word=signed,
     )
+
+
+def executor_named(name: str) -> Executor:
+    """One of the three executors: "floats", "numpy" or "torch"."""
+    return torch_executor() if name == "torch" else {"floats": FLOATS, "numpy": NUMPY}[name]
 
 
 def signed(number: int) -> int:

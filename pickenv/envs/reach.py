@@ -204,7 +204,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
             InputError: If the action is not finite or has another shape, or before the first reset.
         """
         values = np.asarray(action, dtype=float)
-        if values.shape != (self.task.joints,) or not math.isfinite(values.sum()):
+        if values.shape != (self.task.joints,) or not all(map(math.isfinite, values.tolist())):
             raise InputError(f"action {values} is not {self.task.joints} finite numbers between -1 and 1")
         if self._state is None:
             raise InputError("step was called before reset; call reset first")

@@ -29,7 +29,8 @@ every_variant = pytest.mark.parametrize("arguments", VARIANTS, ids=str)
 
 
 @pytest.fixture(autouse=True)
-def strict():
+def strict(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "agg")  # windows without a screen
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
