@@ -45,14 +45,14 @@ class ErrorModel:
 
 def link_model(geometry: Geometry) -> ErrorModel:
     """The paper's model: the four MDH parameters of every joint; base and tool are taken as known (eqs (7)-(8))."""
-    return _model(geometry, [f"{name}" for name in geometry.parameter_names if not _is_extra(name)])
+    return _model(geometry, _link_names(geometry))
 
 
 def complete_model(geometry: Geometry) -> ErrorModel:
     """Base and tool pose, MDH parameters, and Hayati's beta between parallel axes: complete for any serial chain."""
     names = geometry.parameter_names
     frames = [name for name in names if name.startswith(("base_", "tool_"))]
-    links = [name for name in names if not _is_extra(name)]
+    links = _link_names(geometry)
     betas = [f"beta{i}" for i in range(1, geometry.joints) if abs(np.sin(geometry.alpha[i])) < PARALLEL]
     return _model(geometry, frames + links + betas)
 
@@ -73,8 +73,14 @@ def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
     )
 
 
-def _is_extra(name: str) -> bool:
-    return name.startswith(("base_", "tool_", "beta"))
+def _link_names(geometry: Geometry) -> list[str]:
+    """The MDH parameters by kind, lengths before joint angles.
+
+    Where an offset and angles are tied (d3 = (theta2 - theta1) / a1 of the picking arm), the offset is kept: a length
+    expresses a finite deviation exactly, angles only to first order.
+    """
+    kinds = ("alpha", "a", "d", "theta")
+    return [name for kind in kinds for name in geometry.parameter_names if name.rstrip("0123456789") == kind]
 
 
 def _model(geometry: Geometry, names: list[str]) -> ErrorModel:

@@ -53,7 +53,7 @@ def test_the_evidence_is_on_record(protocol):
     fit, _ = protocol
     record = fit.calibration.record
     assert (record["poses"], record["rank"], record["residual"]["poses"]) == (100, 16, 200)
-    assert set(record["dropped"]) == {"a2", "a3", "a5", "d2", "d3", "d4", "d6", "theta6"}
+    assert set(record["dropped"]) == {"a2", "a3", "a5", "d2", "d4", "d6", "theta2", "theta6"}
     assert record["residual"]["settings"]["epochs"] == 500
     assert record["residual"]["generator"]["bit_generator"] == "PCG64"
     assert {"python", "pickenv", "numpy", "torch"} <= set(record["versions"])
