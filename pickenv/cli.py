@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pickenv.commands import plants
 from pickenv.errors import InputError
 
 app = typer.Typer(
@@ -148,6 +149,10 @@ def calibrate(
         print(f"wrote {judged.fit.calibration.save(out)}")
     if json_file is not None:
         print(f"wrote {write_text(json_file, json.dumps(judged.as_dict(), indent=2) + chr(10))}")
+
+
+app.command()(plants.effects)
+app.command()(plants.iso9283)
 
 
 def main() -> None:
