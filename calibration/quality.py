@@ -68,15 +68,15 @@ class Completeness:
         """The test in words."""
         if self.degrees_of_freedom <= 0:
             return "there are no spare equations, so the model cannot be tested"
-        said = f"reduced chi^2 is {self.reduced:.3g} with {self.degrees_of_freedom} degrees of freedom"
+        said = f"reduced chi^2 {self.reduced:.3g}, {self.degrees_of_freedom} degrees of freedom"
         if not self.complete:
             return (
-                f"{said}: residuals are {np.sqrt(self.reduced):.2g} times the stated noise, so effects beyond the model"
-                " remain (or the stated noise is too small)"
+                f"what remains is {np.sqrt(self.reduced):.2g} times the stated noise ({said}): effects beyond the "
+                "model are left, or the stated noise is too small"
             )
         if self.p_small < SIGNIFICANCE / 2:
-            return f"{said}: residuals are smaller than the stated noise, which is probably stated too large"
-        return f"{said} (p = {self.p_value:.2g}): the model is complete for the stated noise"
+            return f"what remains is smaller than the stated noise ({said}), which is probably stated too large"
+        return f"what remains is the stated noise ({said}, p = {self.p_value:.2g}): the model is complete for it"
 
 
 def completeness(found: Identification) -> Completeness:

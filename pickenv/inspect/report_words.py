@@ -1,0 +1,62 @@
+"""What a parameter's name means, in words for a reader who does not know the notation."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from calibration.least_squares import is_angle
+
+LINK_WORDS = {
+    "alpha": "twist between the axes of {before} and {after}",
+    "a": "distance between the axes of {before} and {after}",
+    "beta": "second twist between the parallel axes of {before} and {after}",
+    "theta": "angle offset of {after}",
+    "d": "offset along the axis of {after}",
+}
+FRAME_WORDS = {"base": "base of the arm in the instrument's frame", "tool": "target on the last link"}
+EFFECT_WORDS = {
+    "compliance": "yielding of {after} under load",
+    "bending": "bending of the boom {after}",
+    "lead": "lead error of the drive of {after}",
+    "periodic": "periodic error of the drive of {after}",
+    "reflector": "reflector on the tool",
+    "anchor": "anchor of the wire",
+    "socket": "socket that the ball rests in",
+    "thermal": "growth with temperature",
+}
+
+
+def parameter_words(name: str, joint_names: Sequence[str]) -> str:
+    """The meaning of a parameter; an empty string for a name that is not known.
+
+    Args:
+        name: Such as alpha0, theta1, base_x, compliance4.
+        joint_names: Names of the joints; links count from 0 for alpha, a and beta, from 1 for theta and d.
+    """
+    found = re.fullmatch(r"(alpha|a|beta|theta|d)(\d+)", name)
+    if found:
+        kind, number = found[1], int(found[2])
+        place = number if kind in ("alpha", "a", "beta") else number - 1
+        if not 0 <= place < len(joint_names):
+            return ""
+        before = "the base" if place == 0 else joint_names[place - 1]
+        return LINK_WORDS[kind].format(before=before, after=joint_names[place])
+    frame, _, axis = name.partition("_")
+    if frame in FRAME_WORDS:
+        return f"{FRAME_WORDS[frame]}: {'turn about ' if axis.startswith('r') else 'position along '}{axis[-1]}"
+    found = re.match(r"([a-z]+)(\d*)", name)
+    if found and found[1] in EFFECT_WORDS:
+        place = int(found[2] or 1) - 1
+        after = joint_names[place] if place < len(joint_names) else ""
+        return EFFECT_WORDS[found[1]].format(after=after)
+    return ""
+
+
+def unit_of(name: str, geometric: Sequence[str]) -> tuple[str, float]:
+    """Unit of a parameter on screens, and the factor from SI; coefficients of effects stay in SI."""
+    if name in geometric:
+        return ("deg", 180.0 / 3.141592653589793) if is_angle(name) else ("mm", 1e3)
+    if name.startswith(("reflector", "anchor", "socket")):
+        return "mm", 1e3
+    return "SI", 1.0
