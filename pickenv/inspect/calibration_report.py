@@ -292,7 +292,8 @@ def _parameters(e: Evidence) -> str:
     )
     left_out = (
         '<h2>Parameters left at their nominal value</h2><p class="explain">Their effect cannot be told from that of '
-        f"others; what absorbs it is named (m, rad). Nothing is lost in the predicted pose.</p><ul class="columns">{dropped}</ul>"
+        "others; what absorbs it is named (m, rad). Nothing is lost in the predicted pose.</p>"
+        f'<ul class="columns">{dropped}</ul>'
         if dropped
         else ""
     )

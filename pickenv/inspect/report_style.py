@@ -46,7 +46,8 @@ footer { margin-top: 28px; color: var(--soft); font-size: .83rem; overflow-wrap:
 @media print { :root { color-scheme: light; --ink: #000; --soft: #444; --paper: #fff; --card: #f3f3f3;
   --rule: #ccc;
   --before: #b37700; --after: #0072b2; --best: #009e73; --good: #0b7a4b; --care: #8a4f00; --bad: #b01c22; }
-  @page { size: A4; margin: 11mm; } html { font-size: 9px; } .explain { max-width: none; } main { max-width: none; padding: 0; }
+  @page { size: A4; margin: 11mm; }
+  html { font-size: 9px; } .explain { max-width: none; } main { max-width: none; padding: 0; }
   .scroll { overflow: visible; } .wide td.words { min-width: 0; } .wide td:nth-child(2) { min-width: 20rem; }
   * { -webkit-print-color-adjust: exact; print-color-adjust: exact; }
   h2 { margin-top: 12px; break-after: avoid; } th, td { padding: 1px 5px; }
