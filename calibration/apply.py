@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +32,7 @@ ATTITUDE_TOLERANCE = 2e-5
 PASSES = 4
 """Corrections applied, each from the command of the one before; the second already moves by micrometres only."""
 
-Frame = Literal["controller", "instrument"]
+FRAMES = ("controller", "instrument")
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +125,7 @@ def apply_calibration(
     arm: Arm,
     targets: Targets,
     *,
-    frame: Frame = "controller",
+    frame: str = "controller",
     conditions: Conditions | None = None,
 ) -> Commands:
     """Correct targets.
@@ -140,8 +139,10 @@ def apply_calibration(
         conditions: Payload and temperature, one value each, where the calibration depends on them.
 
     Raises:
-        InputError: If the calibration is of another arm, or needs conditions that are not given.
+        InputError: If the frame is unknown, the calibration is of another arm, or needs conditions that are not given.
     """
+    if frame not in FRAMES:
+        raise InputError(f"frame is '{frame}'; give {' or '.join(FRAMES)}")
     if calibration.arm_fingerprint != arm.fingerprint():
         raise InputError(
             f"the calibration belongs to arm '{calibration.arm_name}' with another geometry than '{arm.name}'; "

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,8 @@ from pickenv.arm import Arm, Geometry, parameter_jacobian
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
-Kind = Literal["pose", "position"]
-Criterion = Literal["d-optimal", "test-poses"]
+KINDS = ("pose", "position")
+CRITERIA = ("d-optimal", "test-poses")
 
 MARGIN = 0.02
 """Share of its range that a candidate joint stays away from a limit."""
@@ -55,7 +55,7 @@ class Design:
     rows: Array
     model: ErrorModel
     weight: Array
-    kind: Kind
+    kind: str
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class PosePlan:
     joints: Array
     chosen: NDArray[np.int64]
     design: Design
-    criterion: Criterion
+    criterion: str
     model: AgainstChance
     arm: AgainstChance
     travel_seconds: float
@@ -185,7 +185,7 @@ def design_of(
     geometry: Geometry,
     model: ErrorModel,
     joints: Array,
-    kind: Kind = "pose",
+    kind: str = "pose",
     *,
     position_std: float = POSITION_STD,
     attitude_std: float = ATTITUDE_STD,
@@ -225,8 +225,8 @@ def plan_poses(
     rng: np.random.Generator,
     *,
     candidates: Array | int = 2000,
-    kind: Kind = "pose",
-    criterion: Criterion = "d-optimal",
+    kind: str = "pose",
+    criterion: str = "d-optimal",
     test_joints: Array | None = None,
     position_std: float = POSITION_STD,
     attitude_std: float = ATTITUDE_STD,
@@ -246,8 +246,12 @@ def plan_poses(
         attitude_std: Standard uncertainty of an attitude coordinate, rad.
 
     Raises:
-        InputError: If there are too few poses for the parameters, too few candidates, or no test poses where needed.
+        InputError: If there are too few poses for the parameters, too few candidates, no test poses where needed, or
+            an unknown kind or criterion.
     """
+    for name, given, known in (("kind", kind, KINDS), ("criterion", criterion, CRITERIA)):
+        if given not in known:
+            raise InputError(f"{name} is '{given}'; give {' or '.join(known)}")
     begin = time.perf_counter()
     geometry = arm.nominal
     joints = candidate_joints(geometry, candidates, rng) if isinstance(candidates, int) else candidates

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.measurements import joint_columns
-from pickenv.arm import Geometry, Pose, rotation_matrix
+from pickenv.arm import Geometry, Pose, inverse, rotation_matrix
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
@@ -96,3 +96,19 @@ def _numbers(path: Path, line: int, row: list[str], header: list[str], names: li
             raise InputError(f"{path}: row {line}, column '{name}' is {text}; correct or remove the row")
         values.append(value)
     return values
+
+
+def joints_of(targets: Targets, geometry: Geometry) -> Array:
+    """The targets as joints ``(N, n)``: as given, or from the inverse kinematics.
+
+    Raises:
+        InputError: If a pose cannot be reached.
+    """
+    if targets.joints is not None:
+        return targets.joints
+    assert targets.pose is not None
+    found = inverse(geometry, targets.pose)
+    if not found.reached.all():
+        row = targets.lines[int(np.argmin(found.reached))]
+        raise InputError(f"{targets.source}: row {row} is a pose that the arm cannot reach; correct or remove the row")
+    return found.joints

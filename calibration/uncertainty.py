@@ -8,14 +8,17 @@ with its uncertainty later. SI units.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from calibration.arm_model import ArmModel, Conditions
+from calibration.calibration import Calibration
 from calibration.least_squares import Identification
+from calibration.measurements import Measurements
+from calibration.observations import PoseObservations
 from pickenv.arm.geometry import Array
 
 
@@ -92,3 +95,27 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
     return PoseUncertainty(
         tuple(kept["parameters"]), covariance, float(kept["position_repeat_m"]), kept["attitude_repeat_rad"]
     )
+
+
+def with_uncertainty(calibration: Calibration, found: Identification, held_out: Measurements) -> Calibration:
+    """The calibration with its uncertainty in the record, so that `calibration.apply` can state it.
+
+    Args:
+        calibration: The calibration.
+        found: Its identification.
+        held_out: Rows that took no part in the fit; what the calibration misses them by is one reach's scatter.
+    """
+    errors = held_out_errors(calibration, held_out)
+    record = {**calibration.record, "uncertainty": pose_uncertainty(found, errors).as_record()}
+    return replace(calibration, record=record)
+
+
+def held_out_errors(calibration: Calibration, data: Measurements) -> Array:
+    """Measured minus predicted ``(N, 6)`` or ``(N, 3)``, m and rad, with terms and the learnt residual, where any."""
+    errors = PoseObservations(data).difference(calibration.model)
+    if calibration.learnt is not None:
+        inputs = data.conditions.inputs() if calibration.learnt.inputs.conditions else None
+        learnt = calibration.learnt.predict(data.joints, inputs)
+        width = min(learnt.shape[1], errors.shape[1])
+        errors[:, :width] -= learnt[:, :width]
+    return errors

@@ -22,7 +22,7 @@ from calibration.measurements import Measurements, random_joints
 from calibration.metrics import ErrorStatistics, error_statistics
 from calibration.observations import PoseObservations
 from calibration.quality import AxisErrors, Quality, axis_errors, base_combinations, judge_quality
-from calibration.uncertainty import PoseUncertainty, pose_uncertainty
+from calibration.uncertainty import PoseUncertainty, held_out_errors, pose_uncertainty
 from pickenv.arm import Arm
 from pickenv.arm.geometry import Array
 from pickenv.files import write_text
@@ -90,12 +90,7 @@ def gather(
     before = PoseObservations(test).difference(calibration.model.of(calibration.nominal))
     after = PoseObservations(test).difference(calibration.model)
     trained = PoseObservations(train).difference(calibration.model)
-    best = None
-    if calibration.learnt is not None:
-        inputs = test.conditions.inputs() if calibration.learnt.inputs.conditions else None
-        learnt = calibration.learnt.predict(test.joints, inputs)
-        best = after.copy()
-        best[:, : learnt.shape[1]] -= learnt[:, : best.shape[1]]
+    best = None if calibration.learnt is None else held_out_errors(calibration, test)
     parameters = link_model if fit.aligned is None else complete_model
     coverage = pose_coverage(parameters(calibration.nominal), calibration.nominal, train)
     return Evidence(
