@@ -1,0 +1,371 @@
+"""The harvester of Li 2016: one master arm (R, P, P) that carries one to six slave arms (P, R, P).
+
+Closed forms of eqs (4), (5) and (6), the last two corrected to the two-argument arctangent. Base frame: z up, the trees
+at negative y; the slaves stand side by side across the master's heading. Joints: master (theta1, d2, d3), slave (d4,
+theta5 counted from -pi/2, d6). Units: m, rad, s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm import Arm, Geometry, Pose, forward, load_arm
+from pickenv.arm.arm_file import read_toml, refuse_unknown
+from pickenv.arm.geometry import Array
+from pickenv.arm.tables import Table
+from pickenv.errors import InputError
+
+SHIPPED = Path(__file__).parent / "li2016.toml"
+MOST_SLAVES = 6
+ROUNDING = 1e-9
+
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A slave arm as an obstacle: a capsule around the line from its pivot to its cup.
+
+    Attributes:
+        radius: m.
+        margin: Least distance kept between two surfaces, m.
+        guard: Distance between surfaces at which an ultrasonic sensor makes a side arm hold, m.
+    """
+
+    radius: float
+    margin: float
+    guard: float
+
+    @property
+    def clearance(self) -> float:
+        """Least distance allowed between the centre lines of two arms, m."""
+        return 2 * self.radius + self.margin
+
+    @property
+    def guard_distance(self) -> float:
+        """Distance between centre lines at which a side arm holds, m."""
+        return 2 * self.radius + self.guard
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """Times and lengths of a pick.
+
+    Attributes:
+        approach: How far below the fruit the cup starts to rise, m.
+        sense: Time in which the sensor finds the fruit in the cup, s.
+        cut: Time of the blade, s.
+        image: Time of a picture and its analysis, s.
+        unload: Time in which the tubes empty, s.
+        tube_fruit: Fruit that the tube of one arm holds.
+    """
+
+    approach: float
+    sense: float
+    cut: float
+    image: float
+    unload: float
+    tube_fruit: int
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A master arm and its slaves, as the controller believes them to be.
+
+    Attributes:
+        master: The master arm, base frame to frame 3.
+        slaves: The slave arms from left to right, frame 3 to the cup; they differ in a3 alone.
+        spacing: Distance between neighbouring slaves, m.
+        master_start: Joints of the master where it starts and unloads, (3,).
+        slave_home: Joints of a slave at rest, (3,): lowest, straight ahead, shortest.
+        master_acceleration: Per joint, (3,).
+        slave_acceleration: Per joint, (3,).
+        base_height: Height of the base frame above the ground, m.
+        body: The arms as obstacles.
+        cycle: Times of a pick.
+    """
+
+    master: Arm
+    slaves: tuple[Arm, ...]
+    spacing: float
+    master_start: Array
+    slave_home: Array
+    master_acceleration: Array
+    slave_acceleration: Array
+    base_height: float
+    body: Body
+    cycle: Cycle
+
+    @property
+    def arms(self) -> int:
+        """Number of slave arms."""
+        return len(self.slaves)
+
+    @cached_property
+    def offsets(self) -> Array:
+        """a3 of each slave, m, left (negative) to right, (arms,)."""
+        return np.array([slave.nominal.a[0] for slave in self.slaves])
+
+    @cached_property
+    def slave(self) -> Geometry:
+        """Geometry that all slaves share but for their offset."""
+        return self.slaves[0].nominal
+
+    @property
+    def d1(self) -> float:
+        """Height of the master's shoulder, the paper's 290 mm."""
+        return float(self.master.nominal.d[0])
+
+    @property
+    def a2(self) -> float:
+        """Offset of frame 3 from the master's axis, the paper's 155 mm."""
+        return float(self.master.nominal.a[2])
+
+    @property
+    def a4(self) -> float:
+        """From frame 3 ahead to the slaves' pivots, the paper's 52 mm."""
+        return float(self.slave.a[1])
+
+    @property
+    def joints(self) -> int:
+        """Number of joints of the whole machine."""
+        return 3 + 3 * self.arms
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lower limits of all joints, (3 + 3 arms,)."""
+        return np.concatenate([self.master.nominal.lower, *(slave.nominal.lower for slave in self.slaves)])
+
+    @cached_property
+    def upper(self) -> Array:
+        """Upper limits of all joints."""
+        return np.concatenate([self.master.nominal.upper, *(slave.nominal.upper for slave in self.slaves)])
+
+    @cached_property
+    def speed(self) -> Array:
+        """Largest speeds of all joints."""
+        return np.concatenate([self.master.speed, *(slave.speed for slave in self.slaves)])
+
+    @cached_property
+    def whole_arms(self) -> tuple[Geometry, ...]:
+        """For each slave the whole chain of six joints from base to cup, for the generic kinematics."""
+        return tuple(joined(self.master.nominal, slave.nominal) for slave in self.slaves)
+
+    def frame3(self, master: ArrayLike) -> Array:
+        """Origin of frame 3 for master joints (..., 3): last column of eq (2)."""
+        theta1, d2, d3 = np.moveaxis(np.asarray(master, dtype=float), -1, 0)
+        sin, cos = np.sin(theta1), np.cos(theta1)
+        return np.stack([d3 * cos + self.a2 * sin, d3 * sin - self.a2 * cos, d2 + self.d1], axis=-1)
+
+    def master_inverse(self, position: ArrayLike) -> Array:
+        """Master joints that bring frame 3 to ``position`` (..., 3): eq (5), corrected for y > 0.
+
+        Positions nearer to the axis than a2 have no solution and give NaN.
+        """
+        x, y, z = np.moveaxis(np.asarray(position, dtype=float), -1, 0)
+        square = x * x + y * y - self.a2**2
+        d3 = np.sqrt(np.where(square >= 0, square, np.nan))
+        return np.stack([_wrapped(np.arctan2(y, x) + np.arctan2(self.a2, d3)), z - self.d1, d3], axis=-1)
+
+    def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
+        """Cups of all slaves: eq (4).
+
+        Args:
+            master: Joints, (..., 3).
+            slaves: Joints, (..., arms, 3), or of any number of arms whose offset is the machine's.
+
+        Returns:
+            Positions in the base frame, (..., arms, 3).
+        """
+        master = np.asarray(master, dtype=float)
+        theta1, d2, d3 = (master[..., None, i] for i in range(3))
+        d4, swing, d6 = np.moveaxis(np.asarray(slaves, dtype=float), -1, 0)
+        side, ahead = self.a2 + self.offsets, self.a4 + d3
+        sin, cos, turn = np.sin(theta1), np.cos(theta1), theta1 + swing
+        x = d6 * np.cos(turn) + ahead * cos + side * sin
+        y = d6 * np.sin(turn) + ahead * sin - side * cos
+        return np.stack([x, y, d4 + d2 + self.d1], axis=-1)
+
+    def slave_inverse(self, master: ArrayLike, targets: ArrayLike) -> Array:
+        """Joints of every slave for every target: eq (6) with theta5 = -theta1 - atan2(A, B), wrapped.
+
+        Args:
+            master: Joints (..., 3).
+            targets: Positions (..., n, 3) in the base frame.
+
+        Returns:
+            Joints (..., arms, n, 3), not limited; see `within_limits`.
+        """
+        master, targets = np.asarray(master, dtype=float), np.asarray(targets, dtype=float)[..., None, :, :]
+        theta1, d2, d3 = (master[..., None, None, i] for i in range(3))
+        side, ahead = (self.a2 + self.offsets)[:, None], self.a4 + d3
+        sin, cos = np.sin(theta1), np.cos(theta1)
+        a = targets[..., 0] - ahead * cos - side * sin
+        b = targets[..., 1] - ahead * sin + side * cos
+        swing = _wrapped(-theta1 - np.arctan2(a, b) + np.pi / 2)
+        d4 = np.broadcast_to(targets[..., 2] - d2 - self.d1, swing.shape)
+        return np.stack([d4, swing, np.hypot(a, b)], axis=-1)
+
+    def within_limits(self, slave_joints: ArrayLike) -> Flags:
+        """Whether slave joints (..., 3) are within the limits, (...)."""
+        q = np.asarray(slave_joints, dtype=float)
+        low, high = self.slave.lower - ROUNDING, self.slave.upper + ROUNDING
+        return np.asarray(((q >= low) & (q <= high)).all(axis=-1))
+
+    def master_within_limits(self, master_joints: ArrayLike) -> Flags:
+        """Whether master joints (..., 3) are within the limits; NaN is not."""
+        q = np.asarray(master_joints, dtype=float)
+        low, high = self.master.nominal.lower - ROUNDING, self.master.nominal.upper + ROUNDING
+        return np.asarray(((q >= low) & (q <= high)).all(axis=-1))
+
+    def reach(self, master: ArrayLike, targets: ArrayLike) -> Flags:
+        """Which slave reaches which target (..., n, 3) from master joints (..., 3): (..., arms, n)."""
+        return self.within_limits(self.slave_inverse(master, targets))
+
+
+def joined(master: Geometry, slave: Geometry) -> Geometry:
+    """The serial chain of a master and the slave that it carries."""
+    tables: dict[str, Any] = {name: np.concatenate([getattr(master, name), getattr(slave, name)]) for name in _TABLES}
+    return replace(
+        master,
+        joint_names=master.joint_names + slave.joint_names,
+        prismatic=master.prismatic + slave.prismatic,
+        tool=slave.tool,
+        **tables,
+    )
+
+
+_TABLES = ("alpha", "a", "theta", "d", "beta", "lower", "upper")
+
+
+def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spacing: float | None = None) -> Machine:
+    """Read a machine from its TOML file.
+
+    Args:
+        path: The file; Li's machine when left out.
+        slaves: Number of slave arms, 1 to 6, instead of the file's.
+        spacing: Distance between neighbouring slaves in m, instead of the file's; the paper also implies 0.3 and 0.45.
+
+    Raises:
+        InputError: If a number is impossible, or neighbouring arms would meet at rest.
+    """
+    path = Path(path)
+    content, where = read_toml(path), str(path)
+    refuse_unknown(content, ("machine", "body", "acceleration", "cycle"), where, "a machine file")
+
+    def table(name: str, keys: tuple[str, ...]) -> Table:
+        return Table(content.get(name), name, where, keys)
+
+    head = table(
+        "machine",
+        ("master", "slave", "slaves", "spacing_mm", "base_height_mm", "master_start_mm", "slave_home_mm"),
+    )
+    count = head.number("slaves", positive=True) if slaves is None else slaves
+    if count != int(count) or not 1 <= count <= MOST_SLAVES:
+        raise InputError(f"a machine cannot have {count} slave arms; give a whole number from 1 to {MOST_SLAVES}")
+    between = head.number("spacing_mm", positive=True) * 1e-3 if spacing is None else float(spacing)
+    if not (np.isfinite(between) and between > 0):
+        raise InputError(f"a slave spacing of {between} m is impossible; give a number above zero")
+    body = table("body", ("radius_mm", "margin_mm", "guard_mm"))
+    cycle = table("cycle", ("approach_mm", "sense_s", "cut_s", "image_s", "unload_s", "tube_fruit"))
+    acceleration = table(
+        "acceleration", ("master_deg_per_s2", "master_mm_per_s2", "slave_mm_per_s2", "slave_deg_per_s2")
+    )
+    rail, rack = (value * 1e-3 for value in acceleration.numbers("master_mm_per_s2", 2, positive=True))
+    slide, telescope = (value * 1e-3 for value in acceleration.numbers("slave_mm_per_s2", 2, positive=True))
+    turn = np.radians(acceleration.number("master_deg_per_s2", positive=True))
+    swing = np.radians(acceleration.number("slave_deg_per_s2", positive=True))
+    slave = load_arm(_name(head, "slave"))
+    shifts = (np.arange(int(count)) - (int(count) - 1) / 2) * between
+    machine = Machine(
+        master=load_arm(_name(head, "master")),
+        slaves=tuple(shifted(slave, float(shift)) for shift in shifts),
+        spacing=between,
+        master_start=np.zeros(3),
+        slave_home=np.array([head.number("slave_home_mm", signed=True) * 1e-3, 0.0, float(slave.nominal.lower[2])]),
+        master_acceleration=np.array([turn, rail, rack]),
+        slave_acceleration=np.array([slide, swing, telescope]),
+        base_height=head.number("base_height_mm") * 1e-3,
+        body=Body(
+            body.number("radius_mm", positive=True) * 1e-3,
+            body.number("margin_mm") * 1e-3,
+            body.number("guard_mm") * 1e-3,
+        ),
+        cycle=Cycle(
+            approach=cycle.number("approach_mm") * 1e-3,
+            sense=cycle.number("sense_s"),
+            cut=cycle.number("cut_s"),
+            image=cycle.number("image_s"),
+            unload=cycle.number("unload_s"),
+            tube_fruit=int(cycle.number("tube_fruit", positive=True)),
+        ),
+    )
+    start = machine.master_inverse(np.array(head.numbers("master_start_mm", 3, signed=True)) * 1e-3)
+    if not machine.master_within_limits(start):
+        raise head.fail("master_start_mm", "a point that the master reaches")
+    refuse_touching_arms(machine)
+    return replace(machine, master_start=start)
+
+
+def refuse_touching_arms(machine: Machine) -> None:
+    """Refuse a spacing at which an arm at rest is not safe from its neighbour, however that one swings.
+
+    The arm at rest points straight ahead and is short: its cup is spacing*cos(t) - d6*sin(t) away from a neighbour
+    that swings towards it by t.
+
+    Raises:
+        InputError: If that is less than two radii and the margin.
+    """
+    swing = float(max(-machine.slave.lower[1], machine.slave.upper[1]))
+    left = machine.spacing * np.cos(swing) - machine.slave_home[2] * np.sin(swing)
+    if machine.arms > 1 and left < machine.body.clearance:
+        least = (machine.body.clearance + machine.slave_home[2] * np.sin(swing)) / np.cos(swing)
+        raise InputError(
+            f"slave arms {machine.spacing * 1e3:g} mm apart meet at rest: a swinging neighbour comes within "
+            f"{max(left, 0.0) * 1e3:.0f} mm and {machine.body.clearance * 1e3:.0f} mm are needed; "
+            f"give a spacing of at least {np.ceil(least * 1e3):g} mm"
+        )
+
+
+def shifted(slave: Arm, offset: float) -> Arm:
+    """A slave arm mounted ``offset`` m to the right: a3 grows, in its nominal and its true table."""
+
+    def moved(geometry: Geometry) -> Geometry:
+        a = geometry.a.copy()
+        a[0] += offset
+        return replace(geometry, a=a)
+
+    return replace(slave, nominal=moved(slave.nominal), true=None if slave.true is None else moved(slave.true))
+
+
+def composed(first: Pose, second: Pose) -> Pose:
+    """The pose ``second`` given in the frame ``first``; batches broadcast."""
+    turned = np.einsum("...ij,...j->...i", first.rotation, second.position)
+    return Pose(first.position + turned, first.rotation @ second.rotation)
+
+
+def generic_tips(machine: Machine, master: ArrayLike, slaves: ArrayLike) -> Array:
+    """What `Machine.tips` gives, by the project's generic forward kinematics: the referee of eq (4)."""
+    master, slaves = np.asarray(master, dtype=float), np.asarray(slaves, dtype=float)
+    found = []
+    for i, chain in enumerate(machine.whole_arms):
+        here = np.broadcast_to(master, (*slaves.shape[:-2], 3))
+        found.append(forward(chain, np.concatenate([here, slaves[..., i, :]], axis=-1)).position)
+    return np.stack(found, axis=-2)
+
+
+def _wrapped(angle: Array) -> Array:
+    """Angles in [-pi, pi)."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _name(table: Table, key: str) -> Any:
+    if not isinstance(table.table.get(key), str):
+        raise table.fail(key, "the name of an arm or the path of an arm file")
+    return table.table[key]

@@ -1,0 +1,207 @@
+"""The work of one zone as a scheduling problem: which arm can pick which fruit, how long, and what must not overlap.
+
+A pick is: travel up or down at rest, swing and stretch below the fruit, rise, sense, cut, and back to rest. The travel
+is safe; the rest is the excursion. Units: m, rad, s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm.geometry import Array
+from pickenv.harvester.interference import excursion_distances
+from pickenv.harvester.machine import Machine
+from pickenv.harvester.motion import travel_time
+
+Plan = tuple[tuple[int, ...], ...]
+"""For each arm the fruit it picks, in order."""
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """One zone's picks.
+
+    Attributes:
+        joints: Slave joints at each fruit, (arms, n, 3).
+        reached: Which arm can pick which fruit, (arms, n).
+        out: Time of an excursion's way out and rise, (arms, n), s.
+        duration: Time of a whole excursion, (arms, n).
+        first: Travel from rest at home to below each fruit, (n,).
+        travel: Travel from one fruit's height to below another, (n, n).
+        conflict: Excursions that must not overlap, (arms, n, arms, n).
+        guarded: Excursions so near that a side arm holds, (arms, n, arms, n).
+        approach: How far below each fruit the cup starts to rise, (n,).
+    """
+
+    joints: Array
+    reached: NDArray[np.bool_]
+    out: Array
+    duration: Array
+    first: Array
+    travel: Array
+    conflict: NDArray[np.bool_]
+    guarded: NDArray[np.bool_]
+    approach: Array
+
+    @property
+    def arms(self) -> int:
+        """Number of arms."""
+        return int(self.reached.shape[0])
+
+    @property
+    def count(self) -> int:
+        """Number of fruit, reachable or not."""
+        return int(self.reached.shape[1])
+
+    @property
+    def reachable(self) -> NDArray[np.bool_]:
+        """Fruit that some arm can pick, (n,)."""
+        return np.asarray(self.reached.any(axis=0))
+
+
+def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
+    """The work of a zone whose fruit is believed at ``fruit`` (n, 3), with the master standing at joints ``master``."""
+    fruit = np.asarray(fruit, dtype=float).reshape(-1, 3)
+    joints = machine.slave_inverse(master, fruit)
+    reached = machine.within_limits(joints)
+    low, high = machine.slave.lower, machine.slave.upper
+    held = np.clip(joints, low, high)
+    height = held[0, :, 0]
+    approach = np.minimum(machine.cycle.approach, height - low[0])
+    speed, acceleration = machine.slaves[0].speed, machine.slave_acceleration
+    moves = np.abs(held - machine.slave_home)
+    stretch = travel_time(moves[..., 1:], speed[1:], acceleration[1:]).max(axis=-1)
+    rise = travel_time(approach, speed[0], acceleration[0])
+    fixed = machine.cycle.sense + machine.cycle.cut
+    start = height - approach
+    distances = excursion_distances(machine, held, approach)
+    return Work(
+        joints=joints,
+        reached=reached,
+        out=stretch + rise,
+        duration=2 * stretch + rise + fixed,
+        first=travel_time(start - machine.slave_home[0], speed[0], acceleration[0]),
+        travel=travel_time(height[:, None] - start[None, :], speed[0], acceleration[0]),
+        conflict=distances < machine.body.clearance,
+        guarded=distances < machine.body.guard_distance,
+        approach=approach,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Timetable:
+    """When each pick happens.
+
+    Attributes:
+        arm: Arm of each pick, (picks,).
+        fruit: Fruit of each pick.
+        start: Start of the excursion, s.
+        end: End of the excursion.
+        held: How long the arm waited for another before it started.
+        makespan: End of the last excursion; 0 without picks.
+    """
+
+    arm: NDArray[np.int64]
+    fruit: NDArray[np.int64]
+    start: Array
+    end: Array
+    held: Array
+    makespan: float
+
+
+def timetable(work: Work, plan: Plan, *, guard: bool = False) -> Timetable:
+    """When the picks of a plan happen, each as early as its arm is ready and no excursion that it would meet is out.
+
+    Args:
+        work: The zone.
+        plan: Fruit of each arm, in order.
+        guard: Li's rule: side arms (even numbers, from 0) also hold while a middle arm (odd) is within the guard
+            distance, and the middle arm goes first.
+    """
+    rows = _schedule(_lists(work, guard), plan)
+    columns = np.array(rows, dtype=float).reshape(-1, 5)
+    ends = columns[:, 3]
+    return Timetable(
+        arm=columns[:, 0].astype(np.int64),
+        fruit=columns[:, 1].astype(np.int64),
+        start=columns[:, 2],
+        end=ends,
+        held=columns[:, 4],
+        makespan=float(ends.max()) if len(ends) else 0.0,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Lists:
+    """A `Work` as plain Python lists, which a search over plans reads fastest."""
+
+    duration: list[list[float]]
+    first: list[float]
+    travel: list[list[float]]
+    barred: list[list[list[list[bool]]]]
+    guard: bool
+
+
+def _lists(work: Work, guard: bool) -> Lists:
+    barred = work.conflict
+    if guard:
+        odd = np.arange(work.arms) % 2 == 1
+        mixed = odd[:, None, None, None] != odd[None, None, :, None]
+        barred = barred | (work.guarded & mixed)
+    return Lists(work.duration.tolist(), work.first.tolist(), work.travel.tolist(), barred.tolist(), guard)
+
+
+Row = tuple[int, int, float, float, float]
+
+
+def _schedule(lists: Lists, plan: Sequence[Sequence[int]]) -> list[Row]:
+    """Picks in the order of their starts: (arm, fruit, start, end, held). A middle arm goes before a side arm."""
+    arms = range(len(plan))
+    done: list[Row] = []
+    at = [0] * len(plan)
+    ready = [lists.first[plan[a][0]] if len(plan[a]) else np.inf for a in arms]
+    while True:
+        best: tuple[float, int, int] | None = None
+        for a in arms:
+            if at[a] == len(plan[a]):
+                continue
+            fruit, start = plan[a][at[a]], ready[a]
+            length = lists.duration[a][fruit]
+            moved = True
+            while moved:  # until no excursion already fixed is in the way
+                moved = False
+                for b, other, begin, end, _ in done:
+                    if b != a and start < end and begin < start + length and lists.barred[a][fruit][b][other]:
+                        start, moved = end, True
+            key = (start, 0 if lists.guard and a % 2 else 1, a)
+            if best is None or key < best:
+                best = key
+        if best is None:
+            return done
+        start, _, a = best
+        fruit = plan[a][at[a]]
+        end = start + lists.duration[a][fruit]
+        done.append((a, fruit, start, end, start - ready[a]))
+        at[a] += 1
+        if at[a] < len(plan[a]):
+            ready[a] = end + lists.travel[fruit][plan[a][at[a]]]
+
+
+def makespan_of(lists: Lists, plan: Sequence[Sequence[int]]) -> float:
+    """Makespan of a plan; the inner loop of the searches."""
+    return max((row[3] for row in _schedule(lists, plan)), default=0.0)
+
+
+def last_arm(lists: Lists, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
+    """Makespan of a plan, and the arm that ends it."""
+    row = max(_schedule(lists, plan), key=lambda row: row[3])
+    return row[3], row[0]
+
+
+def plain(work: Work, guard: bool = False) -> Lists:
+    """The work as plain lists, for many calls of `makespan_of`."""
+    return _lists(work, guard)

@@ -1,0 +1,104 @@
+"""Zones: the tree's side is cut into a grid of overlapping parts, one image each (Li 2016, section 2.2).
+
+Positions are in the machine's base frame: x along the row, the tree at negative y, z up. Units: m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm.arm_file import read_toml
+from pickenv.arm.geometry import Array
+from pickenv.arm.tables import Table
+from pickenv.errors import InputError
+
+SHIPPED = Path(__file__).parent / "strategy.toml"
+
+
+@dataclass(frozen=True)
+class Zone:
+    """One part of the tree's side, overlap included: m in the base frame.
+
+    Attributes:
+        name: Row and column, as reports print it.
+        left: Smallest x.
+        right: Largest x.
+        bottom: Smallest z.
+        top: Largest z.
+    """
+
+    name: str
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+    def holds(self, positions: ArrayLike) -> NDArray[np.bool_]:
+        """Whether positions (..., 3) lie in the zone's image."""
+        points = np.asarray(positions, dtype=float)
+        x, z = points[..., 0], points[..., 2]
+        return np.asarray((x >= self.left) & (x <= self.right) & (z >= self.bottom) & (z <= self.top))
+
+
+@dataclass(frozen=True)
+class Grid:
+    """How a tree's side is cut.
+
+    Attributes:
+        columns: Zones side by side.
+        rows: Zones above one another.
+        overlap: How far neighbouring zones overlap, m.
+    """
+
+    columns: int
+    rows: int
+    overlap: float
+
+
+def load_grid(path: str | Path = SHIPPED) -> Grid:
+    """Read the grid from a strategy file."""
+    table = Table(read_toml(Path(path)).get("zones"), "zones", str(path), ("columns", "rows", "overlap_mm"))
+    columns, rows = (int(table.number(key, positive=True)) for key in ("columns", "rows"))
+    return Grid(columns, rows, table.number("overlap_mm") * 1e-3)
+
+
+def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> list[Zone]:
+    """Zones that cover a side, in the order of work: columns from left to right, up one and down the next.
+
+    Args:
+        grid: How to cut.
+        left: Smallest x of the side, m.
+        right: Largest x.
+        bottom: Smallest z.
+        top: Largest z.
+
+    Raises:
+        InputError: If the side is empty or a zone would be narrower than its overlap.
+    """
+    if not (right > left and top > bottom):
+        raise InputError(f"the tree's side from x {left} to {right} m and z {bottom} to {top} m is empty")
+    wide, high = (right - left) / grid.columns, (top - bottom) / grid.rows
+    if min(wide, high) <= grid.overlap:
+        raise InputError(
+            f"zones of {wide * 1e3:.0f} x {high * 1e3:.0f} mm cannot overlap by {grid.overlap * 1e3:.0f} mm; "
+            "give fewer zones or less overlap"
+        )
+    half = grid.overlap / 2
+    zones = []
+    for column in range(grid.columns):
+        order = range(grid.rows) if column % 2 == 0 else reversed(range(grid.rows))
+        for row in order:
+            x, z = left + column * wide, bottom + row * high
+            zones.append(
+                Zone(f"row {row + 1}, column {column + 1}", x - half, x + wide + half, z - half, z + high + half)
+            )
+    return zones
+
+
+def border_fruit(zones: list[Zone], positions: Array) -> NDArray[np.bool_]:
+    """Fruit (n, 3) that more than one zone's image shows."""
+    return np.asarray(np.sum([zone.holds(positions) for zone in zones], axis=0) > 1)
