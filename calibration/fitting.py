@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from calibration.alignment import align, refuse_another_arm
 from calibration.arm_model import ArmModel, Term
 from calibration.bpnn import BpnnSettings, train_bpnn
 from calibration.calibration import Calibration
 from calibration.error_model import ErrorModel, complete_model, frames_model, link_model, with_terms
-from calibration.least_squares import Identification, align, identify, refuse_another_arm
+from calibration.least_squares import Identification, identify
 from calibration.measurements import Measurements
 from calibration.observations import PoseObservations
-from calibration.residual_models import LearntResidual, fit_residual
+from calibration.residual_models import PERIODIC_SPAN, LearntResidual, fit_residual
 from pickenv.arm import Arm
 from pickenv.errors import InputError
 
@@ -122,9 +123,16 @@ def _learn(
     if kind == "bpnn":
         chosen = settings or BpnnSettings()
         fitter = lambda inputs, values, generator: train_bpnn(inputs, values, generator, chosen, progress)  # noqa: E731
-    conditions = measurements.conditions.inputs()
-    prismatic = measurements.prismatic
-    return fit_residual(kind, measurements.joints, targets, prismatic, rng, conditions=conditions, fitter=fitter)
+    return fit_residual(
+        kind,
+        measurements.joints,
+        targets,
+        measurements.prismatic,
+        rng,
+        conditions=measurements.conditions.inputs(),
+        fitter=fitter,
+        periodic_span=np.inf if kind == "bpnn" else PERIODIC_SPAN,  # the paper's network takes the joints as they are
+    )
 
 
 def _generator_state(rng: np.random.Generator) -> Any:

@@ -13,18 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.arm_model import ArmModel, Conditions
-from calibration.error_model import LENGTH_TOLERANCE, ErrorModel, residual
+from calibration.error_model import LENGTH_TOLERANCE, ErrorModel
 from calibration.gauge import identifiable_parameters
 from calibration.identifiability import Identifiability, identifiability
 from calibration.measurements import Measurements, random_joints
 from calibration.observations import Observations, PoseObservations
 from calibration.threads import single_threaded
-from pickenv.arm import Geometry, Pose, forward, rotation_vector
+from pickenv.arm import Geometry
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
-
-MISFIT = 0.2
-"""Errors above this share of the positions' spread, or this many rad, are no arm's: the data mean something else."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +117,8 @@ def identify(
 
     Args:
         model: The parameters.
-        start: Geometry, or geometry with parametric terms, to start from; it must lie near the data (see `align`).
+        start: Geometry, or geometry with parametric terms, to start from, near the data (see
+            `calibration.alignment`).
         data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
         max_iterations: Steps at most; three or four are usual.
         row_factors: Factors on the whitened rows ``(rows,)``, in the order of the data; for robust weights.
@@ -301,73 +299,3 @@ def _enough_poses(model: ErrorModel, arm: ArmModel, sets: Sequence[Observations]
             f"{part.source}: {poses} poses give {rows} equations, too few for the {full} parameters that {part.kind} "
             f"measurements identify; measure at least {needed} poses"
         )
-
-
-def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel) -> Identification:
-    """Fit base and tool pose, from anywhere: a closed-form start (Kabsch), then least squares.
-
-    Raises:
-        InputError: If the data do not fit the arm at all, which means wrong units, joint signs or conventions.
-    """
-    _refuse_other_units(geometry, measurements)
-    start = geometry.displaced(_registration(geometry, measurements))
-    fitted = identify(frames, start, measurements, max_iterations=100)
-    refuse_another_arm(fitted.geometry, measurements, "after fitting base and tool")
-    return fitted
-
-
-def refuse_another_arm(geometry: Geometry, measurements: Measurements, state: str) -> None:
-    """Refuse measurements that lie so far from ``geometry`` that units, joint signs or conventions must be wrong.
-
-    Args:
-        geometry: The arm, with base and tool as they are known or fitted.
-        measurements: The data.
-        state: What was done about base and tool, as the message says it.
-
-    Raises:
-        InputError: If positions miss by more than `MISFIT` of their spread, or attitudes by more than `MISFIT` rad.
-    """
-    if len(measurements) < 3:
-        return  # no spread to speak of; `identify` says how many poses are needed
-    _refuse_other_units(geometry, measurements)
-    left = residual(geometry, measurements)
-    spread = np.linalg.norm(measurements.position.std(axis=0))
-    rms = np.sqrt(np.mean(np.sum(left[:, :3] ** 2, axis=1)))
-    if rms > MISFIT * spread:
-        raise InputError(
-            f"{measurements.source}: {state} the arm still misses by {rms * 1e3:.0f} mm RMS, of a spread of "
-            f"{spread * 1e3:.0f} mm; check the arm, the units, the joint order and signs, and the attitude convention"
-        )
-    turn = np.sqrt(np.mean(np.sum(left[:, 3:] ** 2, axis=1)))
-    if turn > MISFIT:
-        raise InputError(
-            f"{measurements.source}: {state} attitudes still miss by {np.degrees(turn):.0f} deg RMS; "
-            "check the attitude convention and its unit, and the joint signs"
-        )
-
-
-def _refuse_other_units(geometry: Geometry, measurements: Measurements) -> None:
-    """Refuse lengths or angles in another unit: nominal and measured positions must spread alike."""
-    if len(measurements) < 3:
-        return  # no spread to speak of; `identify` says how many poses are needed
-    nominal = forward(geometry, measurements.joints).position
-    measured = measurements.position
-    ratio = np.linalg.norm(measured.std(axis=0)) / max(float(np.linalg.norm(nominal.std(axis=0))), 1e-12)
-    if not 0.05 < ratio < 20:
-        raise InputError(
-            f"{measurements.source}: measured positions spread {ratio:.3g} times as far as the arm's own; positions "
-            "are probably in another length unit, or joints in another angle unit; correct the units"
-        )
-
-
-def _registration(geometry: Geometry, measurements: Measurements) -> Array:
-    """Move the base so that nominal positions lie on measured ones (Kabsch 1976); the change of all parameters."""
-    nominal, measured = forward(geometry, measurements.joints).position, measurements.position
-    u, _, vt = np.linalg.svd((nominal - nominal.mean(0)).T @ (measured - measured.mean(0)))
-    turn = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
-    base = geometry.base
-    moved = Pose(turn @ (base.position - nominal.mean(0)) + measured.mean(0), turn @ base.rotation)
-    delta = np.zeros(len(geometry.parameter_names))
-    delta[-12:-9] = moved.position - base.position
-    delta[-9:-6] = rotation_vector(moved.rotation @ base.rotation.T)
-    return delta

@@ -13,9 +13,10 @@ from types import MappingProxyType
 import numpy as np
 from scipy.special import gammaincinv
 
+from calibration.alignment import align
 from calibration.arm_model import ArmModel
 from calibration.error_model import ErrorModel
-from calibration.least_squares import Identification, align, identify
+from calibration.least_squares import Identification, identify
 from calibration.measurements import Measurements
 from calibration.observations import PoseObservations
 from calibration.splits import Rows

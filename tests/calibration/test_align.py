@@ -13,7 +13,7 @@ from pickenv.arm import Pose, load_arm, rotation_matrix
 from pickenv.errors import InputError
 
 
-def placed(geometry, seed, reach=0.1):
+def placed(geometry, seed, reach=0.5):
     """The arm metres away, turned anyhow, with a tool of its own."""
     rng = np.random.default_rng(seed)
     base = Pose(rng.uniform(-5, 5, 3), rotation_matrix(rng.normal(size=3) * 2))

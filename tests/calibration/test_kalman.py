@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.alignment import align
 from calibration.error_model import complete_model, frames_model, link_model, residual
 from calibration.kalman import (
     FilterState,
@@ -18,7 +19,7 @@ from calibration.kalman import (
     thermal_walk,
     update,
 )
-from calibration.least_squares import align, identify
+from calibration.least_squares import identify
 from calibration.measurements import Measurements, random_joints, simulated_tracker
 from pickenv.arm import Geometry, Plant, displace_pose, forward
 from pickenv.arm.plant import MeasurementNoise

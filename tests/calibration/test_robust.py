@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.alignment import align
 from calibration.error_model import complete_model, frames_model, link_model, residual
-from calibration.least_squares import align, identify
+from calibration.least_squares import identify
 from calibration.measurements import Measurements, random_joints, simulated_tracker
 from calibration.robust import LOSSES, robust_align, robust_identify
 from pickenv.arm import Geometry, Plant, rotation_matrix
