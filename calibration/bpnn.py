@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calibration.scaling import spread
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
@@ -117,10 +118,8 @@ def train_bpnn(
         raise InputError(
             f"{len(joints)} poses are too few to train a network in batches of {size}; measure at least {2 * size}"
         )
-    input_mean, input_std = joints.mean(axis=0), joints.std(axis=0)
-    output_mean, output_std = residuals.mean(axis=0), residuals.std(axis=0)
-    input_std[input_std == 0] = 1.0
-    output_std[output_std == 0] = 1.0
+    input_mean, input_std = joints.mean(axis=0), spread(joints, 1.0)
+    output_mean, output_std = residuals.mean(axis=0), spread(residuals, 1e-12)
     x = torch.as_tensor((joints - input_mean) / input_std, dtype=torch.float32)
     y = torch.as_tensor((residuals - output_mean) / output_std, dtype=torch.float32)
     threads = torch.get_num_threads()

@@ -6,13 +6,14 @@ the measured region it holds the nearest value instead of running away.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calibration.scaling import spread
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
@@ -104,16 +105,19 @@ def fit_extra_trees(
     settings = settings or ExtraTreesSettings()
     if len(inputs) < 10:
         raise InputError(f"{len(inputs)} poses are too few for a tree ensemble; measure at least 10")
-    scale = targets.std(axis=0)
-    scale[scale == 0] = 1.0
+    mean, scale = targets.mean(axis=0), spread(targets, 1e-12)
     forest = ExtraTreesRegressor(
         n_estimators=settings.trees,
         min_samples_leaf=settings.min_samples_leaf,
         max_features=settings.max_features,
         random_state=int(rng.integers(2**31)),
     )
-    forest.fit(inputs, targets / scale)
-    grown = [one.tree_ for one in forest.estimators_]
+    forest.fit(inputs, (targets - mean) / scale)
+    return flattened([one.tree_ for one in forest.estimators_], scale, mean)
+
+
+def flattened(grown: Sequence[Any], scale: Array, offset: Array) -> ExtraTrees:
+    """scikit-learn's trees as flat arrays, their outputs ``(k,)`` multiplied by ``scale``, then ``offset`` added."""
     roots = np.cumsum([0] + [tree.node_count for tree in grown])
     left, right, feature = [], [], []
     for root, tree in zip(roots, grown, strict=False):
@@ -128,6 +132,6 @@ def fit_extra_trees(
         right=np.concatenate(right).astype(np.int32),
         feature=np.concatenate(feature).astype(np.int32),
         threshold=np.concatenate([tree.threshold for tree in grown]),
-        value=(np.concatenate([tree.value[:, :, 0] for tree in grown]) * scale).astype(np.float32),
+        value=(np.concatenate([tree.value[:, :, 0] for tree in grown]) * scale + offset).astype(np.float32),
         depth=max(tree.max_depth for tree in grown),
     )

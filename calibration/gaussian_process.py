@@ -14,12 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dpotri
 
+from calibration.scaling import spread
+from calibration.threads import single_threaded
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
 CHUNK = 2048
 """Rows predicted at once, which bounds the memory of the kernel matrix."""
+
+
+LIKELIHOOD_PRECISION = 1e-6
+"""The search ends when a step gains a smaller share of the log likelihood."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +42,7 @@ class GaussianProcessSettings:
     """
 
     rows: int = 2000
-    likelihood_rows: int = 400
+    likelihood_rows: int = 600
     iterations: int = 60
     length_scales: tuple[float, float] = (0.1, 1e3)
     noise: tuple[float, float] = (1e-3, 2.0)
@@ -124,8 +131,7 @@ def fit_gaussian_process(
     order = rng.permutation(len(inputs))
     kept = np.sort(order[: settings.rows])
     seen = np.sort(order[: settings.likelihood_rows])
-    mean, std = targets.mean(axis=0), targets.std(axis=0)
-    std[std == 0] = 1.0
+    mean, std = targets.mean(axis=0), spread(targets, 1e-12)
     scaled = (targets - mean) / std
     lengths, amplitudes, noises, weights = [], [], [], []
     for j in range(targets.shape[1]):
@@ -153,13 +159,15 @@ def _most_likely(inputs: Array, target: Array, settings: GaussianProcessSettings
     features = inputs.shape[1]
     start = np.log(np.concatenate([[1.0], np.full(features, 1.0), [0.5]]))
     bounds = [(0.03, 30.0)] + [settings.length_scales] * features + [settings.noise]
-    found = fmin_l_bfgs_b(
-        negative_log_likelihood,
-        start,
-        args=(inputs, target),
-        bounds=[(float(np.log(low)), float(np.log(high))) for low, high in bounds],
-        maxiter=settings.iterations,
-    )
+    with single_threaded():
+        found = fmin_l_bfgs_b(
+            negative_log_likelihood,
+            start,
+            args=(inputs, target),
+            bounds=[(float(np.log(low)), float(np.log(high))) for low, high in bounds],
+            factr=LIKELIHOOD_PRECISION / np.finfo(float).eps,
+            maxiter=settings.iterations,
+        )
     best = np.exp(found[0])
     return float(best[0]), np.asarray(best[1:-1]), float(best[-1])
 
@@ -176,7 +184,8 @@ def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple
     smooth = _kernel(inputs, inputs, length, amplitude)
     factor = _factor(smooth, noise)
     dual = cho_solve((factor, True), target)
-    weight = np.outer(dual, dual) - cho_solve((factor, True), np.eye(len(target)))
+    lower = np.tril(dpotri(factor, lower=1)[0])  # the inverse; LAPACK fills one triangle
+    weight = np.outer(dual, dual) - (lower + np.tril(lower, -1).T)
     weighted = weight * smooth
     scaled = inputs / length
     by_length = weighted.sum(axis=1) @ scaled**2 - np.sum(scaled * (weighted @ scaled), axis=0)

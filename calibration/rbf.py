@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calibration.scaling import spread
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
@@ -83,8 +84,7 @@ def fit_rbf(inputs: Array, targets: Array, rng: np.random.Generator, settings: R
     if rows < 10:
         raise InputError(f"{rows} poses are too few for an RBF network; measure at least 10")
     centres = k_means(inputs, min(settings.centres, rows // 3), rng, settings.rounds)
-    offset, scale = targets.mean(axis=0), targets.std(axis=0)
-    scale[scale == 0] = 1.0
+    offset, scale = targets.mean(axis=0), spread(targets, 1e-12)
     wanted = (targets - offset) / scale
     unit = float(np.sqrt(np.median(_squared_distances(inputs, centres))))
     best, chosen = np.inf, (1.0, np.zeros((len(centres), targets.shape[1])))

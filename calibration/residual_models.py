@@ -18,6 +18,7 @@ from calibration.bpnn import Bpnn, BpnnSettings, train_bpnn
 from calibration.extra_trees import ExtraTrees, fit_extra_trees
 from calibration.gaussian_process import GaussianProcess, fit_gaussian_process
 from calibration.rbf import Rbf, fit_rbf
+from calibration.scaling import spread
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
@@ -82,9 +83,8 @@ def joint_inputs(
     """The inputs that suit training joints ``(N, n)`` and conditions ``(N, c)``; see `PERIODIC_SPAN`."""
     periodic = ~np.asarray(prismatic, dtype=bool) & (np.ptp(joints, axis=0) > periodic_span)
     raw = _raw_inputs(joints, conditions, periodic)
-    std = raw.std(axis=0)
-    std[std == 0] = 1.0
-    return JointInputs(periodic, 0 if conditions is None else conditions.shape[-1], raw.mean(axis=0), std)
+    count = 0 if conditions is None else conditions.shape[-1]
+    return JointInputs(periodic, count, raw.mean(axis=0), spread(raw, 1.0))
 
 
 def _raw_inputs(joints: Array, conditions: ArrayLike | None, periodic: NDArray[np.bool_]) -> Array:
@@ -184,6 +184,7 @@ def fit_residual(
     *,
     conditions: Array | None = None,
     fitter: Fitter | None = None,
+    periodic_span: float = PERIODIC_SPAN,
 ) -> LearntResidual:
     """Fit a residual model by name.
 
@@ -195,6 +196,7 @@ def fit_residual(
         rng: Every random draw comes from it.
         conditions: Further inputs ``(N, c)``, such as temperature or payload.
         fitter: Another way to fit this kind of model, such as one with other settings.
+        periodic_span: Revolute joints that span more, rad, enter by sine and cosine; infinite for joints as they are.
 
     Raises:
         InputError: If the model is unknown, a number is not finite, or there are too few rows.
@@ -203,6 +205,6 @@ def fit_residual(
         raise InputError(f"unknown residual model '{name}'; give one of {', '.join(FITTERS)}")
     if not (np.isfinite(joints).all() and np.isfinite(residuals).all()):
         raise InputError(f"joints or residuals for the residual model '{name}' are not all finite; remove those rows")
-    inputs = joint_inputs(joints, prismatic, conditions)
+    inputs = joint_inputs(joints, prismatic, conditions, periodic_span=periodic_span)
     model = (fitter or FITTERS[name])(inputs(joints, conditions), residuals, rng)
     return LearntResidual(name, inputs, model)
