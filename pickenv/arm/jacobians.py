@@ -13,33 +13,37 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.geometry import Array, Geometry
-from pickenv.arm.kinematics import Frame, attach, chain_of, frames, split_joints
-
-
-def _stacked(frame: Frame, shape: tuple[int, ...]) -> Array:
-    """A frame's components as one array ``(..., 4, 3)``: axes x, y, z and the origin."""
-    components = np.stack(np.broadcast_arrays(*frame, np.empty(shape))[:12], axis=-1)
-    return components.reshape(*shape, 4, 3)
-
-
-def _turn(axis: Array, lever: Array) -> Array:
-    """Column ``(..., 6)`` of a small turn about ``axis`` for a point that lies ``lever`` from it."""
-    return np.concatenate([np.cross(axis, lever), axis], axis=-1)
-
-
-def _shift(axis: Array) -> Array:
-    """Column ``(..., 6)`` of a small shift along ``axis``."""
-    return np.concatenate([axis, np.zeros_like(axis)], axis=-1)
+from pickenv.arm.kinematics import attach, chain_of, frames, split_joints
 
 
 def _all_frames(geometry: Geometry, q: ArrayLike) -> tuple[Array, Array]:
-    """Link frames ``(..., n + 1, 4, 3)`` and the tool's origin ``(..., 3)``."""
+    """Components of base and link frames ``(12, n + 1, ...)`` and of the tool's origin ``(3, ...)``.
+
+    Poses come last, here and in `_cross`, so that every operation runs over contiguous numbers.
+    """
     joints = split_joints(geometry.joints, q)
     chain = chain_of(geometry, math if geometry.alpha.ndim == 1 else np)
     found = frames(np, chain, joints)
     shape = np.broadcast_shapes(joints[0].shape, geometry.alpha.shape[:-1])
-    links = np.stack([_stacked(frame, shape) for frame in found], axis=-3)
-    return links, _stacked(attach(found[-1], chain.tool), shape)[..., 3, :]
+    links, tool = np.empty((12, len(found), *shape)), np.empty((3, *shape))
+    for k, frame in enumerate(found):
+        for component, value in enumerate(frame):
+            links[component, k] = value
+    for component, value in enumerate(attach(found[-1], chain.tool)[9:]):
+        tool[component] = value
+    return links, tool
+
+
+def _cross(out: Array, axis: Array, lever: Array) -> None:
+    """Write the cross product of ``axis`` and ``lever``, components first, into ``out`` (`numpy.cross` is slow)."""
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.multiply(axis[j], lever[k], out=out[i])
+        out[i] -= axis[k] * lever[j]
+
+
+def _per_link(values: Array, shape: tuple[int, ...]) -> Array:
+    """Link parameters ``(..., n)`` as ``(n, ...)``, for poses of this shape."""
+    return np.moveaxis(np.broadcast_to(values, (*shape, values.shape[-1])), -1, 0)
 
 
 def joint_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
@@ -53,11 +57,15 @@ def joint_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
         Array ``(..., 6, n)``: rows position (m) and rotation vector (rad) in world axes, per rad or m (eq (13)).
     """
     links, tool = _all_frames(geometry, q)
-    z, origin = links[..., 1:, 2, :], links[..., 1:, 3, :]
-    turns = _turn(z, tool[..., None, :] - origin)
-    slides = _shift(z)
-    columns = np.where(np.array(geometry.prismatic)[:, None], slides, turns)
-    return np.swapaxes(columns, -1, -2)
+    z = links[6:9, 1:]
+    columns = np.empty((6, *z.shape[1:]))
+    _cross(columns[:3], z, tool[:, None] - links[9:, 1:])
+    columns[3:] = z
+    slides = np.array(geometry.prismatic)
+    if slides.any():
+        columns[:3, slides] = z[:, slides]
+        columns[3:, slides] = 0.0
+    return np.moveaxis(columns, (0, 1), (-2, -1))
 
 
 def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
@@ -69,26 +77,33 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
 
     Returns:
         Array ``(..., 6, 5n + 12)``, columns in the order of ``geometry.parameter_names``; rows as in `joint_jacobian`.
+        In memory the poses lie next to each other.
     """
     n = geometry.joints
     links, tool = _all_frames(geometry, q)
-    before, after = links[..., :-1, :, :], links[..., 1:, :, :]
-    tool = tool[..., None, :]
-    x, z = before[..., 0, :], after[..., 2, :]
-    cos, sin = np.cos(geometry.alpha)[..., None], np.sin(geometry.alpha)[..., None]
-    y = cos * before[..., 1, :] + sin * before[..., 2, :]  # axis of Rot(y, beta), after Rot(x, alpha)
-    knee = before[..., 3, :] + geometry.a[..., None] * x
-    world = np.broadcast_to(np.eye(3), (*tool.shape[:-2], 3, 3))
-    last = links[..., n, :3, :]
-    columns = [
-        _turn(x, tool - before[..., 3, :]),
-        _shift(x),
-        _turn(z, tool - after[..., 3, :]),
-        _shift(z),
-        _turn(y, tool - knee),
-        _shift(world),
-        _turn(world, tool - geometry.base.position),
-        _shift(last),
-        _turn(last, np.zeros_like(last)),
-    ]
-    return np.swapaxes(np.concatenate(columns, axis=-2), -1, -2)
+    shape = tool.shape[1:]
+    before, after = links[:, :-1], links[:, 1:]
+    x, z, tool_from_before = before[:3], after[6:9], tool[:, None] - before[9:]
+    columns = np.zeros((6, 5 * n + 12, *shape))
+    position, turn = columns[:3], columns[3:]
+    alpha, a, theta, d, beta = (slice(k * n, (k + 1) * n) for k in range(5))
+    _cross(position[:, alpha], x, tool_from_before)
+    turn[:, alpha] = x
+    position[:, a] = x
+    _cross(position[:, theta], z, tool[:, None] - after[9:])
+    turn[:, theta] = z
+    position[:, d] = z
+    # Hayati's beta turns about y after Rot(x, alpha) and Trans(x, a).
+    cos, sin = np.cos(geometry.alpha), np.sin(geometry.alpha)
+    y = _per_link(cos, shape) * before[3:6] + _per_link(sin, shape) * before[6:9]
+    _cross(position[:, beta], y, tool_from_before - _per_link(geometry.a, shape) * x)
+    turn[:, beta] = y
+    base, hand = 5 * n, 5 * n + 6
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        position[k, base + k] = 1.0
+        turn[k, base + 3 + k] = 1.0
+        position[i, base + 3 + k] = geometry.base.position[j] - tool[j]  # axis k crossed with the lever
+        position[j, base + 3 + k] = tool[i] - geometry.base.position[i]
+        position[:, hand + k] = turn[:, hand + 3 + k] = links[3 * k : 3 * k + 3, n]
+    return np.moveaxis(columns, (0, 1), (-2, -1))
