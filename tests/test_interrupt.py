@@ -1,0 +1,25 @@
+"""Ctrl-C ends a long command with one sentence and leaves no half-written file."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_an_interrupted_demo_leaves_nothing_half_written(tmp_path):
+    out = tmp_path / "run"
+    command = [sys.executable, "-c", "from pickenv.cli import main; main()", "demo", "--out", str(out)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment) as demo:
+        time.sleep(8.0)  # in the middle of training or reaching; nothing of it is timed
+        assert demo.poll() is None, demo.stderr.read()
+        demo.send_signal(signal.SIGINT)
+        _, said = demo.communicate(timeout=60)
+    assert demo.returncode == 130
+    assert said.rstrip().endswith("nothing is left half-written") and "Traceback" not in said
+    assert not out.exists() or not [path for path in out.iterdir() if path.name.startswith(".")]
+    assert not (out / "summary.json").exists()
