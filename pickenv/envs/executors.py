@@ -37,6 +37,7 @@ class Executor:
         shifted: A 64-bit word shifted to the right by a constant, zeros moving in.
         unit: Uniform number in [0, 1) from the upper 53 bits of a word.
         word: A 64-bit word from Python integers in [0, 2^64).
+        spares_constants: Whether `pickenv.envs.exact` pays: where every operation walks through an array.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Executor:
     shifted: Callable[[Scalar, int], Scalar]
     unit: Callable[[Scalar], Scalar]
     word: Callable[[int], Scalar]
+    spares_constants: bool = False
 
     def __reduce__(self) -> tuple[Callable[[str], Executor], tuple[str]]:
         """Pickled and copied by name: modules and lambdas are neither."""
@@ -91,6 +93,7 @@ NUMPY = Executor(
     shifted=lambda word, bits: word >> np.uint64(bits),
     unit=lambda word: (word >> np.uint64(11)).astype(np.float64) * 2.0**-53,
     word=lambda number: np.uint64(number & MASK),
+    spares_constants=True,
 )
 """Batches of environments as NumPy arrays, one array per component."""
 

@@ -13,11 +13,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.batch import plant_at
 from pickenv.arm.geometry import Array
-from pickenv.arm.kinematics import Frame, tool_frame
+from pickenv.arm.kinematics import Frame
 from pickenv.arm.plant import Plant
 from pickenv.envs.arms import changed_plant, choose_arm, population_size
+from pickenv.envs.exact import exact_plant
 from pickenv.envs.executors import FLOATS, NUMPY, Executor, Scalar
-from pickenv.envs.simulation import Look, ReachState, begin, flat_observation, goal_attempt, look, move, true_reward
+from pickenv.envs.simulation import (
+    Look,
+    ReachState,
+    begin,
+    flat_observation,
+    goal_attempt,
+    look,
+    move,
+    nominal_frames,
+    true_reward,
+)
 from pickenv.envs.spaces import action_space, check_options, flat_space
 from pickenv.envs.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, Task, check_choice, make_task
@@ -164,6 +175,8 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)
         self._x: Executor = EXECUTORS[executor]
+        if self._x is NUMPY:
+            self.plant = exact_plant(self.plant)
         self._stream: int | None = None
         self._episode = 0
         self._step = 0
@@ -189,7 +202,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         self._take_arm(options.get("arm"))
         start = self._given(options, "start_joints") or self._numbers(task.middle)
         goal = self._given(options, "goal_joints")
-        frame: Frame = tool_frame(x.m, task.nominal, goal) if goal is not None else self._draw_goal()
+        frame = nominal_frames(x, task, goal)[1] if goal is not None else self._draw_goal()
         self._state = begin(x, task, self.plant, self._key, start, frame, self._command(start))
         self._step = 0
         observation, _, information = self._look(0.0)
@@ -227,9 +240,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
 
         if self._scene is None:
             raise InputError("render was called before reset; call reset first")
-        plant = self.plant
-        if self._x is not FLOATS and self.task.arms != "fixed":
-            plant = plant_at(self.task.plant, self._arm)
+        plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
         parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
         scene = Look(*parts)  # type: ignore[arg-type]
         picture = reach_pixels(plant, self.joint_target, scene, self.task.tolerance_mm)
@@ -312,7 +323,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         if x is FLOATS:
             self.plant = plant_at(task.plant, number)
         else:
-            self.plant = changed_plant(task.plant, lambda values: values[number : number + 1])
+            self.plant = exact_plant(changed_plant(task.plant, lambda values: values[number : number + 1]))
 
     def _draw_goal(self) -> Frame:
         """Frame of the first pose drawn whose tool points upwards."""
@@ -321,7 +332,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         for attempt in range(GOAL_ATTEMPTS):
             joints, upright = goal_attempt(x, task, stream, attempt)
             if upright:
-                return tool_frame(x.m, task.nominal, joints)
+                return nominal_frames(x, task, joints)[1]
         raise task.no_goal()
 
     def _given(self, options: dict[str, Any], key: str) -> Sequence[Scalar] | None:

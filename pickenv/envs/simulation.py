@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from pickenv.arm.dynamics import PlantState
-from pickenv.arm.kinematics import Frame, Scalar, attach, frames, tool_frame
+from pickenv.arm.kinematics import Frame, Scalar, attach, frames
 from pickenv.arm.plant import Plant
+from pickenv.envs.exact import inexact
 from pickenv.envs.executors import Executor
 from pickenv.envs.streams import CAMERA, FRUIT, normal, stream_key, uniform
 from pickenv.envs.task import GOAL_MARGIN, Task
@@ -75,6 +76,14 @@ class Look(NamedTuple):
     success: Scalar
 
 
+def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[Frame], Frame]:
+    """Frames of the nominal arm's links (base first), and of its tool, at joints ``q``."""
+    chain = task.exact if x.spares_constants else task.nominal
+    links = frames(x.m, chain, q)
+    tool = attach(links[-1], chain.tool)
+    return links, inexact(tool) if x.spares_constants else tool
+
+
 def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[list[Scalar], Scalar]:
     """Joints drawn for a wanted pose, and whether its tool points upwards within the largest tilt.
 
@@ -89,7 +98,7 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
         margin = GOAL_MARGIN * (high - low)
         share = uniform(x, key, attempt * task.joints + i)
         joints.append((low + margin) + share * (high - low - 2.0 * margin))
-    return joints, tool_frame(x.m, task.nominal, joints)[8] >= task.min_upright
+    return joints, nominal_frames(x, task, joints)[1][8] >= task.min_upright
 
 
 def begin(
@@ -155,8 +164,8 @@ def look(
         shown = [q + (reading - sent) for q, reading, sent in zip(target, readings, command, strict=True)]
     else:
         plant_state, true = state.plant, plant.tool_frame(m, command)
-    links = frames(m, task.nominal, shown)
-    believed = attach(links[-1], task.nominal.tool)
+    true = inexact(true) if x.spares_constants else true
+    links, believed = nominal_frames(x, task, shown)
     lag = attitude_difference(x, believed, goal)
     turn = attitude_difference(x, goal, true)
     dx, dy, dz = true[9] - goal[9], true[10] - goal[10], true[11] - goal[11]
@@ -197,8 +206,8 @@ def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Component
     """Size of the part of a small turn that lies across all revolute axes: no joint motion removes it."""
     if task.lost_axes is None:
         return 0.0 * turn[0]
-    ax, ay, az = links[task.lost_axes[0] + 1][6:9]
-    bx, by, bz = links[task.lost_axes[1] + 1][6:9]
+    ax, ay, az = inexact(links[task.lost_axes[0] + 1][6:9])
+    bx, by, bz = inexact(links[task.lost_axes[1] + 1][6:9])
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     along = turn[0] * nx + turn[1] * ny + turn[2] * nz
     return x.m.sqrt(along * along / (nx * nx + ny * ny + nz * nz + 1e-30))

@@ -19,6 +19,7 @@ from pickenv.arm.geometry import Array, Geometry
 from pickenv.arm.kinematics import Chain, chain_of, frames
 from pickenv.arm.plant import Plant
 from pickenv.arm.tolerances import draw_plants, load_tolerances
+from pickenv.envs.exact import exact_chain
 from pickenv.errors import InputError
 
 CONTROL_PERIOD = 0.1
@@ -79,6 +80,11 @@ class Task:
     def joints(self) -> int:
         """Number of joints."""
         return len(self.lower)
+
+    @cached_property
+    def exact(self) -> Chain:
+        """The nominal chain with zeros and ones that cost nothing."""
+        return exact_chain(self.nominal)
 
     @cached_property
     def middle(self) -> tuple[float, ...]:
