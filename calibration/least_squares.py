@@ -148,10 +148,10 @@ def _identify(
     names = own + model.names
     tolerance = np.concatenate([np.full(len(own), LENGTH_TOLERANCE), model.tolerance])
     factors = 1.0 if row_factors is None else row_factors[:, None]
-    matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors)
+    matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors), _weighted(sets, arm, unknowns, factors)
     poses = sum(len(part.joints) for part in sets)
     found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance)
-    _enough_poses(model, arm, sets, found)
+    _enough_poses(model, arm, sets, found, len(weighted))
     kept, scale = found.kept, tolerance[found.kept]
     iterates = [arm]
     history = [_rms(weighted)]
@@ -175,14 +175,13 @@ def _identify(
             if damping > 1e9:
                 break
             continue
-        arm, unknowns = moved, moved_unknowns
+        arm, unknowns, weighted = moved, moved_unknowns, moved_weighted
         history.append(rms)
         iterates.append(arm)
         if negligible or (damping == 0.0 and history[-2] - rms < 1e-7 * rms):
             converged = True
-            weighted = moved_weighted
             break
-        matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors)
+        matrix = _system(model, sets, arm, unknowns, tolerance, factors)
         damping = damping / 10.0 if damping > 1e-6 else 0.0
     own_change = np.concatenate([np.zeros(0), *unknowns]) - np.concatenate(
         [np.zeros(0), *(part.start(iterates[0]) for part in sets)]
@@ -222,8 +221,8 @@ def _system(
     unknowns: Sequence[Array],
     tolerance: Array,
     factors: Array | float,
-) -> tuple[Array, Array]:
-    """Whitened, scaled Jacobian (unknowns first, then the model's columns) and whitened residual."""
+) -> Array:
+    """Whitened, scaled Jacobian: unknowns first, then the model's columns."""
     blocks, before, count = [], 0, sum(len(values) for values in unknowns)
     for part, values in zip(sets, unknowns, strict=True):
         by_arm, by_unknown = part.jacobian(arm, values)
@@ -233,7 +232,7 @@ def _system(
         blocks.append(block)
         before += len(values)
     matrix = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-    return matrix * (tolerance * factors), _weighted(sets, arm, unknowns, factors)
+    return np.asarray(matrix * (tolerance * factors))
 
 
 def _moved(arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array) -> tuple[ArmModel, list[Array]]:
@@ -270,9 +269,10 @@ def _covariance(matrix: Array, weighted: Array, found: Identifiability, toleranc
     return np.asarray((weighted @ weighted) / freedom * (inverse_r @ inverse_r.T))
 
 
-def _enough_poses(model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], found: Identifiability) -> None:
-    """Refuse data sets with fewer equations than the parameters that such measurements identify elsewhere."""
-    rows = sum(len(part.residual(arm, part.start(arm))) for part in sets)
+def _enough_poses(
+    model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], found: Identifiability, rows: int
+) -> None:
+    """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
     part = sets[0]
     if len(sets) > 1 or not isinstance(part, PoseObservations):
         full = found.rank
@@ -288,7 +288,7 @@ def _enough_poses(model: ErrorModel, arm: ArmModel, sets: Sequence[Observations]
         geometric = model.columns < len(arm.geometry.parameter_names)
         names = tuple(name for name, keep in zip(model.names, geometric, strict=True) if keep)
         links = ErrorModel(model.columns[geometric], names, model.tolerance[geometric])
-        matrix, _ = _system(
+        matrix = _system(
             links, [PoseObservations(probe)], ArmModel.of(arm.geometry), [np.zeros(0)], links.tolerance, 1.0
         )
         full = identifiability(matrix, links.names, links.tolerance, count).rank
