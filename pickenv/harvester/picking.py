@@ -1,0 +1,195 @@
+"""What becomes of each attempt: Li's cup, position sensor and blade, and fruit that a neighbour's cup has pushed away.
+
+A cup that goes in pushes the foliage; fruit nearby swings on its branch (spring-pendulum) and part of the push stays.
+Units: m, kg, s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.arm_file import read_toml
+from pickenv.arm.geometry import Array
+from pickenv.arm.tables import Table
+from pickenv.errors import InputError
+from pickenv.harvester.trees import SHIPPED
+from pickenv.orchard import Branch, Cup, coupling, load_branch, load_gripper, swing
+
+Flags = NDArray[np.bool_]
+KEYS = (
+    "gripper",
+    "branch",
+    "gather_mm",
+    "localisation_mm",
+    "visibility",
+    "cup_outer_mm",
+    "cluster_success",
+    "cut_success",
+    "undamaged",
+    "push_mm",
+    "push_spread",
+    "lasting",
+)
+
+
+@dataclass(frozen=True)
+class Picking:
+    """The picking model; see picking.toml.
+
+    Attributes:
+        cup: Li's cup.
+        branch: What fruit hangs from.
+        gather: Lateral misalignment beyond the cup's clearance at which the gatherer takes no fruit any more, m.
+        localisation: Standard deviation of a fruit's seen position along x, y, z, m.
+        visibility: Probability that an image shows a fruit.
+        outer: Outer radius of the cup, m.
+        cluster_success: Probability that an attempt succeeds although another fruit is in the cup's way.
+        cut_success: Probability that the blade meets the stalk.
+        undamaged: Probability that picked fruit stays whole.
+        push: Median shift of foliage by a cup that goes in, m.
+        push_spread: Standard deviation of its logarithm.
+        lasting: Share of a push that stays.
+    """
+
+    cup: Cup
+    branch: Branch
+    gather: float
+    localisation: tuple[float, float, float]
+    visibility: float
+    outer: float
+    cluster_success: float
+    cut_success: float
+    undamaged: float
+    push: float
+    push_spread: float
+    lasting: float
+
+
+@lru_cache(maxsize=4)
+def load_picking(path: str | Path = SHIPPED) -> Picking:
+    """Read the picking model.
+
+    Raises:
+        InputError: If a number is impossible or the gripper is not a cup.
+    """
+    table = Table(read_toml(Path(path)).get("pick"), "pick", str(path), KEYS)
+    cup = load_gripper(str(table.table.get("gripper")))
+    if not isinstance(cup, Cup):
+        raise table.fail("gripper", "a cup: the harvester's end-effector closes around fruit from below")
+    shares = {}
+    for key in ("visibility", "cluster_success", "cut_success", "undamaged", "lasting"):
+        shares[key] = table.number(key)
+        if shares[key] > 1:
+            raise InputError(f"{path}: {key} of [pick] is {shares[key]}; give a share from 0 to 1")
+    x, y, z = (value * 1e-3 for value in table.numbers("localisation_mm", 3))
+    return Picking(
+        cup=cup,
+        branch=load_branch(str(table.table.get("branch"))),
+        gather=table.number("gather_mm", positive=True) * 1e-3,
+        localisation=(x, y, z),
+        outer=table.number("cup_outer_mm", positive=True) * 0.5e-3,
+        push=table.number("push_mm") * 1e-3,
+        push_spread=table.number("push_spread"),
+        **shares,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of attempts, in the order of their times; each (picks,).
+
+    Attributes:
+        lateral: Distance of the fruit from the cup's axis, m.
+        displaced: How far earlier pushes had moved the fruit, m.
+        attached: Whether the fruit was in the cup.
+        detached: Whether its stalk was cut.
+        collected: Whether it came into the tube undamaged.
+        crowded: Whether another fruit was in the cup's way.
+    """
+
+    lateral: Array
+    displaced: Array
+    attached: Flags
+    detached: Flags
+    collected: Flags
+    crowded: Flags
+
+
+def attempt(
+    model: Picking,
+    tips: Array,
+    fruit: Array,
+    diameters: Array,
+    masses: Array,
+    entry: Array,
+    others: Array,
+    rng: np.random.Generator,
+) -> Outcome:
+    """Let cups go to fruit, one after another.
+
+    Args:
+        model: The picking model.
+        tips: True cups at the end of their rise, (picks, 3).
+        fruit: True fruit at rest, (picks, 3).
+        diameters: (picks,).
+        masses: kg, (picks,).
+        entry: Times at which the cups go in, ascending, (picks,).
+        others: Fruit that hangs and is not attempted here, (m, 3).
+        rng: Draws seven numbers a pick.
+    """
+    n = len(tips)
+    draws = rng.random((n, 4))
+    push = model.push * np.exp(model.push_spread * rng.normal(size=n))
+    heading = rng.uniform(0.0, 2 * np.pi, n)
+    moved = displacements(model, fruit, masses, entry, push, heading)
+    offset = fruit + moved - tips
+    lateral = np.hypot(offset[:, 0], offset[:, 1])
+    clearance = (model.cup.opening - diameters) / 2
+    taken = np.clip(1.0 - (lateral - clearance) / model.gather, 0.0, 1.0) * (np.abs(offset[:, 2]) <= model.cup.axial)
+    taken = np.where(clearance < 0, 0.0, taken)
+    attached = np.zeros(n, dtype=bool)
+    crowded = np.zeros(n, dtype=bool)
+    hanging = np.ones(n, dtype=bool)
+    for i in range(n):  # in order: what an earlier cup has taken is out of the way of a later one
+        near = np.concatenate([fruit[hanging & (np.arange(n) != i)], others])
+        crowded[i] = bool(in_the_way(model, fruit[i], float(diameters[i]), near).any())
+        attached[i] = draws[i, 0] < taken[i] and (not crowded[i] or draws[i, 1] < model.cluster_success)
+        hanging[i] = not (attached[i] and draws[i, 2] < model.cut_success)
+    detached = attached & (draws[:, 2] < model.cut_success)
+    return Outcome(
+        lateral=lateral,
+        displaced=np.linalg.norm(moved, axis=-1),
+        attached=attached,
+        detached=detached,
+        collected=detached & (draws[:, 3] < model.undamaged),
+        crowded=crowded,
+    )
+
+
+def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Flags:
+    """Which fruit the cup's wall meets when it takes ``fruit`` (3,): beside it or just below; (m,)."""
+    away = near - fruit
+    level = np.hypot(away[:, 0], away[:, 1])
+    return np.asarray((level < model.outer + diameter / 2) & (away[:, 2] < diameter) & (away[:, 2] > -3 * diameter))
+
+
+def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, push: Array, heading: Array) -> Array:
+    """How far earlier cups have moved each fruit when its own cup comes, (picks, 3).
+
+    A push falls off with distance from the fruit that the cup went to; the swinging part dies away, the rest stays.
+    """
+    n = len(fruit)
+    if n < 2:
+        return np.zeros((n, 3))
+    wait = entry[None, :] - entry[:, None]  # from push i to cup j
+    earlier = wait > 0
+    distance = np.linalg.norm(fruit[:, None] - fruit[None], axis=-1)
+    way = np.stack([np.cos(heading), np.sin(heading), np.zeros(n)], axis=-1)
+    start = (coupling(model.branch, distance) * push[:, None] * earlier)[..., None] * way[:, None]
+    swung, _ = swing(model.branch, start, np.zeros_like(start), np.broadcast_to(masses, (n, n)), np.maximum(wait, 0.0))
+    return np.asarray((model.lasting * start + (1 - model.lasting) * swung).sum(axis=0))

@@ -1,0 +1,141 @@
+"""The trees that the harvester works: fruit in the machine's base frame, from the orchard's samplers, or as in Li's lab.
+
+The machine's column stands at the canopy's stand-off; the tree is at negative y. Units: m, kg.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.arm_file import read_toml
+from pickenv.arm.geometry import Array
+from pickenv.arm.tables import Table
+from pickenv.errors import InputError
+from pickenv.harvester.machine import Machine
+from pickenv.harvester.pick_point import pick_point
+from pickenv.orchard import (
+    Canopy,
+    Fruit,
+    FruitMap,
+    FruitSize,
+    fruit_masses,
+    load_canopy,
+    load_fruit_map,
+    load_fruit_size,
+    sample_fruit,
+)
+
+SHIPPED = Path(__file__).parent / "picking.toml"
+TRIES = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """One side of a tree as the machine meets it.
+
+    Attributes:
+        fruit: Centres in the base frame, m, (n, 3).
+        diameters: m, (n,).
+        masses: kg, (n,).
+        side: Left, right, bottom and top of the side that is cut into zones, m.
+    """
+
+    fruit: Array
+    diameters: Array
+    masses: Array
+    side: tuple[float, float, float, float]
+
+    def __len__(self) -> int:
+        return len(self.fruit)
+
+
+@dataclass(frozen=True, eq=False)
+class Orchard:
+    """What trees are drawn from."""
+
+    canopy: Canopy
+    fruit_map: FruitMap
+    size: FruitSize
+
+
+def load_orchard(path: str | Path = SHIPPED, *, per_metre: float | None = None, fruit_map: str | None = None) -> Orchard:
+    """Read the trees of a picking file.
+
+    Args:
+        path: The file.
+        per_metre: Fruit per metre of row instead of the file's.
+        fruit_map: A fruit map of `pickenv.orchard` instead of the file's; "v_trellis" hangs fruit in clusters of three.
+    """
+    table = Table(read_toml(Path(path)).get("trees"), "trees", str(path), ("canopy", "fruit_map", "fruit_size", "per_metre"))
+    density = table.number("per_metre") if per_metre is None else per_metre
+    names = {key: str(table.table.get(key)) for key in ("canopy", "fruit_map", "fruit_size")}
+    where = load_fruit_map(fruit_map or names["fruit_map"]).scaled(density)
+    return Orchard(load_canopy(names["canopy"]), where, load_fruit_size(names["fruit_size"]))
+
+
+def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) -> Tree:
+    """Draw one tree side."""
+    canopy = orchard.canopy
+    fruit = sample_fruit(orchard.fruit_map, orchard.size, canopy, rng)
+    half = canopy.width / 2
+    side = (-half, half, canopy.bottom - machine.base_height, canopy.top - machine.base_height)
+    return Tree(in_base_frame(machine, canopy, fruit), fruit.diameters, fruit_masses(orchard.size, fruit.diameters), side)
+
+
+def in_base_frame(machine: Machine, canopy: Canopy, fruit: Fruit) -> Array:
+    """Fruit in the base frame: the orchard's x and y turn by half a turn, heights count from the machine's base."""
+    x, y, z = np.moveaxis(fruit.positions, -1, 0)
+    return np.stack([-x, -(y + canopy.standoff), z - machine.base_height], axis=-1)
+
+
+@lru_cache(maxsize=4)
+def _lab(path: Path) -> tuple[int, int, float, float, float]:
+    keys = ("runs", "fruit", "width_mm", "height_mm", "apart_mm")
+    table = Table(read_toml(path).get("lab"), "lab", str(path), keys)
+    runs, fruit = (int(table.number(key, positive=True)) for key in keys[:2])
+    wide, high, apart = (table.number(key, positive=True) * 1e-3 for key in keys[2:])
+    return runs, fruit, wide, high, apart
+
+
+def lab_runs() -> int:
+    """Images in Li's experiment."""
+    return _lab(SHIPPED)[0]
+
+
+def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corrected") -> Tree:
+    """Draw one image of Li's lab: fruit all in reach from the pick point by ``method``, and not in clusters.
+
+    Raises:
+        InputError: If a thousand draws give none: the machine reaches too little.
+    """
+    _, count, wide, high, apart = _lab(SHIPPED)
+    canopy, size = load_canopy("li2016"), load_fruit_size("li2016")
+    low, top = canopy.bottom - machine.base_height, canopy.top - machine.base_height
+    for _ in range(TRIES):
+        x = rng.uniform(-(canopy.width - wide) / 2, (canopy.width - wide) / 2) / 2
+        z = rng.uniform(low, top - high)
+        corner = np.array([x - wide / 2, -canopy.standoff - canopy.depth, z])
+        fruit = corner + np.array([wide, canopy.depth, high]) * rng.random((count, 3))
+        if count > 1 and _least_distance(fruit) < apart:
+            continue
+        point = pick_point(machine, fruit, method)
+        if machine.master_within_limits(point.master) and point.count == count:
+            diameters = np.full(count, size.mean)
+            side = (float(corner[0]), float(corner[0]) + wide, z, z + high)
+            return Tree(fruit, diameters, fruit_masses(size, diameters), side)
+    raise InputError(f"the machine reaches no image of {count} fruit; widen its spacing or give more arms")
+
+
+def _least_distance(points: Array) -> float:
+    i, j = np.triu_indices(len(points), 1)
+    return float(np.linalg.norm(points[i] - points[j], axis=-1).min())
+
+
+def tree_seeds(seed: int, count: int) -> list[NDArray[np.uint32] | np.random.SeedSequence]:
+    """One seed per tree, the same whatever the number of workers."""
+    return list(np.random.SeedSequence(seed).spawn(count))

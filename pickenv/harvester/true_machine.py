@@ -1,0 +1,225 @@
+"""The harvester as built: a plant for the master and one for each slave, and the correction of what is known of them.
+
+A belief predicts where an arm's frame stands for joint commands; the nominal geometry is the simplest, a calibration's
+compensator another. Frame 3 of the true master carries the true slaves. Units: m, rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.arm import Geometry, Plant, Pose, forward, load_plant
+from pickenv.arm.arm_file import read_toml, refuse_unknown
+from pickenv.arm.geometry import Array
+from pickenv.arm.tables import Table
+from pickenv.errors import InputError
+from pickenv.harvester.machine import MOST_SLAVES, SHIPPED, Machine, composed, shifted
+
+ROUNDS = 3
+"""Corrections; each leaves a hundredth of what was before."""
+
+
+class Belief(Protocol):
+    """What a controller knows of one arm; a calibration's compensator is one."""
+
+    def predict(self, joints: ArrayLike, /) -> Pose:
+        """Pose of the arm's last frame at joint commands (..., 3)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Nominal:
+    """The belief of a controller that was never told otherwise."""
+
+    geometry: Geometry
+
+    def predict(self, joints: ArrayLike, /) -> Pose:
+        """Forward kinematics of the nominal table."""
+        return forward(self.geometry, joints)
+
+
+@dataclass(frozen=True, eq=False)
+class TrueMachine:
+    """A machine as built.
+
+    Attributes:
+        machine: The machine as drawn.
+        master: Plant of the master.
+        slaves: Plant of each slave.
+        repeatability: Standard deviation per axis of each arm's stop, m.
+    """
+
+    machine: Machine
+    master: Plant
+    slaves: tuple[Plant, ...]
+    repeatability: float
+
+    def frame3(self, master: ArrayLike) -> Pose:
+        """True pose of frame 3 for master commands (..., 3)."""
+        return self.master.tool_pose(master)
+
+    def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
+        """True cups (..., arms, 3) for commands (..., 3) and (..., arms, 3), without the spread of repeated stops."""
+        slaves = np.asarray(slaves, dtype=float)
+        base = self.frame3(master)
+        found = [composed(base, plant.tool_pose(slaves[..., i, :])).position for i, plant in enumerate(self.slaves)]
+        return np.stack(found, axis=-2)
+
+    def picking_tips(self, master: Array, arm: Array, joints: Array) -> Array:
+        """True cups of picks (picks, 3), without the spread of repeated stops.
+
+        Args:
+            master: Master commands at each pick, (picks, 3).
+            arm: Slave of each pick, (picks,).
+            joints: Its command, (picks, 3).
+        """
+        base = self.frame3(master)
+        found = np.empty((len(arm), 3))
+        for i, plant in enumerate(self.slaves):
+            mine = np.flatnonzero(arm == i)
+            if mine.size:
+                here = Pose(base.position[mine], base.rotation[mine])
+                found[mine] = composed(here, plant.tool_pose(joints[mine])).position
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """Turns nominal joints of the whole machine into commands, arm by arm, with what is believed of each.
+
+    Attributes:
+        machine: The machine as drawn.
+        master: Belief about the master, or None for the nominal one.
+        slaves: Belief about each slave; empty for the nominal ones.
+    """
+
+    machine: Machine
+    master: Belief | None = None
+    slaves: tuple[Belief, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.slaves and len(self.slaves) != self.machine.arms:
+            raise InputError(f"{len(self.slaves)} beliefs were given for {self.machine.arms} slave arms; give one each")
+
+    def __call__(self, joints: ArrayLike) -> Array:
+        """Commands (..., 3 + 3 arms) for nominal joints of the same shape: the compensator of a whole machine."""
+        joints = np.asarray(joints, dtype=float)
+        master = self.master_command(joints[..., :3])
+        base = self._master().predict(master)
+        wanted = self.machine.tips(joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], -1, 3))
+        commands = [master]
+        for i in range(self.machine.arms):
+            given = joints[..., 3 + 3 * i : 6 + 3 * i]
+            commands.append(self._slave_command(i, base, wanted[..., i, :], given))
+        return np.concatenate(commands, axis=-1)
+
+    def master_command(self, master: ArrayLike) -> Array:
+        """Master commands (..., 3) that bring the believed frame 3 where the nominal one would be."""
+        machine, nominal = self.machine, np.asarray(master, dtype=float)
+        if self.master is None:
+            return nominal
+        wanted, aim = machine.frame3(nominal), machine.frame3(nominal)
+        command = nominal
+        for _ in range(ROUNDS):
+            aim = aim + wanted - self.master.predict(command).position
+            command = machine.master_inverse(aim).clip(machine.master.nominal.lower, machine.master.nominal.upper)
+        return np.asarray(command)
+
+    def pick_commands(self, master: Array, arm: Array, targets: Array) -> Array:
+        """Slave commands (picks, 3) for targets (picks, 3), the master standing at the *command* ``master`` (picks, 3)."""
+        base = self._master().predict(master)
+        found = np.empty((len(arm), 3))
+        for i in range(self.machine.arms):
+            mine = np.flatnonzero(arm == i)
+            if mine.size:
+                here = Pose(base.position[mine], base.rotation[mine])
+                found[mine] = self._slave_command(i, here, targets[mine])
+        return found
+
+    def _master(self) -> Belief:
+        return self.master or Nominal(self.machine.master.nominal)
+
+    def _slave_command(self, i: int, base: Pose, targets: Array, given: Array | None = None) -> Array:
+        """Joints that bring the believed cup of slave ``i`` to targets in the base frame, frame 3 at ``base``."""
+        geometry = self.machine.slaves[i].nominal
+        if given is not None and self.master is None and not self.slaves:
+            return given
+        local = np.einsum("...ji,...j->...i", base.rotation, targets - base.position)
+        aim = local
+        command = _local_inverse(geometry, aim)
+        if self.slaves:
+            for _ in range(ROUNDS):
+                command = command.clip(geometry.lower, geometry.upper)
+                aim = aim + local - self.slaves[i].predict(command).position
+                command = _local_inverse(geometry, aim)
+        return np.asarray(command.clip(geometry.lower, geometry.upper))
+
+
+def _local_inverse(slave: Geometry, local: Array) -> Array:
+    """Eq (6) in frame 3 (x right, y down, z ahead)."""
+    right, down, ahead = local[..., 0] - slave.a[0], local[..., 1], local[..., 2] - slave.a[1]
+    return np.stack([-down, np.arctan2(-right, ahead), np.hypot(right, ahead)], axis=-1)
+
+
+def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachine:
+    """The machine as built, from the same file as the machine.
+
+    Raises:
+        InputError: If a number is impossible or a plant is not that of the machine's arm.
+    """
+    keys = ("master", "slave", "seat_right_mm", "seat_ahead_mm", "seat_up_mm", "repeatability_mm")
+    content = read_toml(Path(path))
+    refuse_unknown(content, ("machine", "body", "acceleration", "cycle", "true"), str(path), "a machine file")
+    table = Table(content.get("true"), "true", str(path), keys)
+    plants: list[Plant] = []
+    for key in ("master", "slave"):
+        if not isinstance(table.table.get(key), str):
+            raise table.fail(key, "the name of a plant or the path of a plant file")
+        plants.append(load_plant(table.table[key]))
+    master, slave = plants
+    if master.arm.fingerprint() != machine.master.fingerprint():
+        raise InputError(f"{path}: plant '{master.name}' is not one of arm '{machine.master.name}'")
+    right, ahead, up = (
+        table.numbers(f"seat_{axis}_mm", MOST_SLAVES, signed=True) for axis in ("right", "ahead", "up")
+    )
+    return TrueMachine(
+        machine=machine,
+        master=master,
+        slaves=tuple(
+            _seated(slave, float(machine.offsets[i]), right[i] * 1e-3, ahead[i] * 1e-3, up[i] * 1e-3)
+            for i in range(machine.arms)
+        ),
+        repeatability=table.number("repeatability_mm") * 1e-3,
+    )
+
+
+def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) -> Plant:
+    """A slave's plant at its offset, its true chain displaced by the error of its seat."""
+    arm = shifted(plant.arm, offset)
+    assert arm.true is not None
+    delta = np.zeros(5 * arm.true.joints + 12)
+    delta[-12:-9] = right, -up, ahead
+    arm = replace(arm, true=arm.true.displaced(delta))
+    assert arm.true is not None
+    return replace(plant, arm=arm, geometry=arm.true)
+
+
+def nominal_controller(machine: Machine) -> Controller:
+    """The controller of the paper: no correction at all."""
+    return Controller(machine)
+
+
+def tip_errors(true: TrueMachine, controller: Controller, masters: Sequence[ArrayLike] | Array, slaves: Array) -> Array:
+    """Position errors (poses, 1 + arms, 3) of frame 3 and all cups for nominal joints (poses, 3), (poses, arms, 3), m."""
+    masters = np.asarray(masters, dtype=float)
+    joints = np.concatenate([masters, slaves.reshape(len(masters), -1)], axis=-1)
+    commands = controller(joints)
+    cups = true.tips(commands[:, :3], commands[:, 3:].reshape(slaves.shape)) - true.machine.tips(masters, slaves)
+    frame = true.frame3(commands[:, :3]).position - true.machine.frame3(masters)
+    return np.concatenate([frame[:, None], cups], axis=1)
