@@ -1,0 +1,212 @@
+"""The page of a calibration stands alone, says its verdict first, and shows what the numbers rest on."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from calibration import fit, random_joints, simulated_tracker
+from calibration.metrics import error_statistics
+from pickenv.arm import load_plant
+from pickenv.errors import InputError
+from pickenv.inspect.calibration_report import calibration_page, gather, write_calibration_report
+from pickenv.inspect.report_words import parameter_words, unit_of
+from pickenv.inspect.svg_plots import bar, cumulative, heat_map, strips, ticks
+
+VOID = {"meta", "br", "line", "rect", "path", "polyline"}
+GATE = {
+    "models": {
+        "gp": {"accepted": True, "reason": "cuts the blocked RMS by 60%", "random_rms_mm": 0.2, "blocked_rms_mm": 0.25},
+        "trees": {"accepted": False, "reason": "no gain: raises <it>", "random_rms_mm": None, "blocked_rms_mm": 0.7},
+    },
+    "selected": "gp",
+}
+
+
+class Page(HTMLParser):
+    """Balanced tags, attributes and text of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.attributes, self.words = [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.attributes += attrs
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.attributes += attrs
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open:
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return load_plant("qiao2026")
+
+
+@pytest.fixture(scope="module")
+def sets(plant):
+    rng = np.random.default_rng(0)
+    return [simulated_tracker(plant, random_joints(plant.arm.nominal, n, rng), rng) for n in (60, 40)]
+
+
+@pytest.fixture(scope="module")
+def evidence(plant, sets):
+    train = replace(sets[0], source="folder/<b>tracker</b> & co.csv")
+    return gather(plant.arm, fit(plant.arm, train), train, sets[1], GATE)
+
+
+@pytest.fixture(scope="module")
+def page(evidence):
+    return calibration_page(evidence, {"seed": 7, "split": "random"})
+
+
+def test_it_is_whole_and_needs_nothing_from_outside(page):
+    found = Page(page)
+    assert page.startswith("<!DOCTYPE html>") and page.rstrip().endswith("</html>")
+    assert not re.search(r"https?:|url\(|<script|<link|<img|@import", page)
+    assert not [name for name, _ in found.attributes if name in ("src", "href", "srcset")]
+    assert "prefers-color-scheme: dark" in page and "@media print" in page and len(page) < 300_000
+
+
+def test_the_verdict_comes_first_and_in_words(page, evidence):
+    text = Page(page).text
+    mean = error_statistics(np.linalg.norm(evidence.after[:, :3], axis=1) * 1e3).mean
+    assert text.index("Good: the calibration can be used") < text.index("Errors on held-out poses")
+    assert f"the tool stood {mean:.3f} mm" in text and "40 measured poses that the fit never saw" in text
+    assert "times the stated noise" in text
+
+
+def test_text_from_files_is_no_markup(page):
+    assert "<b>tracker</b>" not in page and "&lt;b&gt;tracker" in page and "raises &lt;it&gt;" in page
+
+
+def test_every_parameter_is_there_with_its_uncertainty_or_what_absorbs_it(page, evidence):
+    text, found = Page(page).text, evidence.fit.identification
+    for k in found.identifiability.kept:
+        name = found.identifiability.names[k]
+        unit, scale = unit_of(name, found.geometry.parameter_names)
+        if abs(found.delta[k] * scale) >= 1e-3 and found.standard_deviation[k] * scale >= 1e-3:
+            assert f"{found.delta[k] * scale:.4f} ± {found.standard_deviation[k] * scale:.4f} {unit}" in text
+    for item in found.identifiability.dropped:
+        assert f"{item.name} (" in text.split("Parameters left at their nominal value")[1]
+    assert "a1 + a2 + a3" in text
+
+
+def test_axes_gate_poses_and_origin_are_there(page, evidence):
+    text = Page(page).text
+    for axis, row in zip(("x", "y", "z"), evidence.quality.calibrated, strict=False):
+        assert f"{axis} (mm)" in text and f"{row.rmse:.4f}" in text
+    assert "The residual model “gp” is used." in text and "left off: no gain" in text and "0.2500" in text
+    assert "The poses tell all 24 parameters" in text
+    assert f"{evidence.quality.observability.condition:.1f}" in text
+    record = evidence.fit.calibration.record
+    assert record["data_fingerprint"] in text and "seed 7" in text and record["versions"]["numpy"] in text
+
+
+def test_positions_only_and_a_residual_have_their_page(plant, sets, tmp_path):
+    positions = [data.positions_only() for data in sets]
+    first = gather(plant.arm, fit(plant.arm, positions[0]), *positions)
+    text = Page(write_calibration_report(tmp_path / "p.html", first).read_text(encoding="utf-8")).text
+    assert "rx (deg)" not in text and "attitude error" not in text and "Learnt residual models" not in text
+    rng = np.random.default_rng(1)
+    more = simulated_tracker(plant, random_joints(plant.arm.nominal, 150, rng), rng)
+    learnt = gather(plant.arm, fit(plant.arm, sets[0], more, residual="rbf", rng=rng), *sets)
+    text = Page(calibration_page(learnt)).text
+    assert "with learnt residual" in text and "with residual" in text
+    final = error_statistics(np.linalg.norm(learnt.best[:, :3], axis=1) * 1e3).mean
+    assert final < 0.6 * error_statistics(np.linalg.norm(learnt.after[:, :3], axis=1) * 1e3).mean
+    assert f"the tool stood {final:.3f} mm" in text
+
+
+def test_a_bad_calibration_says_do_not_use(evidence):
+    swapped = gather(evidence.arm, evidence.fit, evidence.train, evidence.test)
+    worse = replace(swapped, quality=replace(swapped.quality, grade="do not use"))
+    assert 'class="verdict bad"' in calibration_page(worse) and "Do not use" in calibration_page(worse)
+
+
+def test_held_joints_make_the_page_name_what_to_move(plant):
+    rng = np.random.default_rng(0)
+    joints = random_joints(plant.arm.nominal, 100, rng)
+    joints[:, 5] = 0.3
+    data = simulated_tracker(plant, joints, rng)
+    page = Page(
+        calibration_page(
+            gather(
+                plant.arm, fit(plant.arm, data.select(range(70))), data.select(range(70)), data.select(range(70, 100))
+            )
+        )
+    )
+    assert "Usable with care" in page.text and "move J6 twist" in page.text
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("alpha0", "twist between the axes of the base and J1"),
+        ("a2", "distance between the axes of J2 and J3"),
+        ("theta1", "angle offset of J1"),
+        ("d3", "offset along the axis of J3"),
+        ("base_rx", "base of the arm in the instrument's frame: turn about x"),
+        ("tool_z", "target on the last link: position along z"),
+        ("compliance2", "yielding of J2 under load"),
+        ("thermal", "growth with temperature"),
+        ("theta9", ""),
+        ("zeta", ""),
+    ],
+)
+def test_parameters_have_a_meaning(name, words):
+    assert parameter_words(name, ("J1", "J2", "J3")) == words
+
+
+def test_units_of_parameters():
+    geometric = ("alpha0", "d1", "base_rx", "base_x")
+    assert [unit_of(name, geometric)[0] for name in (*geometric, "thermal", "anchor_x")] == [
+        "deg", "mm", "deg", "mm", "SI", "mm",
+    ]  # fmt: skip
+
+
+def test_the_step_line_passes_through_the_share_of_poses():
+    svg = cumulative({"one": ("after", [1.0, 2.0, 3.0, 4.0])}, "error (mm)")
+    points = np.array([[float(v) for v in p.split(",")] for p in re.search(r'points="([^"]+)"', svg)[1].split()])
+    assert (np.diff(points[:, 0]) >= 0).all() and (np.diff(points[:, 1]) <= 0).all()
+    heights = np.unique(points[:, 1])[::-1]
+    np.testing.assert_allclose(np.diff(heights), (heights[-1] - heights[0]) / 4, atol=0.06)
+    with pytest.raises(InputError, match="finite"):
+        cumulative({"one": ("after", [np.nan])}, "error")
+
+
+@pytest.mark.parametrize("limits", [(0.0, 1.0), (-3.0, 700.0), (0.0, 1e-5), (2.0, 2.0)])
+def test_ticks_are_round_and_inside(limits):
+    found = ticks(*limits)
+    assert 1 <= len(found) <= 7 and all(limits[0] - 1e-9 <= t <= limits[1] + 1e-9 for t in found)
+
+
+def test_drawings_stay_on_the_paper():
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 100, (2, 500))
+    drawings = [
+        strips(["a"], np.zeros(1), np.ones(1), rng.uniform(-1, 2, (9, 1)), [("0", "1")]),
+        heat_map(x, y, x + y, "x", "y", "mm"),
+        bar(5.0, 1.0, 2.0),
+    ]
+    for svg in drawings:
+        Page(svg)
+        width, height = (float(v) for v in re.search(r'viewBox="0 0 (\S+) (\S+)"', svg).groups())
+        for name, limit in (("x", width), ("x1", width), ("x2", width), ("y", height), ("y1", height)):
+            assert all(-0.1 <= float(v) <= limit + 0.1 for v in re.findall(rf' {name}="([-\d.]+)"', svg))
