@@ -1,7 +1,7 @@
 """Whole trees: zone after zone, image, pick point, plan, picks, second looks, collective unloading, and the clock.
 
-Many trees go on in step, so that the true arms and the outcomes of a zone are computed for all of them at once. Each tree
-draws from a generator of its own, so results do not depend on which trees go together. Units: m, rad, s.
+Many trees go on in step, so that the true arms of a zone are computed for all of them at once. Each tree draws from a
+generator of its own, so results do not depend on which trees go together. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -189,14 +189,23 @@ def pick_images(
 
 
 def _begin(machine: Machine, tree: Tree, rng: np.random.Generator) -> Harvest:
-    none = np.zeros((6, len(tree)), dtype=bool)
-    arms = np.zeros(machine.arms, dtype=np.int64)
-    return Harvest(tree, rng, *none, np.full(len(tree), -1), arms, machine.master_start.copy())
+    seen, reachable, attempted, attached, detached, collected = np.zeros((6, len(tree)), dtype=bool)
+    return Harvest(
+        tree=tree,
+        rng=rng,
+        seen=seen,
+        reachable=reachable,
+        attempted=attempted,
+        attached=attached,
+        detached=detached,
+        collected=collected,
+        by_arm=np.full(len(tree), -1),
+        load=np.zeros(machine.arms, dtype=np.int64),
+        master=machine.master_start.copy(),
+    )
 
 
-def _plan(
-    machine: Machine, strategy: Strategy, model: Picking, state: Harvest, zone: Zone, look: int
-) -> _Task | None:
+def _plan(machine: Machine, strategy: Strategy, model: Picking, state: Harvest, zone: Zone, look: int) -> _Task | None:
     """Image, pick point and plan of a zone; None where the image shows nothing to pick."""
     tree, rng = state.tree, state.rng
     n = len(tree)
@@ -245,9 +254,7 @@ def _execute(
     return results
 
 
-def _record(
-    true: TrueMachine, strategy: Strategy, model: Picking, state: Harvest, task: _Task, tips: Array
-) -> bool:
+def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harvest, task: _Task, tips: Array) -> bool:
     """Outcomes of one tree's round, its time, and the arms' least distance."""
     machine, tree, rng = true.machine, state.tree, state.rng
     arm, local = task.times.arm, task.times.fruit

@@ -1,4 +1,4 @@
-"""The trees that the harvester works: fruit in the machine's base frame, from the orchard's samplers, or as in Li's lab.
+"""The trees that the harvester works: fruit in the machine's base frame, as the orchard has it or as in Li's lab.
 
 The machine's column stands at the canopy's stand-off; the tree is at negative y. Units: m, kg.
 """
@@ -63,7 +63,9 @@ class Orchard:
     size: FruitSize
 
 
-def load_orchard(path: str | Path = SHIPPED, *, per_metre: float | None = None, fruit_map: str | None = None) -> Orchard:
+def load_orchard(
+    path: str | Path = SHIPPED, *, per_metre: float | None = None, fruit_map: str | None = None
+) -> Orchard:
     """Read the trees of a picking file.
 
     Args:
@@ -71,7 +73,9 @@ def load_orchard(path: str | Path = SHIPPED, *, per_metre: float | None = None, 
         per_metre: Fruit per metre of row instead of the file's.
         fruit_map: A fruit map of `pickenv.orchard` instead of the file's; "v_trellis" hangs fruit in clusters of three.
     """
-    table = Table(read_toml(Path(path)).get("trees"), "trees", str(path), ("canopy", "fruit_map", "fruit_size", "per_metre"))
+    table = Table(
+        read_toml(Path(path)).get("trees"), "trees", str(path), ("canopy", "fruit_map", "fruit_size", "per_metre")
+    )
     density = table.number("per_metre") if per_metre is None else per_metre
     names = {key: str(table.table.get(key)) for key in ("canopy", "fruit_map", "fruit_size")}
     where = load_fruit_map(fruit_map or names["fruit_map"]).scaled(density)
@@ -84,7 +88,9 @@ def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) ->
     fruit = sample_fruit(orchard.fruit_map, orchard.size, canopy, rng)
     half = canopy.width / 2
     side = (-half, half, canopy.bottom - machine.base_height, canopy.top - machine.base_height)
-    return Tree(in_base_frame(machine, canopy, fruit), fruit.diameters, fruit_masses(orchard.size, fruit.diameters), side)
+    return Tree(
+        in_base_frame(machine, canopy, fruit), fruit.diameters, fruit_masses(orchard.size, fruit.diameters), side
+    )
 
 
 def in_base_frame(machine: Machine, canopy: Canopy, fruit: Fruit) -> Array:

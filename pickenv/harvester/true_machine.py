@@ -132,7 +132,7 @@ class Controller:
         return np.asarray(command)
 
     def pick_commands(self, master: Array, arm: Array, targets: Array) -> Array:
-        """Slave commands (picks, 3) for targets (picks, 3), the master standing at the *command* ``master`` (picks, 3)."""
+        """Slave commands (picks, 3) for targets (picks, 3), with the master at the commands ``master``."""
         base = self._master().predict(master)
         found = np.empty((len(arm), 3))
         for i in range(self.machine.arms):
@@ -185,9 +185,7 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
     master, slave = plants
     if master.arm.fingerprint() != machine.master.fingerprint():
         raise InputError(f"{path}: plant '{master.name}' is not one of arm '{machine.master.name}'")
-    right, ahead, up = (
-        table.numbers(f"seat_{axis}_mm", MOST_SLAVES, signed=True) for axis in ("right", "ahead", "up")
-    )
+    right, ahead, up = (table.numbers(f"seat_{axis}_mm", MOST_SLAVES, signed=True) for axis in ("right", "ahead", "up"))
     return TrueMachine(
         machine=machine,
         master=master,
@@ -216,7 +214,7 @@ def nominal_controller(machine: Machine) -> Controller:
 
 
 def tip_errors(true: TrueMachine, controller: Controller, masters: Sequence[ArrayLike] | Array, slaves: Array) -> Array:
-    """Position errors (poses, 1 + arms, 3) of frame 3 and all cups for nominal joints (poses, 3), (poses, arms, 3), m."""
+    """Errors of frame 3 and all cups, (poses, 1 + arms, 3) m, for nominal joints (poses, 3) and (poses, arms, 3)."""
     masters = np.asarray(masters, dtype=float)
     joints = np.concatenate([masters, slaves.reshape(len(masters), -1)], axis=-1)
     commands = controller(joints)
