@@ -49,7 +49,8 @@ class Coverage:
             f"{self.joint_names[i]} (now over {100 * self.used[i]:.0f} % of its range)" for i in self.move
         )
         remedy = f"move {joints} further" if joints else "measure more varied poses (`pickenv plan-poses`)"
-        return f"{', '.join(self.lost)} cannot be told from others because of the poses alone; {remedy}"
+        what = "parameter" if len(self.lost) == 1 else "parameters"
+        return f"{what} {', '.join(self.lost)} cannot be told from others because of the poses alone; {remedy}"
 
 
 def pose_coverage(
