@@ -4,30 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.policy import Policy
 from pickenv.arm import noncompensable_error
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
 LONGEST_EPISODE = 10_000
 """Steps after which an episode counts as one without a time limit."""
-
-
-class Policy(Protocol):
-    """What the evaluation asks of a policy."""
-
-    def reset(self) -> None:
-        """Called at the start of every episode."""
-        ...
-
-    def act(self, observation: NDArray[np.float32], /) -> NDArray[np.float32]:
-        """The next action."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
