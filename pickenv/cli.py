@@ -23,6 +23,10 @@ app = typer.Typer(
 )
 
 
+INTERRUPTED = 130
+"""Exit code of a command ended by Ctrl-C, as shells have it: 128 plus the number of SIGINT."""
+
+
 @app.callback()
 def _front() -> None:
     """Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms."""
@@ -158,13 +162,14 @@ app.command()(plants.iso9283)
 def main() -> None:
     """Run the command line; bad input ends with one sentence and exit code 2, an interrupt with 130."""
     try:
-        app(standalone_mode=False)
+        if app(standalone_mode=False) == INTERRUPTED:  # typer turns Ctrl-C into this return value
+            raise KeyboardInterrupt
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     except (KeyboardInterrupt, typer.Abort):
         print("interrupted; files are written whole or not at all, so nothing is left half-written", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
     except Exception as error:  # typer carries its own copy of click, so usage errors are known by what they offer
         if not hasattr(error, "exit_code") or not hasattr(error, "show"):
             raise
