@@ -211,3 +211,13 @@ def test_a_test_pose_out_of_reach_is_named_by_row(qiao, tmp_path):
     path.write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n700,-750,400,0,0,0\n9000,0,0,0,0,0\n")
     with pytest.raises(InputError, match="row 3 is a pose that the arm cannot reach"):
         joints_of(read_targets(path, qiao.nominal), qiao.nominal)
+
+
+@pytest.mark.parametrize("joint", [0, 3, 4])
+def test_other_joints_take_over_from_one_at_its_limit(calibration, dynamic, joint):
+    """Six joints for five directions: J1, J4 and J5 can be spared, so a target at their limits is still reached."""
+    nominal = dynamic.arm.nominal
+    joints = inner_joints(nominal, 60, 5)
+    joints[:30, joint], joints[30:, joint] = nominal.lower[joint], nominal.upper[joint]
+    found = apply_calibration(calibration, dynamic.arm, joint_targets(joints))
+    assert found.reached.all() and (found.joints <= nominal.upper).all() and (found.joints >= nominal.lower).all()

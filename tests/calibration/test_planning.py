@@ -220,3 +220,14 @@ def test_a_base_set_spans_what_the_model_spans(qiao, exact):
     error = predicted_error(design.rows, error_weight(qiao.nominal, design, design.joints))
     halved = replace(design, rows=design.rows * 2)
     assert predicted_error(halved.rows, error_weight(qiao.nominal, halved, design.joints)) == pytest.approx(error / 2)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=10, deadline=None)
+def test_no_reversal_of_a_stretch_shortens_a_tour(seed):
+    joints, speed = np.random.default_rng(seed).uniform(-1, 1, (25, 4)), np.array([1.0, 0.5, 2.0, 1.0])
+    joints = joints[short_tour(joints, speed)]
+    shortest = travel_seconds(joints, speed)
+    for i, j in np.argwhere(np.triu(np.ones((25, 25)), 1)):
+        turned = np.concatenate([joints[:i], joints[i : j + 1][::-1], joints[j + 1 :]])
+        assert travel_seconds(turned, speed) >= shortest - 1e-9

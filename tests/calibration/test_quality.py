@@ -9,6 +9,7 @@ from scipy import stats
 from calibration import Measurements, complete_model, fit, identify, link_model, random_joints, simulated_tracker
 from calibration.coverage import pose_coverage
 from calibration.error_model import residual
+from calibration.identifiability import Dropped, Identifiability
 from calibration.quality import axis_errors, base_combinations, completeness, correlated_pairs, judge_quality
 from calibration.uncertainty import held_out_errors, pose_uncertainty, uncertainty_from, with_uncertainty
 from pickenv.arm import displace_pose, forward, parameter_jacobian, pose_error
@@ -200,3 +201,23 @@ def test_only_the_jacobians_columns_of_kept_parameters_count(calibrated):
         jacobian @ sure.covariance @ jacobian.T,
         atol=1e-18,
     )
+
+
+def test_coefficients_between_lengths_and_angles_name_their_unit():
+    """The digest's d3 = (theta2 - theta1) / 138 mm, read both ways."""
+
+    def found(kept, dropped, share):
+        return Identifiability(
+            names=(kept, dropped),
+            kept=np.array([0]),
+            dropped=(Dropped(dropped, {kept: share}),),
+            r_diagonal=np.ones(2),
+            phi=np.ones(2),
+            singular_values=np.ones(1),
+        )
+
+    assert base_combinations(found("theta2", "d3", 1 / 0.138)) == {"theta2": "theta2 + 0.4152 deg/mm d3"}
+    assert base_combinations(found("d3", "theta1", -0.138)) == {"d3": "d3 - 2.409 mm/deg theta1"}
+    assert base_combinations(found("a1", "a2", 1.0)) == {"a1": "a1 + a2"}
+    assert base_combinations(found("a1", "a2", 0.5)) == {"a1": "a1 + 0.5 a2"}
+    assert base_combinations(found("a1", "a2", 0.001)) == {"a1": "a1"}

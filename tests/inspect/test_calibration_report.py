@@ -67,7 +67,7 @@ def sets(plant):
 
 @pytest.fixture(scope="module")
 def evidence(plant, sets):
-    train = replace(sets[0], source="folder/<b>tracker</b> & co.csv")
+    train = replace(sets[0], source="folder/<b>tracker & co.csv")
     return gather(plant.arm, fit(plant.arm, train), train, sets[1], GATE)
 
 
@@ -93,7 +93,7 @@ def test_the_verdict_comes_first_and_in_words(page, evidence):
 
 
 def test_text_from_files_is_no_markup(page):
-    assert "<b>tracker</b>" not in page and "&lt;b&gt;tracker" in page and "raises &lt;it&gt;" in page
+    assert "<b>tracker" not in page and page.count("&lt;b&gt;tracker &amp; co.csv") == 2 and "raises &lt;it&gt;" in page
 
 
 def test_every_parameter_is_there_with_its_uncertainty_or_what_absorbs_it(page, evidence):
@@ -187,6 +187,8 @@ def test_the_step_line_passes_through_the_share_of_poses():
     assert (np.diff(points[:, 0]) >= 0).all() and (np.diff(points[:, 1]) <= 0).all()
     heights = np.unique(points[:, 1])[::-1]
     np.testing.assert_allclose(np.diff(heights), (heights[-1] - heights[0]) / 4, atol=0.06)
+    top, bottom = (float(re.search(rf'y="([-\d.]+)" text-anchor="end">{share}<', svg)[1]) - 4 for share in (100, 0))
+    assert (heights[0], heights[-1]) == (pytest.approx(bottom, abs=0.1), pytest.approx(top, abs=0.1))
     with pytest.raises(InputError, match="finite"):
         cumulative({"one": ("after", [np.nan])}, "error")
 
