@@ -25,5 +25,11 @@ for _name, _module, _class in (
         vector_entry_point=f"pickenv.envs.vector:{_class}VectorEnv",
         max_episode_steps=60,
     )
+gymnasium.register(
+    id="pickenv/Harvest-v0",
+    entry_point="pickenv.envs.harvest:HarvestEnv",
+    vector_entry_point="pickenv.envs.harvest_vector:HarvestVectorEnv",
+    max_episode_steps=600,
+)
 
 __all__ = ["InputError", "__version__"]

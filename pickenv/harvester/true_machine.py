@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from pickenv.arm import Geometry, Plant, Pose, forward, load_plant
 from pickenv.arm.arm_file import read_toml, refuse_unknown
 from pickenv.arm.geometry import Array
+from pickenv.arm.plant import EFFECTS
 from pickenv.arm.tables import Table
 from pickenv.errors import InputError
 from pickenv.harvester.machine import MOST_SLAVES, SHIPPED, Machine, composed, shifted
@@ -59,6 +60,11 @@ class TrueMachine:
     master: Plant
     slaves: tuple[Plant, ...]
     repeatability: float
+
+    def ideal(self) -> TrueMachine:
+        """The machine if it were as drawn: no errors at all."""
+        plants = [replace(plant.without(EFFECTS), geometry=plant.arm.nominal) for plant in (self.master, *self.slaves)]
+        return replace(self, master=plants[0], slaves=tuple(plants[1:]), repeatability=0.0)
 
     def frame3(self, master: ArrayLike) -> Pose:
         """True pose of frame 3 for master commands (..., 3)."""
