@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pickenv.commands import plants
+from pickenv.commands import calibrations, plants
 from pickenv.errors import InputError
 
 app = typer.Typer(
@@ -133,11 +133,13 @@ def calibrate(
     test: Annotated[Path | None, typer.Option(help="Held-out rows from another file instead.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Write the fitted calibration to this file (.npz).")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a one-page report (.html).")] = None,
 ) -> None:
     """Identify a real arm from measured poses or positions, base and tool included, and judge it on held-out rows."""
     from calibration.columns import read_measurements
     from calibration.held_out import calibrate_and_judge, choose_rows
     from calibration.measurements import Measurements
+    from calibration.uncertainty import with_uncertainty
     from pickenv.arm import load_arm
     from pickenv.files import write_text
 
@@ -150,11 +152,19 @@ def calibrate(
     judged = calibrate_and_judge(chosen, train, held_out)
     print(judged.report())
     if out is not None:
-        print(f"wrote {judged.fit.calibration.save(out)}")
+        found = judged.fit
+        print(f"wrote {with_uncertainty(found.calibration, found.identification, held_out).save(out)}")
+    if report is not None:
+        gate = judged.as_dict().get("gate")
+        seeds = {"split": split, "seed": seed, "held-out rows": len(held_out)}
+        print(f"wrote {calibrations.write_report(report, chosen, judged.fit, train, held_out, gate, seeds)}")
     if json_file is not None:
         print(f"wrote {write_text(json_file, json.dumps(judged.as_dict(), indent=2) + chr(10))}")
 
 
+app.command("plan-poses")(calibrations.plan_poses)
+app.command()(calibrations.apply)
+app.command()(calibrations.export)
 app.command()(plants.effects)
 app.command()(plants.iso9283)
 

@@ -120,11 +120,14 @@ def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
         worst = int(np.argmax(limits["lower"] >= limits["upper"]))
         raise InputError(f"{where}: joint {worst + 1} has a lower limit that is not below its upper limit")
     table = {key: _column(joints, key, where) for key in ("alpha", "a", "theta", "d")}
+    beta = _column([{"beta_deg": 0.0, **joint} for joint in joints], "beta", where)
     base, tool = _pose(content, "base", where), _pose(content, "tool", where)
     convention = content.get("convention", "modified")
     if convention == "modified":
-        nominal = Geometry(names, prismatic, **table, beta=np.zeros(len(joints)), **limits, base=base, tool=tool)
+        nominal = Geometry(names, prismatic, **table, beta=beta, **limits, base=base, tool=tool)
     elif convention == "standard":
+        if beta.any():
+            raise InputError(f"{where}: beta_deg needs convention = 'modified'")
         nominal = from_standard_dh(names, prismatic, **table, **limits, base=base, tool=tool)
     else:
         raise InputError(f"{where}: convention {convention!r} is unknown; give 'modified' or 'standard' (DH)")
@@ -157,7 +160,7 @@ def _joint_keys(slides: bool) -> list[str]:
     unit = "mm" if slides else "deg"
     columns = [f"{key}_{UNITS[key]}" for key in ("alpha", "a", "theta", "d")]
     limits = [f"lower_{unit}", f"upper_{unit}", f"speed_{unit}_per_s"]
-    return ["number", "name", "type", *columns, *(f"true_{key}" for key in columns), *limits]
+    return ["number", "name", "type", "beta_deg", *columns, *(f"true_{key}" for key in columns), *limits]
 
 
 def _numbered_joints(content: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:
