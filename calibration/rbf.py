@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calibration.scaling import spread
+from calibration.threads import single_threaded
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
@@ -89,7 +90,8 @@ def fit_rbf(inputs: Array, targets: Array, rng: np.random.Generator, settings: R
     unit = float(np.sqrt(np.median(_squared_distances(inputs, centres))))
     best, chosen = np.inf, (1.0, np.zeros((len(centres), targets.shape[1])))
     for width in (share * unit for share in settings.widths):
-        u, s, vt = np.linalg.svd(_bells(inputs, centres, width), full_matrices=False)
+        with single_threaded():
+            u, s, vt = np.linalg.svd(_bells(inputs, centres, width), full_matrices=False)
         seen = u.T @ wanted
         outside = np.sum(wanted**2) - np.sum(seen**2)
         for ridge in settings.ridges:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from calibration.alignment import align
 from calibration import align
 from calibration.error_model import complete_model, frames_model
 from calibration.gate import judge_residuals
@@ -83,7 +82,7 @@ def test_a_smooth_residual_is_accepted(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(1)
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (200, 6))
     error = 1e-3 * np.sin(joints) + 1e-5 * rng.normal(size=(200, 6))
-    gate = judge_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf", "gp", "trees"))
+    gate = judge_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf", "gp"))
     assert gate.selected == "gp"
     chosen = next(verdict for verdict in gate.verdicts if verdict.model == "gp")
     assert chosen.accepted
