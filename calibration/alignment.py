@@ -168,12 +168,12 @@ def refuse_another_arm(
         ratio = spread / max(own, 1e-12)
         if not 0.05 < ratio < 20:
             raise InputError(
-                f"{measurements.source}: measured positions spread {ratio:.3g} times as far as the "
-                "arm's own; positions are probably in another length unit, or joints in another angle unit; correct it"
+                f"{measurements.source}: positions spread {ratio:.3g} times as far as the "
+                "arm's own; positions are probably in another length unit, or joints in another angle unit"
             )
         raise InputError(
             f"{measurements.source}: {state} the arm still misses by {position * spread * 1e3:.0f} mm RMS, of a spread "
-            f"of {spread * 1e3:.0f} mm; check the arm, the units, the joint order and signs, and the attitude convention"
+            f"of {spread * 1e3:.0f} mm; check the arm, the units, joint order and signs, and the attitude convention"
         )
     if turn > MISFIT:
         raise InputError(

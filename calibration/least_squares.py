@@ -23,6 +23,9 @@ from pickenv.arm import Geometry
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
+OFFSET = 1e-3
+"""Parameters count as found when a further step would move them by less than this share of their uncertainty."""
+
 
 @dataclass(frozen=True, eq=False)
 class Identification:
@@ -165,14 +168,19 @@ def _identify(
         moved, moved_unknowns = _moved(arm, unknowns, model, change)
         moved_weighted = _weighted(sets, moved, moved_unknowns, factors)
         rms = _rms(moved_weighted)
-        negligible = np.max(np.abs(whole), initial=0.0) < 1e-5  # a shortened step proves nothing
+        # A shortened step proves nothing, and flat directions may wander: what counts is what the whole step would
+        # still explain, per parameter and against the scatter (relative offset, Bates and Watts 1981).
+        scatter = float(weighted @ weighted) / max(len(weighted) - len(kept), 1)
+        offset = float(np.sum((matrix[:, kept] @ whole) ** 2)) / (max(len(kept), 1) * max(scatter, 1e-300))
+        negligible = np.max(np.abs(whole), initial=0.0) < 1e-5 or offset < OFFSET**2
         if rms > history[-1] * (1 + 1e-9):
             if negligible:  # worse by rounding alone: this is the minimum
                 converged = True
                 break
             # Levenberg: a step that makes it worse is shortened until it helps.
             damping = max(damping * 10.0, 1e-3)
-            if damping > 1e9:
+            if damping > 1e9:  # terms move with the geometry, which the Jacobian leaves out: judge by what is left
+                converged = offset < (30 * OFFSET) ** 2
                 break
             continue
         arm, unknowns, weighted = moved, moved_unknowns, moved_weighted

@@ -194,14 +194,83 @@ class ThermalTerm:
         return {"kind": "thermal"}
 
 
+@dataclass(frozen=True)
+class GravityTerm:
+    """Joints yield under the arm's own weight, with neither masses nor stiffnesses known.
+
+    A joint's torque is linear in the mass and first moments of every link behind it, so c tau is linear in c m and
+    c m r: one coefficient per joint and moment (rad/m, or m for slides). Most are redundant; the rank sees to that.
+    With a recorded payload its torque at the tool is one more column per joint (rad/(kg*m)).
+
+    Attributes:
+        joints: Indices of the joints that may yield, from 0.
+        up: Direction against gravity in the axes of frame 0.
+        payload: Whether the payload's columns take part.
+    """
+
+    joints: tuple[int, ...]
+    up: tuple[float, float, float]
+    payload: bool = False
+
+    def _moments(self, geometry: Geometry) -> list[tuple[int, int, str]]:
+        """(joint, link, moment) of each coefficient; "m" mass at the link's origin, "p" payload at the tool."""
+        found = []
+        for i in self.joints:
+            if geometry.prismatic[i]:
+                found.append((i, i, "m"))
+            else:
+                links = range(i, geometry.joints)
+                found += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (i, "m")]
+            if self.payload:
+                found.append((i, geometry.joints, "p"))
+        return found
+
+    def names(self, geometry: Geometry) -> tuple[str, ...]:
+        """Joint, link and moment: gravity2_3x."""
+        return tuple(f"gravity{i + 1}_{j + 1}{moment}" for i, j, moment in self._moments(geometry))
+
+    def tolerances(self, geometry: Geometry) -> Array:
+        """1 mrad at 1 m, 1 mm."""
+        return np.full(len(self._moments(geometry)), 1e-3)
+
+    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """The joint Jacobian's columns times each moment's torque."""
+        if self.payload and conditions.payload is None:
+            raise InputError("the payload's deflection needs payloads; give a payload column")
+        chain = frames(np, chain_of(geometry), split_joints(geometry.joints, joints))
+        placed = np.stack([np.stack(np.broadcast_arrays(*frame, joints[:, 0])[:12], -1) for frame in chain], 1)
+        placed = placed.reshape(len(joints), geometry.joints + 1, 4, 3)
+        up = geometry.base.rotation @ np.array(self.up)
+        tool, jacobian, found = forward(geometry, joints).position, joint_jacobian(geometry, joints), []
+        for i, j, moment in self._moments(geometry):
+            z, origin = placed[:, i + 1, 2], placed[:, i + 1, 3]
+            if moment == "m":
+                lever = placed[:, j + 1, 3] - origin
+            elif moment == "p":
+                lever = (tool - origin) * np.asarray(conditions.payload)[:, None]
+            else:
+                lever = placed[:, j + 1, "xyz".index(moment)]
+            weight = np.ones(len(joints)) if moment != "p" else np.asarray(conditions.payload)
+            torque = -np.einsum("ni,ni->n", z, np.cross(lever, up))
+            if geometry.prismatic[i]:
+                torque = -(z @ up) * weight
+            found.append(jacobian[:, :, i] * torque[:, None])
+        return np.stack(found, -1)
+
+    def specification(self) -> dict[str, Any]:
+        """For `term_from`."""
+        return {"kind": "gravity", **asdict(self)}
+
+
 def term_from(specification: Mapping[str, Any]) -> Term:
     """Make a term again from its `specification`, as a calibration file holds it."""
     numbers = {key: value for key, value in specification.items() if key != "kind"}
-    for key in ("joints",):
+    for key in ("joints", "up"):
         if key in numbers:
             numbers[key] = tuple(numbers[key])
     kinds: dict[str, Any] = {
-        "bending": BendingTerm, "lead": LeadTerm, "periodic": PeriodicTerm, "thermal": ThermalTerm,
+        "bending": BendingTerm, "gravity": GravityTerm, "lead": LeadTerm, "periodic": PeriodicTerm,
+        "thermal": ThermalTerm,
     }  # fmt: skip
     kind = specification["kind"]
     if kind == "compliance":

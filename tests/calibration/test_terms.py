@@ -8,9 +8,9 @@ import pytest
 
 from calibration import Measurements, identify, link_model, random_joints, simulated_tracker
 from calibration.arm_model import ArmModel, Conditions
-from calibration.error_model import ErrorModel
-from calibration.terms import BendingTerm, ComplianceTerm, LeadTerm, PeriodicTerm, ThermalTerm, term_from
-from pickenv.arm import forward, load_plant
+from calibration.error_model import with_terms
+from calibration.terms import BendingTerm, ComplianceTerm, GravityTerm, LeadTerm, PeriodicTerm, ThermalTerm, term_from
+from pickenv.arm import Pose, forward, load_plant, rotation_matrix
 from pickenv.arm.effects import GRAVITY
 from pickenv.errors import InputError
 
@@ -20,14 +20,6 @@ ALL = tuple(range(6))
 @pytest.fixture(scope="module")
 def plant():
     return load_plant("qiao2026")
-
-
-def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
-    """The geometric parameters and every coefficient."""
-    count = len(arm.geometry.parameter_names)
-    names = arm.parameter_names[count:]
-    columns = np.concatenate([model.columns, np.arange(count, count + len(names))])
-    return ErrorModel(columns, model.names + names, np.concatenate([model.tolerance, arm.term_tolerances]))
 
 
 def all_terms(plant):
@@ -43,7 +35,8 @@ def conditions(count, rng):
 
 def test_a_models_jacobian_is_its_poses_difference(plant):
     rng = np.random.default_rng(0)
-    arm = ArmModel.of(plant.arm.nominal, (*all_terms(plant), ThermalTerm()))
+    weight = GravityTerm(ALL, (0.0, 0.0, 1.0), payload=True)
+    arm = ArmModel.of(plant.arm.nominal, (*all_terms(plant), ThermalTerm(), weight))
     joints, given = random_joints(arm.geometry, 7, rng), conditions(7, rng)
     jacobian = arm.jacobian(joints, given)
     count = len(arm.geometry.parameter_names)
@@ -123,6 +116,26 @@ def test_identified_compliance_is_the_plants(plant):
         assert found.arm_model.coefficients[i] == pytest.approx(1 / plant.joint_compliance.stiffness[i], rel=0.02)
 
 
+def test_unknown_masses_and_stiffnesses_are_no_obstacle(plant):
+    """The weight's own shape is enough: compliance is predicted without one mass or stiffness, on a tilted base too."""
+    rng = np.random.default_rng(2)
+    only = plant.without(["boom_bending", "transmission_error", "measurement_noise"])
+    data = simulated_tracker(only, random_joints(plant.arm.nominal, 200, rng), rng)
+    start = ArmModel.of(plant.arm.nominal, (GravityTerm(ALL, (0.0, 0.0, 1.0)),))
+    found = identify(with_terms(link_model(plant.arm.nominal), start), start, data)
+    held = random_joints(plant.arm.nominal, 500, rng)
+    left = np.linalg.norm(found.arm_model.pose(held).position - only.tool_pose(held).position, axis=1)
+    assert found.converged and left.mean() < 5e-6
+
+    turn = rotation_matrix(np.array([0.7, -1.1, 0.4]))  # the tracker's frame: gravity is still against the base's z
+    seen = replace(data, position=data.position @ turn.T, rotation=turn @ data.rotation)
+    there = replace(plant.arm.nominal, base=Pose(np.zeros(3), turn))
+    again = identify(
+        with_terms(link_model(there), ArmModel.of(there, start.terms)), ArmModel.of(there, start.terms), seen
+    )
+    assert again.chi_square == pytest.approx(found.chi_square, rel=1e-3)
+
+
 def test_identified_bending_is_the_plants(plant):
     rng = np.random.default_rng(3)
     only = plant.without(["joint_compliance", "transmission_error", "measurement_noise"])
@@ -193,7 +206,12 @@ def test_thermal_growth_needs_a_temperature(plant):
 
 
 def test_terms_survive_a_file(plant):
-    for term in (*all_terms(plant), ThermalTerm(), ComplianceTerm((0,), None)):
+    for term in (
+        *all_terms(plant),
+        ThermalTerm(),
+        ComplianceTerm((0,), None),
+        GravityTerm((0, 3), (0.0, 0.0, 1.0), True),
+    ):
         again = term_from(json.loads(json.dumps(term.specification())))
         assert again == term
         assert again.names(plant.arm.nominal) == term.names(plant.arm.nominal)
