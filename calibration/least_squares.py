@@ -260,8 +260,10 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
         ridge = np.sqrt(damping) * np.linalg.norm(matrix) / np.sqrt(matrix.shape[1])
         matrix = np.vstack([matrix, ridge * np.eye(matrix.shape[1])])
         right = np.concatenate([right, np.zeros(matrix.shape[1])])
-    q, r = np.linalg.qr(matrix)
-    return np.asarray(np.linalg.solve(r, q.T @ right))
+    count = matrix.shape[1]
+    # The last column of r is q.T @ right, so that q itself is not needed.
+    r = np.asarray(np.linalg.qr(np.column_stack([matrix, right]), mode="r"))
+    return np.asarray(np.linalg.solve(r[:count, :count], r[:count, count]))
 
 
 def _rms(values: Array) -> float:
@@ -281,6 +283,8 @@ def _enough_poses(
     model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], found: Identifiability, rows: int
 ) -> None:
     """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
+    if rows >= 2 * len(found.names):
+        return  # whatever the rank elsewhere, there are enough
     part = sets[0]
     if len(sets) > 1 or not isinstance(part, PoseObservations):
         full = found.rank
