@@ -1,4 +1,4 @@
-"""A policy that goes on calibrating while it picks: the Kalman filter learns from what the camera saw of the last picks.
+"""A policy that goes on calibrating while it picks: the Kalman filter learns from what the camera saw of past picks.
 
 It drives open loop, corrected by its own estimate of the arm. Once it stands still before a fruit, it averages the
 camera's view; when the next episode begins, each arm's filter takes that as one observation of the tool's position.
@@ -97,7 +97,7 @@ class AdaptiveReach(ScriptedReach):
         self._count += arrived
 
     def _corrected(self, joints: Array) -> Array:
-        """Joint targets that bring each arm, as its filter knows it, to where the nominal arm would be at ``joints``."""
+        """Joint targets that bring each arm, as its filter knows it, to the nominal arm's place at ``joints``."""
         corrected = (
             Compensator(self.geometry, state.geometry)(row) for state, row in zip(self.filters, joints, strict=True)
         )

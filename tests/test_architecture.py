@@ -17,7 +17,7 @@ FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
     (("pickenv.files",),),
     (("pickenv.arm",), ("pickenv.orchard",)),
     (("calibration",), ("pickenv.harvester",)),
-    (("pickenv.envs", "pickenv.wrappers"), ("pickenv.inspect",)),
+    (("pickenv.envs", "pickenv.wrappers"), ("pickenv.inspect",), ("pickenv.zoo",)),
     (("agents",),),
     (("pickenv.cli", "pickenv.demo", "pickenv.demo_figures", "pickenv.commands", "pickenv.study", "pickenv.__main__"),),
 )

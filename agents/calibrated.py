@@ -1,0 +1,135 @@
+"""Calibrations of a population of simulated arms, each measured by its own tracker run, as the demonstration does it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
+from pickenv.arm.arm_file import Arm
+from pickenv.arm.batch import plant_at, plant_count
+from pickenv.arm.geometry import Array
+from pickenv.arm.plant import Plant
+from pickenv.errors import InputError
+
+COMPENSATIONS = ("raw", "ls", "ls_bpnn", "best")
+"""No calibration; least squares; with the paper's network; with the residual model that does best (Gaussian process)."""
+
+RESIDUALS = {"ls_bpnn": "bpnn", "best": "gp"}
+
+Compensate = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How each arm is measured and fitted.
+
+    Attributes:
+        identification_poses: Poses for least squares (the paper: 100).
+        residual_poses: Poses for the residual model (the paper: 200).
+        epochs: Passes of the network's training (the paper: 500).
+        seed: Seed of poses, noise and networks; arm i has child i.
+    """
+
+    identification_poses: int = 100
+    residual_poses: int = 200
+    epochs: int = 200
+    seed: int = 0
+
+
+def calibrate_arm(plant: Plant, compensation: str, protocol: Protocol, number: int) -> Calibration:
+    """Calibrate one arm; equal arguments give equal calibrations.
+
+    Raises:
+        InputError: If the compensation is not one of `COMPENSATIONS` that calibrate.
+    """
+    check_compensation(compensation)
+    poses, learning = (np.random.default_rng(part) for part in np.random.SeedSequence([protocol.seed, number]).spawn(2))
+    counts = (protocol.identification_poses, protocol.residual_poses)
+    first, second = (
+        simulated_tracker(plant, random_joints(plant.arm.nominal, count, poses), poses) for count in counts
+    )
+    residual = RESIDUALS.get(compensation)
+    return fit(
+        plant.arm,
+        first,
+        second if residual else None,
+        known_frames=True,
+        residual=residual or "bpnn",
+        rng=learning,
+        settings=BpnnSettings(epochs=protocol.epochs) if residual == "bpnn" else None,
+    ).calibration
+
+
+def compensators(
+    plants: Plant,
+    compensation: str,
+    protocol: Protocol,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Compensate] | None:
+    """One compensator per arm of a population, or None for "raw".
+
+    Args:
+        plants: The population, or a single arm.
+        compensation: One of `COMPENSATIONS`.
+        protocol: How they are measured and fitted.
+        folder: Where calibrations are kept for the next time, or None.
+        progress: Told how many are done, and how many there are.
+    """
+    check_compensation(compensation)
+    if compensation == "raw":
+        return None
+    count = plant_count(plants)
+    found: list[Compensate] = []
+    for number in range(count or 1):
+        plant = plants if count is None else plant_at(plants, number)
+        path = folder / f"{_key(plant, compensation, protocol, number)}.npz" if folder is not None else None
+        if path is not None and path.is_file():
+            calibration = Calibration.load(path, plant.arm)
+        else:
+            calibration = calibrate_arm(plant, compensation, protocol, number)
+            if path is not None:
+                calibration.save(path)
+        found.append(calibration.compensator())
+        if progress is not None:
+            progress(number + 1, count or 1)
+    return found
+
+
+def the_same(compensate: Compensate, arms: int) -> list[Compensate]:
+    """One compensator for all arms: a calibration of one arm on others of its design."""
+    return [compensate] * arms
+
+
+def check_compensation(compensation: str) -> None:
+    """Refuse an unknown compensation.
+
+    Raises:
+        InputError: If it is not one of `COMPENSATIONS`.
+    """
+    if compensation not in COMPENSATIONS:
+        raise InputError(f"unknown compensation '{compensation}'; give one of {', '.join(COMPENSATIONS)}")
+
+
+def load_compensator(path: str | Path, arm: Arm) -> Compensate:
+    """The compensator of a calibration file.
+
+    Raises:
+        InputError: If the file is missing, damaged or of another arm.
+    """
+    return Calibration.load(path, arm).compensator()
+
+
+def _key(plant: Plant, compensation: str, protocol: Protocol, number: int) -> str:
+    """A name that changes with whatever the calibration depends on."""
+    import hashlib
+
+    probe: ArrayLike = random_joints(plant.arm.nominal, 20, np.random.default_rng(0))
+    position = plant.tool_pose(probe).position
+    digest = hashlib.sha256(np.rint(position * 1e9).astype(np.int64).tobytes() + repr((protocol, number)).encode())
+    return f"{plant.name}-{compensation}-{digest.hexdigest()[:16]}"

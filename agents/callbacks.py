@@ -1,0 +1,64 @@
+"""What happens during a training: checkpoints between rollouts, and evaluations in millimetres."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.callbacks import BaseCallback
+
+from agents.checkpoints import save_checkpoint
+from agents.learned import LearnedPolicy
+from agents.native import NativeVecEnv
+from agents.training import Training, actor_of, judge, write_evaluations
+
+
+class Checkpoints(BaseCallback):
+    """Write a checkpoint every so many steps, between an update and the next rollout, when nothing is half done."""
+
+    def __init__(self, training: Training, path: Path, env: NativeVecEnv) -> None:
+        super().__init__()
+        self.what, self.path, self.env = training, path, env
+        self._next = 0
+
+    def _on_training_start(self) -> None:
+        self._next = self.model.num_timesteps + self.what.checkpoint_every
+
+    def _on_rollout_start(self) -> None:
+        if self.model.num_timesteps >= self._next:
+            save_checkpoint(self.path, self.model, self.env, asdict(self.what))
+            self._next = self.model.num_timesteps + self.what.checkpoint_every
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class Evaluations(BaseCallback):
+    """Judge the policy on held-out episodes every so many steps; draws nothing that the training draws from."""
+
+    def __init__(self, training: Training, out: Path, rows: list[dict[str, float]]) -> None:
+        super().__init__()
+        self.what, self.out, self.rows = training, out, rows
+        self._next = 0
+
+    def _on_training_start(self) -> None:
+        self._next = self.model.num_timesteps + self.what.evaluate_every
+
+    def _on_rollout_start(self) -> None:
+        if self.model.num_timesteps >= self._next:
+            env: Any = self.training_env
+            row = self.judge(actor_of(self.model, self.what, env), self.model.num_timesteps)
+            for key in ("mean_mm", "p95_mm", "success_rate"):
+                self.logger.record(f"eval/{key}", row[key])
+            self._next = self.model.num_timesteps + self.what.evaluate_every
+
+    def _on_step(self) -> bool:
+        return True
+
+    def judge(self, policy: LearnedPolicy, steps: int) -> dict[str, float]:
+        """Judge a policy and add a row."""
+        self.rows[:] = [row for row in self.rows if row["steps"] < steps]
+        self.rows.append({"steps": float(steps)} | judge(policy, self.what))
+        write_evaluations(self.out, self.rows)
+        return self.rows[-1]

@@ -1,0 +1,284 @@
+"""Training with stable-baselines3 on the native vector environments: seeded, resumable, judged in millimetres.
+
+A run's folder holds `checkpoint.pt` (everything to go on from), `policy.npz` (the actor alone, see `agents.learned`),
+`evaluations.json` and TensorBoard's logs. One seed gives one set of weights, interrupted or not.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.hyperparams import check_algorithm, tuned
+from agents.learned import LearnedPolicy
+from agents.scaling import Scaling
+from calibration import Calibration
+from pickenv.envs.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
+from pickenv.errors import InputError
+from pickenv.files import write_text
+
+ENVIRONMENTS: dict[str, type[ReachVectorEnv]] = {
+    "pickenv/Reach-v0": ReachVectorEnv,
+    "pickenv/ReachIdeal-v0": ReachIdealVectorEnv,
+    "pickenv/ReachGoal-v0": ReachGoalVectorEnv,
+}
+UNREWARDED_TURN = 1e9
+"""Goal environments do not reward the attitude, so it is no part of the gap there."""
+
+HELD_OUT = 2**62
+"""Seeds of evaluation episodes start here; training seeds are below."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """What is trained, and how.
+
+    Attributes:
+        algorithm: "ppo", "sac" or "tqc".
+        env_id: Id of the environment.
+        steps: Environment steps; the tuned number when None.
+        seed: Seed of everything random.
+        arguments: Arguments of the environment.
+        compensate: Calibration file to train behind, or None.
+        checkpoint_every: Environment steps between checkpoints.
+        evaluate_every: Environment steps between evaluations.
+        scaled_actions: Whether actions shrink with the gap (`agents.scaling`).
+        parameters: Parameters of the algorithm that replace the tuned ones.
+    """
+
+    algorithm: str
+    env_id: str = "pickenv/Reach-v0"
+    steps: int | None = None
+    seed: int = 0
+    arguments: dict[str, Any] = field(default_factory=dict)
+    compensate: str | None = None
+    checkpoint_every: int = 50_000
+    evaluate_every: int = 50_000
+    scaled_actions: bool = True
+    parameters: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_algorithm(self.algorithm)
+        if self.env_id not in ENVIRONMENTS:
+            raise InputError(f"unknown environment '{self.env_id}'; give one of {', '.join(ENVIRONMENTS)}")
+        if self.steps is not None and self.steps < 1:
+            raise InputError(f"steps is {self.steps}; give at least 1")
+
+    @property
+    def chosen(self) -> dict[str, Any]:
+        """Tuned parameters with the replacements."""
+        return tuned(self.algorithm, self.env_id) | self.parameters
+
+    @property
+    def total(self) -> int:
+        """Environment steps in all."""
+        return self.steps or int(self.chosen["n_timesteps"])
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """The end of a training.
+
+    Attributes:
+        policy: The actor.
+        evaluations: One dict per evaluation: steps, mean_mm, p95_mm, success_rate.
+        steps_per_second: Environment steps per second, updates and evaluations included.
+        out: The run's folder.
+    """
+
+    policy: LearnedPolicy
+    evaluations: tuple[dict[str, float], ...]
+    steps_per_second: float
+    out: Path
+
+
+def make_environment(training: Training, count: int, mode: str) -> ReachVectorEnv:
+    """The environments of a training, with its calibration installed.
+
+    Raises:
+        InputError: If an argument is impossible or the calibration is of another arm.
+    """
+    arguments = training.chosen.get("env_kwargs", {}) | training.arguments
+    env = ENVIRONMENTS[training.env_id](count, autoreset_mode=mode, **arguments)
+    if training.compensate is not None:
+        env.compensator = Calibration.load(training.compensate, env.task.plant.arm).compensator()
+    return env
+
+
+def scaling_of(training: Training, env: ReachVectorEnv) -> Scaling:
+    """The scaling that suits an environment."""
+    more: dict[str, Any] = {"near_turn": UNREWARDED_TURN} if env.goal_dict else {}
+    return Scaling(env.task.joints, env.task.camera, env.goal_dict, training.scaled_actions, **more)
+
+
+def train(training: Training, out: str | Path, *, resume: bool = False, progress: bool = False) -> Trained:
+    """Train, or go on training, and write the run's folder.
+
+    Args:
+        training: What is trained; when resuming, it must be what the checkpoint says.
+        out: The folder.
+        resume: Whether to go on from the folder's checkpoint.
+        progress: Whether to draw a progress bar.
+
+    Raises:
+        InputError: If an argument is impossible, or there is no sound checkpoint to go on from.
+    """
+    import time
+
+    from agents.callbacks import Checkpoints, Evaluations
+    from agents.checkpoints import read_checkpoint, save_checkpoint, take_checkpoint
+
+    out = Path(out)
+    path = out / "checkpoint.pt"
+    content = read_checkpoint(path) if resume else None
+    if content is not None and json.loads(content["settings"]) != asdict(training):
+        raise InputError(f"checkpoint {path} is of another training; resume it with the options it was started with")
+    with one_thread():
+        model, env = make_model(training, out)
+        done: list[dict[str, float]] = []
+        if content is not None:
+            take_checkpoint(content, model, env)
+            done = [row for row in _evaluations(out) if row["steps"] <= model.num_timesteps]
+        evaluations = Evaluations(training, out, done)
+        callbacks = [Checkpoints(training, path, env), evaluations]
+        begin, first = time.perf_counter(), model.num_timesteps
+        if model.num_timesteps < training.total:
+            model.learn(
+                training.total - model.num_timesteps,
+                callback=callbacks,
+                reset_num_timesteps=content is None,
+                tb_log_name=training.algorithm,
+                progress_bar=progress,
+            )
+            save_checkpoint(path, model, env, asdict(training))
+        rate = (model.num_timesteps - first) / max(time.perf_counter() - begin, 1e-9)
+        policy = actor_of(model, training, env)
+        policy.save(out / "policy.npz")
+        evaluations.judge(policy, model.num_timesteps)
+        env.close()
+    return Trained(policy, tuple(evaluations.rows), rate, out)
+
+
+def resumed(out: str | Path) -> Training:
+    """The training that a folder's checkpoint belongs to.
+
+    Raises:
+        InputError: If there is no sound checkpoint.
+    """
+    from agents.checkpoints import read_checkpoint
+
+    return Training(**json.loads(read_checkpoint(Path(out) / "checkpoint.pt")["settings"]))
+
+
+def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
+    """The algorithm and its environments, seeded.
+
+    Raises:
+        InputError: If TQC is asked for and sb3-contrib is not installed.
+    """
+    if training.algorithm == "tqc" and importlib.util.find_spec("sb3_contrib") is None:
+        raise InputError("algorithm tqc needs sb3-contrib; install it with pip install sb3-contrib")
+    from stable_baselines3 import PPO, SAC, HerReplayBuffer
+
+    from agents.native import NativeVecEnv
+
+    chosen = training.chosen
+    for key in ("n_timesteps", "env_kwargs", "policy"):
+        chosen.pop(key, None)
+    inner = make_environment(training, int(chosen.pop("n_envs")), "SameStep")
+    scaling = scaling_of(training, inner)
+    logs = str(out / "logs") if out is not None and importlib.util.find_spec("tensorboard") is not None else None
+    common: dict[str, Any] = {"seed": training.seed, "device": "cpu", "tensorboard_log": logs, "verbose": 0}
+    if training.algorithm == "ppo":
+        if inner.goal_dict:
+            raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
+        env = NativeVecEnv(inner, scaling)
+        return PPO("MlpPolicy", env, **chosen, **common), env
+    from agents import off_policy
+
+    env = NativeVecEnv(inner)
+    chosen["policy_kwargs"] = chosen.get("policy_kwargs", {}) | {
+        "features_extractor_class": off_policy.ScaledFeatures,
+        "features_extractor_kwargs": {"scaling": scaling},
+    }
+    if chosen.get("replay_buffer_class") == "HerReplayBuffer":
+        chosen["replay_buffer_class"] = HerReplayBuffer
+    if training.algorithm == "sac":
+        return SAC(off_policy.SacPolicy, env, **chosen, **common), env
+    from sb3_contrib import TQC
+
+    return TQC(off_policy.TqcPolicy, env, **chosen, **common), env
+
+
+def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy:
+    """The actor of a model, on NumPy."""
+    import torch
+
+    on_policy = training.algorithm == "ppo"
+    hidden = model.policy.mlp_extractor.policy_net if on_policy else model.actor.latent_pi
+    last = model.policy.action_net if on_policy else model.actor.mu
+    layers = [layer for layer in (*hidden, last) if isinstance(layer, torch.nn.Linear)]
+    arm = env.env.task.plant.arm
+    return LearnedPolicy(
+        algorithm=training.algorithm,
+        arm=arm.name,
+        arm_fingerprint=arm.fingerprint(),
+        scaling=scaling_of(training, env.env),
+        activation="tanh" if on_policy else "relu",
+        squashed=not on_policy,
+        weights=tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),
+        biases=tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
+        record={"training": asdict(training), "steps": int(model.num_timesteps), "versions": _versions()},
+    )
+
+
+def judge(policy: LearnedPolicy, training: Training, episodes: int = 256, steps: int = 60) -> dict[str, float]:
+    """Final errors of a policy on held-out episodes of its own environment: mean_mm, p95_mm, success_rate."""
+    env = make_environment(training, episodes, "Disabled")
+    observation, infos = env.reset(seed=HELD_OUT)
+    for _ in range(steps):
+        observation, _, _, _, infos = env.step(policy.act(observation))
+    error = infos["position_error_mm"]
+    return {
+        "mean_mm": float(error.mean()),
+        "p95_mm": float(np.percentile(error, 95)),
+        "success_rate": float(infos["is_success"].mean()),
+    }
+
+
+def write_evaluations(out: Path, rows: list[dict[str, float]]) -> None:
+    """Write the evaluations of a run."""
+    write_text(out / "evaluations.json", json.dumps(rows, indent=2) + "\n")
+
+
+def _evaluations(out: Path) -> list[dict[str, float]]:
+    path = out / "evaluations.json"
+    rows: list[dict[str, float]] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
+    return [row for row in rows if math.isfinite(row["mean_mm"])]
+
+
+def _versions() -> dict[str, str]:
+    from importlib.metadata import version
+
+    return {name: version(name) for name in ("gymnasium", "numpy", "stable-baselines3", "torch")}
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch on one thread: networks this small lose time to more, and one adds in one order."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)

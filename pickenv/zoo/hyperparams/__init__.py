@@ -1,0 +1,1 @@
+"""One module per algorithm, each with a dict `hyperparams` by environment id, as `rl_zoo3 --conf-file` reads it."""

@@ -1,0 +1,17 @@
+"""PPO on the flat environments; found on the ideal arm, they hold for every plant and feedback."""
+
+_REACH = {
+    "n_envs": 64,
+    "n_timesteps": 5e5,
+    "policy": "MlpPolicy",
+    "n_steps": 60,
+    "batch_size": 960,
+    "n_epochs": 5,
+    "learning_rate": "lin_1e-3",
+    "gamma": 0.9,
+    "gae_lambda": 0.9,
+    "ent_coef": 0.0,
+    "policy_kwargs": "dict(net_arch=[64, 64], log_std_init=-1.0)",
+}
+
+hyperparams = {"pickenv/Reach-v0": _REACH, "pickenv/ReachIdeal-v0": _REACH}

@@ -1,0 +1,26 @@
+"""SAC: with hindsight (HER) on the goal environment, plain on the flat ones."""
+
+_REACH = {
+    "n_envs": 16,
+    "n_timesteps": 6e4,
+    "policy": "MlpPolicy",
+    "learning_rate": 1e-3,
+    "buffer_size": 60_000,
+    "learning_starts": 2_000,
+    "batch_size": 256,
+    "tau": 0.01,
+    "gamma": 0.9,
+    "train_freq": 1,
+    "gradient_steps": 4,
+    "ent_coef": "auto_0.1",
+    "target_entropy": -12.0,
+    "policy_kwargs": "dict(net_arch=[64, 64])",
+}
+_GOAL = _REACH | {
+    "policy": "MultiInputPolicy",
+    "env_kwargs": {"reward": "dense"},
+    "replay_buffer_class": "HerReplayBuffer",
+    "replay_buffer_kwargs": "dict(n_sampled_goal=2, goal_selection_strategy='future')",
+}
+
+hyperparams = {"pickenv/Reach-v0": _REACH, "pickenv/ReachIdeal-v0": _REACH, "pickenv/ReachGoal-v0": _GOAL}
