@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from pickenv.commands import calibrations, plants
+from pickenv.commands.calibrate import calibrate
 from pickenv.errors import InputError
 
 app = typer.Typer(
@@ -122,46 +122,7 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     console.print("wrote:", *(str(path) for path in written), sep="\n  ", highlight=False, soft_wrap=True)
 
 
-@app.command()
-def calibrate(
-    file: Annotated[Path, typer.Argument(help="CSV file of measurements.", show_default=False)],
-    arm: Annotated[str, typer.Option(help="Arm name or arm file (.toml).", show_default=False)],
-    columns: Annotated[str | None, typer.Option(help="Column description, by name or path; ours if left out.")] = None,
-    test_rows: Annotated[int | None, typer.Option(help="Rows to hold out; a fifth if left out.", min=1)] = None,
-    split: Annotated[str, typer.Option(help="How rows are held out: random or blocked.")] = "random",
-    seed: Annotated[int, typer.Option(help="Seed of the random split.", min=0)] = 0,
-    test: Annotated[Path | None, typer.Option(help="Held-out rows from another file instead.")] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Write the fitted calibration to this file (.npz).")] = None,
-    report: Annotated[Path | None, typer.Option(help="Write a one-page report (.html).")] = None,
-) -> None:
-    """Identify a real arm from measured poses or positions, base and tool included, and judge it on held-out rows."""
-    from calibration.columns import read_measurements
-    from calibration.held_out import calibrate_and_judge, choose_rows
-    from calibration.measurements import Measurements
-    from calibration.uncertainty import with_uncertainty
-    from pickenv.arm import load_arm
-    from pickenv.files import write_text
-
-    chosen = load_arm(arm)
-    train: Measurements = read_measurements(file, chosen.nominal, columns)
-    if test is not None:
-        held_out = read_measurements(test, chosen.nominal, columns)
-    else:
-        train, held_out = choose_rows(train, split, test_rows, seed)
-    judged = calibrate_and_judge(chosen, train, held_out)
-    print(judged.report())
-    if out is not None:
-        found = judged.fit
-        print(f"wrote {with_uncertainty(found.calibration, found.identification, held_out).save(out)}")
-    if report is not None:
-        gate = judged.as_dict().get("gate")
-        seeds = {"split": split, "seed": seed, "held-out rows": len(held_out)}
-        print(f"wrote {calibrations.write_report(report, chosen, judged.fit, train, held_out, gate, seeds)}")
-    if json_file is not None:
-        print(f"wrote {write_text(json_file, json.dumps(judged.as_dict(), indent=2) + chr(10))}")
-
-
+app.command()(calibrate)
 app.command("plan-poses")(calibrations.plan_poses)
 app.command()(calibrations.apply)
 app.command()(calibrations.export)
