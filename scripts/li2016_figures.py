@@ -107,10 +107,10 @@ def funnel_bars(trees: Mapping[str, Sequence[Harvest]]) -> Figure:
     for i, (name, harvests) in enumerate(trees.items()):
         counts = funnel(harvests)
         share = [100 * counts[stage] / max(counts["present"], 1) for stage in STAGES]
-        axis.bar(np.arange(len(STAGES)) + 0.2 * i, share, 0.19, color=COLOURS[i], label=name)
-    axis.set_xticks(np.arange(len(STAGES)) + 0.3, STAGES)
+        axis.bar(np.arange(len(STAGES)) + 0.17 * i, share, 0.16, color=COLOURS[i], label=name)
+    axis.set_xticks(np.arange(len(STAGES)) + 0.34, STAGES)
     axis.set(ylabel="% of fruit present", ylim=(50, 101))
-    axis.legend(frameon=False, ncols=4, loc="lower left")
+    axis.legend(frameon=False, ncols=5, loc="lower left")
     return figure
 
 

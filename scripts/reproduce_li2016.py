@@ -93,6 +93,7 @@ def strategies(raw: Controller, calibrated: Controller) -> list[Strategy]:
         Strategy("raw", raw),
         Strategy("calibrated", calibrated),
         Strategy("points", calibrated, pick_point="search"),
+        Strategy("assigned", calibrated, "search", "search", guard=False),
         Strategy("optimised", calibrated, "search", "search", guard=False, looks=2, unload_full=True),
     ]
 
@@ -134,8 +135,8 @@ def reach_shares(machine: Machine, zones: int, rng: np.random.Generator) -> dict
     """Share of twelve fruit a zone that the arms reach from each pick point."""
     found = dict.fromkeys(METHODS, 0.0)
     for _ in range(zones):
-        corner = np.array([rng.uniform(-0.45, 0.45) - 0.43, -1.4, rng.uniform(0.42, 1.82)])
-        fruit = corner + np.array([0.86, 0.4, 0.6]) * rng.random((12, 3))
+        corner = np.array([rng.uniform(-0.5, 0.5) - 0.42, -1.4, rng.uniform(0.42, 1.82)])
+        fruit = corner + np.array([0.84, 0.4, 0.6]) * rng.random((12, 3))
         for method in METHODS:
             point = pick_point(machine, fruit, method)
             found[method] += point.count / 12 / zones if np.isfinite(point.master).all() else 0.0
@@ -211,7 +212,7 @@ def our_comparison(console: Console, study: Study, reach: dict[str, float], plan
 
 
 def by_arms(trees: int) -> dict[str, dict[int, Measure]]:
-    """Picks per hour against the number of slave arms, with perfect knowledge of the machine and zones as wide as it."""
+    """Picks per hour by number of slave arms, the machine perfectly known and zones as wide as it."""
     found: dict[str, dict[int, Measure]] = {}
     for density in DENSITIES:
         label = f"{density:g} fruit per metre of row"

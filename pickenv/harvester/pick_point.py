@@ -132,6 +132,10 @@ def searched(machine: Machine, fruit: Array) -> Array:
     """
     settings = _search()
     low, high = machine.master.nominal.lower, machine.master.nominal.upper
+    farthest = high[2] + machine.a4 + machine.slave.upper[2] + machine.a2 + np.abs(machine.offsets).max()
+    near = np.hypot(fruit[:, 0], fruit[:, 1]) <= farthest
+    if near.any():  # fruit that no arm could ever reach must not pull the pick point away
+        fruit = fruit[near]
     heights = _heights(machine, fruit)
     window = np.abs(fruit[:, 2] - machine.d1 - heights[:, None] - _slide_middle(machine))  # (k, n)
     inside = window <= (machine.slave.upper[0] - machine.slave.lower[0]) / 2 + 1e-9

@@ -1,0 +1,138 @@
+"""Plans: complete, free of conflicts, never below the lower bound, and good where they claim to be."""
+
+import time
+
+import numpy as np
+import pytest
+
+from pickenv.errors import InputError
+from pickenv.harvester.assignment import assign, li_rule, lower_bound
+from pickenv.harvester.machine import load_machine
+from pickenv.harvester.pick_point import pick_point
+from pickenv.harvester.work import timetable, zone_work
+
+METHODS = ("li", "nearest", "columns", "hungarian", "search")
+
+
+def zone_fruit(rng, count):
+    """Fruit of one zone of Li's lab, somewhere on the tree's side."""
+    corner = np.array([rng.uniform(-0.9, 0.9) - 0.35, -1.4, rng.uniform(0.42, 1.87)])
+    return corner + np.array([0.7, 0.4, 0.55]) * rng.random((count, 3))
+
+
+def zone(machine, rng, count):
+    fruit = zone_fruit(rng, count)
+    return zone_work(machine, pick_point(machine, fruit).master, fruit)
+
+
+def conflicts(work, times):
+    """Pairs of excursions that overlap in time although they would meet."""
+    found = []
+    for i in range(len(times.arm)):
+        for j in range(i):
+            together = times.start[i] < times.end[j] - 1e-9 and times.start[j] < times.end[i] - 1e-9
+            if together and work.conflict[times.arm[i], times.fruit[i], times.arm[j], times.fruit[j]]:
+                found.append((i, j))
+    return found
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("arms", [1, 3, 6])
+def test_every_reachable_fruit_is_picked_once_by_an_arm_that_reaches_it(method, arms):
+    machine, rng = load_machine(slaves=arms), np.random.default_rng(arms)
+    for count in (1, 5, 12):
+        work = zone(machine, rng, count)
+        plan = assign(work, method)
+        picked = [fruit for queue in plan for fruit in queue]
+        assert sorted(picked) == np.flatnonzero(work.reachable).tolist()
+        assert all(work.reached[arm, fruit] for arm, queue in enumerate(plan) for fruit in queue)
+        times = timetable(work, plan, guard=method == "li")
+        assert conflicts(work, times) == []
+        assert times.makespan >= lower_bound(work) - 1e-6
+        assert lower_bound(work) >= lower_bound(work, integral=False) - 1e-6
+
+
+def test_one_arm_at_a_time_does_one_pick_at_a_time(machine):
+    work = zone(machine, np.random.default_rng(0), 15)
+    times = timetable(work, assign(work, "nearest"))
+    for arm in range(3):
+        mine = np.sort(np.stack([times.start[times.arm == arm], times.end[times.arm == arm]]), axis=1)
+        assert (mine[0, 1:] >= mine[1, :-1]).all()
+
+
+def test_li_picks_by_falling_height_in_the_middle_and_rising_height_beside(machine):
+    work = zone(machine, np.random.default_rng(3), 15)
+    for arm, queue in enumerate(li_rule(work)):
+        rising = np.diff(work.joints[0, list(queue), 0])
+        assert (rising <= 0).all() if arm == 1 else (rising >= 0).all()
+
+
+def test_side_arms_hold_while_the_middle_arm_is_inside_the_guard_distance(machine):
+    rng, held = np.random.default_rng(1), 0
+    for _ in range(30):
+        work = zone(machine, rng, 10)
+        times = timetable(work, li_rule(work), guard=True)
+        for i in range(len(times.arm)):
+            for j in range(i):
+                a, b = times.arm[[i, j]]
+                near = work.guarded[a, times.fruit[i], b, times.fruit[j]] and (a == 1) != (b == 1)
+                together = times.start[i] < times.end[j] - 1e-9 and times.start[j] < times.end[i] - 1e-9
+                assert not (near and together)
+        held += int((times.held > 0).sum())
+    assert held > 0
+
+
+def test_an_optimised_plan_for_20_fruit_takes_under_a_second_and_is_within_a_tenth_of_the_bound(machine):
+    pytest.importorskip("ortools")
+    rng = np.random.default_rng(20)
+    assign(zone(machine, rng, 5), "cp-sat")  # loads the solver
+    shares, seconds = [], []
+    for _ in range(10):
+        work = zone(machine, rng, 20)
+        begin = time.process_time()
+        plan = assign(work, "cp-sat")
+        seconds.append(time.process_time() - begin)
+        shares.append(timetable(work, plan).makespan / lower_bound(work))
+    assert np.mean(shares) <= 1.10
+    assert np.median(seconds) < 1.0
+
+
+def test_search_beats_the_greedy_baselines_on_average(machine):
+    rng, total = np.random.default_rng(7), dict.fromkeys(METHODS, 0.0)
+    for _ in range(15):
+        work = zone(machine, rng, 9)
+        for method in METHODS:
+            total[method] += timetable(work, assign(work, method), guard=method == "li").makespan
+    assert total["search"] == min(total.values())
+    assert total["li"] > 1.3 * total["search"]
+
+
+def test_cp_sat_is_never_worse_than_the_search(machine):
+    pytest.importorskip("ortools")
+    rng = np.random.default_rng(8)
+    for _ in range(4):
+        work = zone(machine, rng, 7)
+        best = timetable(work, assign(work, "cp-sat", np.random.default_rng(0))).makespan
+        assert best <= timetable(work, assign(work, "search", np.random.default_rng(0))).makespan + 1e-6
+
+
+def test_an_empty_zone_is_no_work(machine):
+    work = zone_work(machine, machine.master_start, np.zeros((0, 3)))
+    for method in METHODS:
+        assert timetable(work, assign(work, method)).makespan == 0.0
+    assert lower_bound(work) == 0.0
+
+
+def test_fruit_out_of_every_arms_reach_is_left_out(machine):
+    rng = np.random.default_rng(2)
+    fruit = zone_fruit(rng, 6)
+    master = pick_point(machine, fruit).master
+    work = zone_work(machine, master, np.concatenate([fruit, [[0.0, 3.0, 1.0]]]))
+    assert not work.reachable[-1]
+    for method in METHODS:
+        assert 6 not in {j for queue in assign(work, method) for j in queue}
+
+
+def test_an_unknown_method_is_refused(machine):
+    with pytest.raises(InputError, match="unknown assignment"):
+        assign(zone(machine, np.random.default_rng(0), 3), "luck")

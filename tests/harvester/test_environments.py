@@ -1,0 +1,172 @@
+"""Harvest-v0 for Gymnasium, as vector environment and for PettingZoo: one simulator, the same rules."""
+
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
+
+import pickenv  # noqa: F401
+from agents.harvest import ScriptedHarvest
+from pickenv.envs.harvest import HarvestEnv
+from pickenv.envs.harvest_vector import HarvestVectorEnv
+from pickenv.errors import InputError
+from pickenv.harvester.true_machine import Controller
+from pickenv.wrappers import CompensationWrapper
+
+
+@pytest.fixture(autouse=True)
+def strict():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def episode(env, policy, seed, longest=600):
+    observation, info = env.reset(seed=seed)
+    policy.reset()
+    total = 0.0
+    for _ in range(longest):
+        observation, reward, over, _, info = env.step(policy.act(observation))
+        total += reward
+        if over:
+            break
+    return total, info
+
+
+@pytest.mark.parametrize("arguments", [{}, {"slaves": 1, "fruit": 3}, {"slaves": 5, "spacing_mm": 300.0}])
+def test_both_checkers_on_every_kind_of_harvest(arguments):
+    env = gym.make("pickenv/Harvest-v0", **arguments).unwrapped
+    check_env(env)
+    check_env_for_sb3(env)
+
+
+def test_the_scripted_policy_picks_everything_with_a_perfect_machine():
+    env = HarvestEnv(ideal=True)
+    policy = ScriptedHarvest(env)
+    for seed in range(4):
+        total, info = episode(env, policy, seed)
+        assert info["collected"] >= info["reachable"] - 1
+        assert total > 0.8 * info["reachable"]
+        assert info["closest_mm"] >= 100 - 1e-6
+
+
+@pytest.mark.parametrize("slaves", [1, 2, 4])
+def test_the_scripted_policy_works_for_other_numbers_of_arms(slaves):
+    env = HarvestEnv(slaves=slaves, fruit=5)
+    total, info = episode(env, ScriptedHarvest(env), 1)
+    assert info["collected"] >= info["reachable"] - 2 and total > 0
+
+
+def test_calibration_through_the_compensation_wrapper_needs_fewer_attempts():
+    class Truth:
+        def __init__(self, plant):
+            self.predict = plant.tool_pose
+
+    attempts = {}
+    for name in ("raw", "compensated"):
+        env = HarvestEnv()
+        true = env.task.true
+        belief = Controller(env.task.machine, Truth(true.master), tuple(Truth(p) for p in true.slaves))
+        wrapped = env if name == "raw" else CompensationWrapper(env, belief)
+        policy = ScriptedHarvest(wrapped)
+        attempts[name] = sum(episode(wrapped, policy, seed, 300)[1]["attempts"] for seed in range(4))
+    assert attempts["compensated"] < attempts["raw"]
+
+
+def test_random_actions_never_bring_arms_too_near():
+    env = HarvestVectorEnv(32)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    least = np.inf
+    for _ in range(120):
+        *_, info = env.step(env.action_space.sample())
+        least = min(least, info["closest_mm"].min())
+    assert least >= 100 - 1e-6
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_the_vector_environment_equals_single_ones(mode):
+    n, longest = 3, 12
+    native = HarvestVectorEnv(n, max_episode_steps=longest, autoreset_mode=mode)
+    singles = [gym.make("pickenv/Harvest-v0", max_episode_steps=longest) for _ in range(n)]
+    observations, _ = native.reset(seed=5)
+    wanted = np.stack([env.reset(seed=5 + i)[0] for i, env in enumerate(singles)])
+    assert np.array_equal(observations, wanted)
+    native.action_space.seed(1)
+    over = np.zeros(n, dtype=bool)
+    for _ in range(30):
+        if mode is AutoresetMode.DISABLED and over.any():
+            observations, _ = native.reset(options={"reset_mask": over.copy()})
+            for i in np.flatnonzero(over):
+                assert observations[i] == pytest.approx(singles[i].reset()[0], abs=1e-6)
+            over[:] = False
+        actions = native.action_space.sample()
+        observations, rewards, terminated, truncated, info = native.step(actions)
+        for i, env in enumerate(singles):
+            if over[i] and mode is AutoresetMode.NEXT_STEP:
+                seen, reward, end, late = env.reset()[0], 0.0, False, False
+            else:
+                seen, reward, end, late, _ = env.step(actions[i])
+            if (end or late) and mode is AutoresetMode.SAME_STEP:
+                assert info["final_obs"][i] == pytest.approx(seen, abs=1e-6)
+                seen = env.reset()[0]
+            assert observations[i] == pytest.approx(seen, abs=1e-6)
+            assert rewards[i] == pytest.approx(reward, abs=1e-9)
+            assert (terminated[i], truncated[i]) == (end, late)
+        over = terminated | truncated
+
+
+def test_make_vec_makes_the_native_vector_environment():
+    envs = gym.make_vec("pickenv/Harvest-v0", num_envs=2, fruit=4)
+    assert isinstance(envs.unwrapped, HarvestVectorEnv)
+    assert envs.reset(seed=1)[0].shape == (2, 12 + 3 + 16)
+
+
+@pytest.mark.parametrize("action", [np.zeros(5), np.full(12, np.nan)])
+def test_impossible_actions_are_refused(action):
+    env = HarvestEnv()
+    with pytest.raises(InputError, match="reset first"):
+        env.step(np.zeros(12))
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="finite numbers"):
+        env.step(action)
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"fruit": 0}, {"slaves": 9}, {"spacing_mm": 100.0}, {"render_mode": "human"}, {"fruit": 2.5}]
+)
+def test_impossible_arguments_are_refused(arguments):
+    with pytest.raises(InputError):
+        HarvestEnv(**arguments)
+
+
+def test_pettingzoos_checkers_and_registry():
+    pettingzoo = pytest.importorskip("pettingzoo")
+    from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+    from pickenv.envs.harvest_parallel import HarvestParallelEnv
+
+    parallel_api_test(HarvestParallelEnv(max_cycles=40), num_cycles=100)
+    parallel_seed_test(lambda: HarvestParallelEnv(max_cycles=40), num_cycles=15)
+    env = pettingzoo.make("parallel", "pickenv/Harvest-v0")
+    observations, _ = env.reset(seed=0)
+    assert set(observations) == {"master", "slave_0", "slave_1", "slave_2"}
+    assert env.unwrapped.state().shape == (47,)
+
+
+def test_agents_together_do_what_the_single_policy_does():
+    pytest.importorskip("pettingzoo")
+    from pickenv.envs.harvest_parallel import HarvestParallelEnv
+
+    env = HarvestParallelEnv(ideal=True)
+    policy = ScriptedHarvest(env)
+    observations, _ = env.reset(seed=3)
+    infos = {}
+    while env.agents:
+        observations, rewards, _, _, infos = env.step(policy.act_together(observations))
+        assert len(set(rewards.values())) == 1
+    assert infos["master"]["collected"] >= infos["master"]["reachable"] - 1

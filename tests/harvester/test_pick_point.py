@@ -1,0 +1,88 @@
+"""Pick points by eqs (7)-(12) and by search, and the zones they serve."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from pickenv.errors import InputError
+from pickenv.harvester.pick_point import METHODS, border_indices, hold, pick_point
+from pickenv.harvester.zones import Grid, border_fruit, cut, load_grid
+
+TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
+
+
+def test_equations_7_to_12_give_another_pick_point_than_the_paper(machine):
+    point = pick_point(machine, TARGETS, "equations").position * 1e3
+    assert point == pytest.approx([-26, -933, 1300], abs=0.6)
+    assert np.linalg.norm(point - [-80, -660, 1220]) > 250
+
+
+def test_equation_7_picks_the_opposite_border_fruit_at_negative_y():
+    assert border_indices(TARGETS) == (0, 2)
+    assert border_indices(TARGETS, printed=True) == (2, 0)
+
+
+def test_shares_in_reach_are_82_85_and_over_97_percent(machine):
+    rng, zones = np.random.default_rng(2016), 250
+    found = dict.fromkeys(METHODS, 0.0)
+    for _ in range(zones):
+        corner = np.array([rng.uniform(-0.5, 0.5) - 0.42, -1.4, rng.uniform(0.42, 1.82)])
+        fruit = corner + np.array([0.84, 0.4, 0.6]) * rng.random((12, 3))
+        for method in ("equations", "corrected", "search"):
+            found[method] += pick_point(machine, fruit, method).count / 12 / zones
+    assert found["equations"] == pytest.approx(0.817, abs=0.03)
+    assert found["corrected"] == pytest.approx(0.849, abs=0.03)
+    assert found["search"] >= 0.972
+
+
+def test_the_search_never_reaches_less_than_the_equations_do(machine):
+    rng = np.random.default_rng(5)
+    better = 0
+    for _ in range(60):
+        x, z = rng.uniform(-0.8, 0.8), rng.uniform(0.42, 1.8)
+        fruit = np.array([x - 0.4, -1.4, z]) + np.array([0.8, 0.4, 0.6]) * rng.random((8, 3))
+        better += pick_point(machine, fruit).count >= pick_point(machine, fruit, "corrected").count
+    assert better >= 58
+
+
+@pytest.mark.parametrize("fruit", [np.zeros((0, 3)), np.zeros((2, 2)), np.full((1, 3), np.nan)])
+def test_a_zone_without_fruit_has_no_pick_point(machine, fruit):
+    with pytest.raises(InputError, match="at least one fruit"):
+        pick_point(machine, fruit)
+
+
+def test_an_unknown_method_is_refused(machine):
+    with pytest.raises(InputError, match="unknown pick point method"):
+        pick_point(machine, TARGETS, "guess")
+
+
+def test_fruit_at_the_axis_gives_an_unreachable_pick_point(machine):
+    with pytest.raises(InputError, match="axis"):
+        pick_point(machine, np.array([[0.0, -0.3, 1.0], [0.1, -0.31, 1.0]]), "corrected")
+
+
+def test_an_unreachable_pick_point_names_its_joint(machine):
+    with pytest.raises(InputError, match=r"pick point is unreachable: d2 vertical screw"):
+        hold(machine, [-1.5, 3.0, 0.5])
+    assert hold(machine, machine.master_start, TARGETS).reached.shape == (3, 3)
+
+
+def test_zones_cover_the_side_and_overlap():
+    zones = cut(load_grid(), -1.25, 1.25, 0.42, 2.42)
+    points = np.random.default_rng(0).uniform([-1.25, -1.4, 0.42], [1.25, -1.0, 2.42], (500, 3))
+    assert np.any([zone.holds(points) for zone in zones], axis=0).all()
+    assert 0.1 < border_fruit(zones, points).mean() < 0.6
+    steps = [abs(a.bottom - b.bottom) + abs(a.left - b.left) for a, b in pairwise(zones)]
+    assert max(steps) < 0.7  # each zone is next to the one before
+
+
+@pytest.mark.parametrize("side", [(1.0, -1.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)])
+def test_an_empty_side_is_refused(side):
+    with pytest.raises(InputError, match="empty"):
+        cut(Grid(2, 2, 0.1), *side)
+
+
+def test_zones_smaller_than_their_overlap_are_refused():
+    with pytest.raises(InputError, match="overlap"):
+        cut(Grid(50, 1, 0.1), -1.0, 1.0, 0.0, 1.0)

@@ -1,0 +1,78 @@
+"""What becomes of attempts: the cup's clearance, pushed fruit, clusters."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.harvester.picking import attempt, displacements, in_the_way, load_picking
+from pickenv.harvester.trees import load_orchard, sample_image, sample_tree
+
+NOTHING = np.zeros((0, 3))
+
+
+@pytest.fixture(scope="module")
+def sure():
+    """The picking model with nothing left to chance but the cup."""
+    return replace(load_picking(), cut_success=1.0, undamaged=1.0, push=0.0)
+
+
+def tries(model, lateral, rng, count=400, axial=0.0):
+    """Shares of attempts, far apart, at one misalignment."""
+    fruit = np.arange(count)[:, None] * np.array([1.0, 0.0, 0.0])
+    tips = fruit - np.array([lateral, 0.0, axial])
+    masses, sizes = np.full(count, 0.1), np.full(count, 0.06)
+    return attempt(model, tips, fruit, sizes, masses, np.arange(count) * 1.0, NOTHING, rng).collected.mean()
+
+
+def test_the_cups_radial_clearance_is_5_mm_not_nearly_10(sure):
+    assert sure.cup.radial == pytest.approx(0.005)
+
+
+def test_a_cup_takes_fruit_within_its_clearance_and_ever_fewer_beyond(sure):
+    rng = np.random.default_rng(0)
+    shares = [tries(sure, lateral * 1e-3, rng) for lateral in (0, 4.9, 7, 9, 12)]
+    assert shares[:2] == [1.0, 1.0] and shares[-1] == 0.0
+    assert shares[1] > shares[2] > shares[3] > 0
+    assert tries(sure, 0.0, rng, axial=0.04) == 0.0
+
+
+def test_a_push_moves_neighbours_less_the_farther_they_are_and_dies_away(sure):
+    model = replace(sure, push=0.02)
+    for wait, far in ((0.5, 0.1), (0.5, 0.4)):
+        fruit = np.array([[0.0, 0, 0], [far, 0, 0]])
+        moved = displacements(model, fruit, np.full(2, 0.1), np.array([0.0, wait]), np.full(2, 0.02), np.zeros(2))
+        assert (moved[0] == 0).all()  # nothing came before the first
+        assert 0 < np.linalg.norm(moved[1]) < 0.02 * np.exp(-far / model.branch.coupling) * 1.01
+    late = displacements(model, fruit, np.full(2, 0.1), np.array([0.0, 60.0]), np.full(2, 0.02), np.zeros(2))
+    stays = model.lasting * 0.02 * np.exp(-0.4 / model.branch.coupling)
+    assert np.linalg.norm(late[1]) == pytest.approx(stays, rel=1e-3)
+
+
+def test_fruit_in_a_cluster_is_in_the_cups_way(sure):
+    fruit = np.array([0.0, 0.0, 1.0])
+    others = np.array([[0.061, 0, 1.0], [0.0, 0.03, 0.94], [0.2, 0, 1.0], [0.0, 0.0, 1.2]])
+    assert in_the_way(sure, fruit, 0.06, others).tolist() == [True, True, False, False]
+    rng, lost = np.random.default_rng(1), 0
+    for _ in range(100):
+        outcome = attempt(
+            sure, fruit[None], fruit[None], np.array([0.06]), np.array([0.1]), np.zeros(1), others[:1], rng
+        )
+        assert outcome.crowded.all()
+        lost += not outcome.collected[0]
+    assert 30 < lost < 70
+
+
+def test_trees_stand_where_the_paper_has_them(machine):
+    tree = sample_tree(machine, load_orchard(), np.random.default_rng(2))
+    heights = tree.fruit[:, 2] + machine.base_height
+    assert heights.min() >= 0.8 and heights.max() <= 2.8
+    assert tree.fruit[:, 1].max() <= -1.0 + 1e-9 and tree.fruit[:, 1].min() >= -1.4 - 1e-9
+    assert np.abs(tree.fruit[:, 0]).max() <= 1.25
+
+
+def test_images_of_the_lab_show_seven_fruit_in_reach(machine):
+    image = sample_image(machine, np.random.default_rng(3))
+    assert len(image) == 7
+    gaps = np.linalg.norm(image.fruit[:, None] - image.fruit[None], axis=-1) + np.eye(7)
+    assert gaps.min() >= 0.12
