@@ -1,4 +1,4 @@
-"""Calibrations of a population of simulated arms, each measured by its own tracker run, as the demonstration does it."""
+"""Calibrations of a population of simulated arms, each measured by its own tracker run, as in the demo."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pickenv.arm.plant import Plant
 from pickenv.errors import InputError
 
 COMPENSATIONS = ("raw", "ls", "ls_bpnn", "best")
-"""No calibration; least squares; with the paper's network; with the residual model that does best (Gaussian process)."""
+"""No calibration; least squares; with the paper's network; with the best residual model (Gaussian process)."""
 
 RESIDUALS = {"ls_bpnn": "bpnn", "best": "gp"}
 

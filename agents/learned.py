@@ -25,7 +25,16 @@ FORMAT = 1
 DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error)
 """What reading a file that is no policy can raise."""
 
-ACTIVATIONS = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0.0)}
+
+def _relu(values: Array) -> Array:
+    return np.maximum(values, 0.0)
+
+
+def _tanh(values: Array) -> Array:
+    return np.asarray(np.tanh(values))
+
+
+ACTIVATIONS = {"tanh": _tanh, "relu": _relu}
 BASELINES = Path(__file__).parent / "baselines"
 
 
@@ -103,7 +112,7 @@ class LearnedPolicy:
 
         def write(temporary: Path) -> None:
             with temporary.open("wb") as file:
-                np.savez(file, allow_pickle=False, header=np.array(json.dumps(header)), **arrays)  # type: ignore[arg-type]
+                np.savez(file, allow_pickle=False, header=np.array(json.dumps(header)), **arrays)
 
         path = Path(path)
         return write_whole(path if path.suffix == ".npz" else path.with_name(path.name + ".npz"), write)

@@ -11,6 +11,7 @@ from typing import Any
 import torch as th
 from gymnasium import spaces
 from sb3_contrib.tqc import policies as tqc
+from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac import policies as sac
 
@@ -70,7 +71,7 @@ class SacActor(_ScaledActions, sac.Actor):
     """SAC's actor."""
 
 
-class SacCritic(_ScaledValues, sac.ContinuousCritic):
+class SacCritic(_ScaledValues, ContinuousCritic):
     """SAC's critics."""
 
 

@@ -1,4 +1,4 @@
-"""Observations and actions for learning to the last millimetre: the gap by direction and logarithm, actions in its size.
+"""Observations and actions for learning to the last millimetre: the gap by direction and logarithm, actions to match.
 
 A network that reads a gap in metres is blind to millimetres, and its noise hides them. Here the gap to the fruit enters
 as a direction of about unit length and the logarithm of its size, and near the fruit an action is a share of what is

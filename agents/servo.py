@@ -1,4 +1,4 @@
-"""Visual servoing on the camera's view of the gap between tool and fruit (Chaumette and Hutchinson 2006, position based).
+"""Visual servoing on the camera's view of the gap between tool and fruit (Chaumette and Hutchinson 2006).
 
 The camera says where the fruit is as seen from the true tool; what that differs from the believed gap by is the arm's
 error here. It is filtered with a gain and added to the target: with gain 1 every picture is believed at once, with a

@@ -1,7 +1,7 @@
 """Intervals and comparisons that respect how the data came about: fruit within arms, the same for every policy.
 
-Episodes on one arm are alike, so arms are resampled first and episodes within them after (cluster bootstrap; Davison and
-Hinkley 1997). Aggregates across arms follow rliable (Agarwal et al. 2021): interquartile mean, stratified bootstrap.
+Episodes on one arm are alike, so arms are resampled first and episodes within them after (cluster bootstrap; Davison
+and Hinkley 1997). Aggregates follow rliable (Agarwal et al. 2021): interquartile mean, stratified bootstrap.
 """
 
 from __future__ import annotations

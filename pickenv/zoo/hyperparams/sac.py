@@ -2,7 +2,7 @@
 
 _REACH = {
     "n_envs": 16,
-    "n_timesteps": 6e4,
+    "n_timesteps": 2e4,
     "policy": "MlpPolicy",
     "learning_rate": 1e-3,
     "buffer_size": 60_000,

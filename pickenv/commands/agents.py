@@ -1,0 +1,136 @@
+"""Commands about policies: `pickenv train` and `pickenv evaluate`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pickenv.errors import InputError
+
+
+def train(
+    algo: Annotated[str, typer.Option(help="Algorithm: ppo, sac or tqc.")] = "ppo",
+    env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
+    compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
+    plant: Annotated[
+        str | None, typer.Option(help="Plant preset or plant file; the environment's if left out.")
+    ] = None,
+    feedback: Annotated[str, typer.Option(help="encoders or camera.")] = "encoders",
+    camera_noise: Annotated[float, typer.Option(help="Noise of the camera's view of the gap, mm per axis.")] = 0.0,
+    fruit_noise: Annotated[float, typer.Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
+    randomise: Annotated[
+        str | None, typer.Option(help="Tolerance class: a new arm of it in every episode (domain randomisation).")
+    ] = None,
+    steps: Annotated[int | None, typer.Option(help="Environment steps; the tuned number if left out.", min=1)] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    checkpoint_every: Annotated[int, typer.Option(help="Steps between checkpoints.", min=1)] = 50_000,
+    evaluate_every: Annotated[int, typer.Option(help="Steps between evaluations.", min=1)] = 50_000,
+    out: Annotated[Path, typer.Option(help="Run folder to write.")] = Path("runs/train"),
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")
+    ] = False,
+) -> None:
+    """Train a policy; the folder gets its file, checkpoints, evaluations in millimetres and TensorBoard's logs."""
+    from agents.training import Training, resumed
+    from agents.training import train as run
+
+    if resume:
+        training = resumed(out)
+    else:
+        if (out / "checkpoint.pt").exists():
+            raise InputError(f"{out} holds a training already; go on with --resume, or give another --out")
+        arguments: dict[str, Any] = {}
+        if plant is not None:
+            arguments["plant"] = plant
+        if feedback != "encoders":
+            arguments["feedback"] = feedback
+        if camera_noise:
+            arguments["camera_noise_mm"] = camera_noise
+        if camera_noise or fruit_noise:
+            arguments["fruit_noise_mm"] = fruit_noise
+        if randomise is not None:
+            arguments |= {"arms": "per_episode", "tolerances": randomise}
+        training = Training(
+            algorithm=algo,
+            env_id=env,
+            steps=steps,
+            seed=seed,
+            arguments=arguments,
+            compensate=None if compensate is None else str(compensate),
+            checkpoint_every=checkpoint_every,
+            evaluate_every=evaluate_every,
+        )
+    try:
+        done = run(training, out, resume=resume, progress=sys.stderr.isatty())
+    except KeyboardInterrupt:
+        print(f"interrupted; `pickenv train --resume --out {out}` goes on from its last checkpoint", file=sys.stderr)
+        raise
+    last = done.evaluations[-1]
+    print(
+        f"{training.algorithm} on {training.env_id}: {last['mean_mm']:.3f} mm mean, {last['p95_mm']:.3f} mm p95 on "
+        f"held-out fruit after {last['steps']:.0f} steps, {done.steps_per_second:.0f} steps/s"
+    )
+    for name in ("policy.npz", "checkpoint.pt", "evaluations.json"):
+        print(f"wrote {out / name}")
+
+
+def evaluate(
+    policy: Annotated[
+        list[str] | None, typer.Option(help="Policy, baseline or policy file; may be given several times.")
+    ] = None,
+    compensation: Annotated[list[str] | None, typer.Option(help="raw, ls, ls_bpnn, best; may be repeated.")] = None,
+    feedback: Annotated[list[str] | None, typer.Option(help="encoders, camera; may be repeated.")] = None,
+    plant: Annotated[list[str] | None, typer.Option(help="Plant preset; may be repeated.")] = None,
+    gripper: Annotated[list[str] | None, typer.Option(help="Gripper preset; may be repeated.")] = None,
+    arms: Annotated[int, typer.Option(help="Arms drawn for each plant.", min=1)] = 8,
+    episodes: Annotated[int, typer.Option(help="Fruits per arm.", min=1)] = 64,
+    tolerances: Annotated[str, typer.Option(help="Tolerance class of the arms.")] = "coarse",
+    camera_noise: Annotated[float, typer.Option(help="Noise of the camera's view of the gap, mm per axis.")] = 1.0,
+    fruit_noise: Annotated[float, typer.Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
+    epochs: Annotated[int, typer.Option(help="Epochs of each arm's network.", min=1)] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of fruit, pictures and calibrations.", min=0)] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
+    table: Annotated[Path | None, typer.Option(help="Write the rows as .csv or .parquet as well.")] = None,
+    figures: Annotated[Path | None, typer.Option(help="Folder for the figures.")] = None,
+    cache: Annotated[Path | None, typer.Option(help="Folder that keeps the arms' calibrations.")] = None,
+) -> None:
+    """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit."""
+    from agents.calibrated import Protocol
+    from agents.grid import GridSettings, run_grid
+    from agents.tables import print_grid, write_figures, write_rows
+    from pickenv.files import write_text
+
+    given: dict[str, Any] = {"policies": policy, "compensations": compensation, "feedback": feedback, "plants": plant}
+    given["grippers"] = gripper
+    names: dict[str, Any] = {key: tuple(value) for key, value in given.items() if value}
+    settings = GridSettings(
+        arms=arms,
+        episodes=episodes,
+        seed=seed,
+        tolerances=tolerances,
+        camera_noise_mm=camera_noise,
+        fruit_noise_mm=fruit_noise,
+        protocol=Protocol(epochs=epochs, seed=seed),
+        **names,
+    )
+
+    def report(stage: str, done: int, total: int) -> None:
+        if sys.stderr.isatty():
+            end = "\n" if done == total else "\r"
+            print(f"{stage:<40} {done}/{total}", end=end, file=sys.stderr, flush=True)
+
+    grid = run_grid(settings, cache, report)
+    rows, comparisons = grid.rows(), grid.comparisons()
+    print_grid(rows, comparisons)
+    if json_file is not None:
+        content = json.dumps({"rows": rows, "comparisons": comparisons}, indent=2)
+        print(f"wrote {write_text(json_file, content + chr(10))}")
+    if table is not None:
+        print(f"wrote {write_rows(table, rows)}")
+    if figures is not None:
+        for path in write_figures(grid, figures):
+            print(f"wrote {path}")
