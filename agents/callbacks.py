@@ -14,6 +14,11 @@ from agents.native import NativeVecEnv
 from agents.training import Training, actor_of, judge, write_evaluations
 
 
+def following(steps: int, every: int) -> int:
+    """The multiple of ``every`` that comes after ``steps``, so that a resumed training keeps the beat."""
+    return (steps // every + 1) * every
+
+
 class Checkpoints(BaseCallback):
     """Write a checkpoint every so many steps, between an update and the next rollout, when nothing is half done."""
 
@@ -23,12 +28,12 @@ class Checkpoints(BaseCallback):
         self._next = 0
 
     def _on_training_start(self) -> None:
-        self._next = self.model.num_timesteps + self.what.checkpoint_every
+        self._next = following(self.model.num_timesteps, self.what.checkpoint_every)
 
     def _on_rollout_start(self) -> None:
         if self.model.num_timesteps >= self._next:
             save_checkpoint(self.path, self.model, self.env, asdict(self.what))
-            self._next = self.model.num_timesteps + self.what.checkpoint_every
+            self._next = following(self.model.num_timesteps, self.what.checkpoint_every)
 
     def _on_step(self) -> bool:
         return True
@@ -43,7 +48,7 @@ class Evaluations(BaseCallback):
         self._next = 0
 
     def _on_training_start(self) -> None:
-        self._next = self.model.num_timesteps + self.what.evaluate_every
+        self._next = following(self.model.num_timesteps, self.what.evaluate_every)
 
     def _on_rollout_start(self) -> None:
         if self.model.num_timesteps >= self._next:
@@ -51,7 +56,7 @@ class Evaluations(BaseCallback):
             row = self.judge(actor_of(self.model, self.what, env), self.model.num_timesteps)
             for key in ("mean_mm", "p95_mm", "success_rate"):
                 self.logger.record(f"eval/{key}", row[key])
-            self._next = self.model.num_timesteps + self.what.evaluate_every
+            self._next = following(self.model.num_timesteps, self.what.evaluate_every)
 
     def _on_step(self) -> bool:
         return True

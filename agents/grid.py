@@ -35,6 +35,10 @@ CALIBRATED_PRIOR = 0.2
 """Share of the parameters' tolerances that an adaptive policy expects to be left behind a calibration."""
 
 
+SEQUENTIAL_STEPS = 30
+"""Steps of an episode of a policy that learns from pick to pick: the longest way takes 20."""
+
+
 @dataclass(frozen=True)
 class Kind:
     """A kind of policy.
@@ -255,6 +259,7 @@ def run_grid(
             settings.seed,
             compensators=fitted[plant, compensation],
             sequential=kinds[name].sequential,
+            steps=SEQUENTIAL_STEPS if kinds[name].sequential else 60,
             plant=plant,
             feedback=feedback,
             camera_noise_mm=settings.camera_noise_mm if feedback == "camera" else 0.0,

@@ -148,7 +148,7 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
             take_checkpoint(content, model, env)
             done = [row for row in _evaluations(out) if row["steps"] <= model.num_timesteps]
         evaluations = Evaluations(training, out, done)
-        callbacks = [Checkpoints(training, path, env), evaluations]
+        callbacks = [evaluations, Checkpoints(training, path, env)]  # a checkpoint follows its evaluation
         begin, first = time.perf_counter(), model.num_timesteps
         if model.num_timesteps < training.total:
             model.learn(

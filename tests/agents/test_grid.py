@@ -1,0 +1,153 @@
+"""The comparison: rows with the keys that are promised, pairs on the same fruit, honest intervals, files."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from typer import Typer
+from typer.testing import CliRunner
+
+from agents.calibrated import Protocol
+from agents.grid import GridSettings, run_grid
+from agents.statistics import interquartile_mean, interval, paired
+from agents.tables import write_figures, write_rows
+from pickenv.commands import agents as commands
+from pickenv.errors import InputError
+
+KEYS = {"policy", "compensation", "feedback", "plant", "gripper", "mean_mm", "p95_mm", "success_rate", "ci95"}
+SMALL = GridSettings(
+    policies=("scripted", "oracle", "servo"),
+    compensations=("raw", "ls", "best"),
+    plants=("qiao2026",),
+    arms=3,
+    episodes=8,
+    protocol=Protocol(60, 100, 10),
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("calibrations")
+
+
+@pytest.fixture(scope="module")
+def grid(folder):
+    return run_grid(SMALL, folder)
+
+
+def test_there_is_one_row_per_combination(grid):
+    rows = grid.rows()
+    combinations = {
+        tuple(row[key] for key in ("policy", "compensation", "feedback", "plant", "gripper")) for row in rows
+    }
+    # scripted and servo with three compensations, the oracle raw alone; two grippers
+    assert len(rows) == len(combinations) == (3 + 3 + 1) * 2
+    for row in rows:
+        assert set(row) >= KEYS | {"episodes", "seeds"}
+        assert row["episodes"] == 24 and row["seeds"] == [0]
+        assert row["ci95"][0] <= row["mean_mm"] <= row["ci95"][1]
+        assert 0 <= row["success_rate"] <= 1
+    json.dumps(rows)
+
+
+def test_all_cells_meet_the_same_arms_and_fruit(grid):
+    fruit = grid.cells[0].rollout.reaches.fruit_position
+    assert all(np.array_equal(cell.rollout.reaches.fruit_position, fruit) for cell in grid.cells)
+    assert all(np.array_equal(cell.rollout.arm, grid.cells[0].rollout.arm) for cell in grid.cells)
+    assert len(np.unique(fruit[:, 0])) == 24
+
+
+def test_calibration_helps_open_loop_and_the_comparison_says_so(grid):
+    found = {(row["policy"], row["from"], row["to"]): row for row in grid.comparisons()}
+    assert found["scripted", "raw", "best"]["significant"]
+    assert found["scripted", "raw", "best"]["difference_mm"] < -0.5
+    means = {key: grid.cell("scripted", key, "encoders", "qiao2026").errors_mm.mean() for key in SMALL.compensations}
+    assert means["best"] < means["ls"] < means["raw"]
+
+
+def test_a_grid_is_reproducible_and_its_calibrations_are_kept(grid, folder):
+    before = sorted(path.name for path in folder.glob("*.npz"))
+    assert len(before) == 6
+    again = run_grid(SMALL, folder)
+    assert again.rows() == grid.rows()
+    assert sorted(path.name for path in folder.glob("*.npz")) == before
+
+
+def test_the_steps_of_a_cycle_are_counted_to_where_the_tool_stays(grid):
+    rollout = grid.cell("servo", "raw", "camera", "qiao2026").rollout
+    steps = rollout.cycle_steps(5.0)
+    for i in np.flatnonzero(np.isfinite(steps)):
+        assert (rollout.error_mm[int(steps[i]) - 1 :, i] <= 5.0).all()
+
+
+def test_intervals_count_arms_not_only_episodes():
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(6, 1)) + 0.01 * rng.normal(size=(6, 100))
+    wide = np.ptp(interval(values, np.random.default_rng(1)))
+    narrow = np.ptp(interval(values, np.random.default_rng(1), arms_too=False))
+    assert wide > 10 * narrow
+
+
+def test_no_difference_is_not_significant():
+    rng = np.random.default_rng(0)
+    first = rng.normal(size=(8, 32))
+    assert not paired(first, first + 0.0 * first, rng).significant
+    assert paired(first, first - 0.5, rng).significant
+
+
+def test_the_interquartile_mean_forgets_outliers():
+    assert interquartile_mean(np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1e9])) == 1.0
+
+
+def test_rows_are_written_and_read(grid, tmp_path):
+    rows = grid.rows()
+    with write_rows(tmp_path / "rows.csv", rows).open(encoding="utf-8") as file:
+        read = list(csv.DictReader(file))
+    assert [float(row["mean_mm"]) for row in read] == [row["mean_mm"] for row in rows]
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = parquet.read_table(write_rows(tmp_path / "rows.parquet", rows))
+    assert table.column("mean_mm").to_pylist() == [row["mean_mm"] for row in rows]
+    with pytest.raises(InputError, match=r"ends in \.csv or \.parquet"):
+        write_rows(tmp_path / "rows.xls", rows)
+
+
+def test_figures_are_drawn(grid, tmp_path):
+    assert [path.stat().st_size > 10_000 for path in write_figures(grid, tmp_path)] == [True] * 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"policies": ("nobody",)}, "unknown policy 'nobody'; give random, scripted"),
+        ({"policies": ("missing.npz",)}, "unknown policy 'missing.npz'"),
+        ({"compensations": ("magic",)}, "unknown compensation 'magic'; give one of raw, ls, ls_bpnn, best"),
+        ({"feedback": ("sonar",)}, "feedback is 'sonar'"),
+        ({"grippers": ("tongs",)}, "unknown gripper 'tongs'"),
+        ({"plants": ("nowhere",)}, "nowhere"),
+        ({"arms": 0}, "0 arms"),
+    ],
+)
+def test_bad_settings_end_with_one_sentence(changes, message):
+    with pytest.raises(InputError, match=message):
+        run_grid(GridSettings(**({"arms": 1, "episodes": 1, "policies": ("scripted",)} | changes)))
+
+
+def test_the_commands_run(tmp_path):
+    app = Typer()
+    app.command()(commands.train)
+    app.command()(commands.evaluate)
+    runner = CliRunner()
+    out = tmp_path / "run"
+    result = runner.invoke(app, ["train", "--steps", "3840", "--plant", "ideal", "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert "mm mean" in result.output
+    refused = runner.invoke(app, ["train", "--out", str(out)])
+    assert isinstance(refused.exception, InputError) and "--resume" in str(refused.exception)
+    assert runner.invoke(app, ["train", "--resume", "--out", str(out)]).exit_code == 0
+    options = ["--policy", "scripted", "--policy", str(out / "policy.npz"), "--compensation", "raw", "--arms", "2"]
+    options += ["--episodes", "4", "--plant", "qiao2026", "--json", str(tmp_path / "rows.json")]
+    result = runner.invoke(app, ["evaluate", *options])
+    assert result.exit_code == 0, result.output
+    rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    assert {row["policy"] for row in rows} == {"scripted", "policy"} and set(rows[0]) >= KEYS

@@ -1,0 +1,105 @@
+"""Policy files: loaded without executing code, and refused where they do not fit."""
+
+import json
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import pickenv  # noqa: F401
+from agents.learned import BASELINES, load_policy, shipped_baselines
+from agents.scaling import Scaling
+from pickenv.arm import load_arm
+from pickenv.errors import InputError
+
+
+@pytest.fixture
+def policy(trained):
+    return load_policy(trained / "policy.npz")
+
+
+def test_a_policy_acts_on_one_observation_as_on_many(policy):
+    envs = gym.make_vec("pickenv/Reach-v0", num_envs=5)
+    observations, _ = envs.reset(seed=0)
+    actions = policy.act(observations)
+    assert actions.shape == (5, 6) and actions.dtype == np.float32
+    np.testing.assert_allclose(policy.act(observations[3]), actions[3], atol=1e-6)
+
+
+def test_a_saved_policy_is_the_same(policy, tmp_path):
+    again = load_policy(policy.save(tmp_path / "copy"))
+    observation = np.linspace(-1, 1, 18, dtype=np.float32)
+    assert np.array_equal(again.act(observation), policy.act(observation))
+    assert again.record == policy.record
+
+
+def test_another_observation_space_is_refused(policy):
+    with pytest.raises(InputError, match="trained on observations of 18 numbers, but the environment gives 21"):
+        policy.act(np.zeros(21, dtype=np.float32))
+
+
+def test_another_arm_is_refused(trained):
+    with pytest.raises(InputError, match="was trained for arm 'qiao2026', not for 'ur5'"):
+        load_policy(trained / "policy.npz", load_arm("ur5"))
+
+
+def test_damaged_files_are_refused(trained, tmp_path):
+    whole = (trained / "policy.npz").read_bytes()
+    broken = {"cut": whole[: len(whole) // 2], "empty": b"", "text": b"hello"}
+    for name, content in broken.items():
+        path = tmp_path / f"{name}.npz"
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="is not a policy file or is damaged"):
+            load_policy(path)
+    with pytest.raises(InputError, match="unknown policy 'nobody'; give one of"):
+        load_policy("nobody")
+
+
+def test_a_newer_file_is_refused(policy, tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.learned.FORMAT", 99)
+    path = policy.save(tmp_path / "newer")
+    monkeypatch.undo()
+    with pytest.raises(InputError, match="has format 99, this program reads up to 1; update pickenv"):
+        load_policy(path)
+
+
+def test_no_code_is_in_a_file(tmp_path):
+    """A pickled object in the place of the header is not read."""
+    path = tmp_path / "evil.npz"
+    np.savez(path, header=np.array([{"format": 1}], dtype=object))
+    with pytest.raises(InputError, match="damaged"):
+        load_policy(path)
+
+
+@pytest.mark.parametrize("goal", [False, True])
+def test_scaling_is_the_same_on_numpy_and_torch(goal):
+    import torch
+
+    scaling = Scaling(6, camera=True, goal=goal)
+    values = np.random.default_rng(0).normal(size=(7, scaling.inputs))
+    for method in ("observe", "share"):
+        on_numpy = getattr(scaling, method)(values, np)
+        on_torch = getattr(scaling, method)(torch.as_tensor(values), torch).numpy()
+        np.testing.assert_allclose(on_numpy, on_torch, rtol=1e-12)
+    assert scaling.observe(values, np).shape == (7, scaling.features)
+
+
+def test_near_the_fruit_actions_are_shares_of_the_gap():
+    scaling = Scaling(6)
+    observation = np.zeros(18)
+    for gap, share in ((1.0, 1.0), (0.1, 1.0), (1e-3, 1e-2), (1e-4, 1e-3)):
+        observation[12] = gap
+        assert scaling.share(observation, np)[0] == pytest.approx(share)
+    assert replace(scaling, actions=False).share(observation, np)[0] == 1.0
+
+
+def test_shipped_baselines_are_small_and_have_cards():
+    names = shipped_baselines()
+    assert {"ppo_encoders", "ppo_camera", "sac_her_encoders"} <= set(names)
+    assert sum(path.stat().st_size for path in BASELINES.glob("*.npz")) < 5e6
+    for name in names:
+        policy = load_policy(name)
+        card = (BASELINES / f"{name}.md").read_text(encoding="utf-8")
+        assert policy.algorithm.upper() in card and "95 %" in card
+        json.dumps(dict(policy.record))

@@ -1,0 +1,193 @@
+"""Training: one seed gives one set of weights, interrupted or not; bad input ends with one sentence."""
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.hyperparams import tuned
+from agents.learned import load_policy
+from agents.training import Training, make_model, resumed, train
+from calibration import Calibration, fit, random_joints, simulated_tracker
+from pickenv.arm import load_plant
+from pickenv.errors import InputError
+
+ROOT = Path(__file__).parents[2]
+
+
+def weights(out: Path) -> list[np.ndarray]:
+    policy = load_policy(out / "policy.npz")
+    return [*policy.weights, *policy.biases]
+
+
+def same(one: Path, other: Path) -> bool:
+    pairs = zip(weights(one), weights(other), strict=True)
+    return all(np.array_equal(a, b) for a, b in pairs)
+
+
+class Killed(Exception):
+    """Stands for whatever ends a program."""
+
+
+def stop_after(monkeypatch, writes: int) -> None:
+    """Let the training end right after its n-th checkpoint was written."""
+    import agents.callbacks
+
+    real, count = agents.callbacks.save_checkpoint, [0]
+
+    def save(*arguments):
+        real(*arguments)
+        count[0] += 1
+        if count[0] == writes:
+            raise Killed
+
+    monkeypatch.setattr("agents.callbacks.save_checkpoint", save)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "tqc"])
+def test_two_runs_of_one_seed_give_equal_weights(short, tmp_path, algorithm):
+    for name in ("one", "other"):
+        train(short(algorithm), tmp_path / name)
+    assert same(tmp_path / "one", tmp_path / "other")
+    train(short(algorithm, seed=1), tmp_path / "third")
+    assert not same(tmp_path / "one", tmp_path / "third")
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "tqc"])
+def test_a_resumed_run_ends_like_an_uninterrupted_one(short, tmp_path, monkeypatch, algorithm):
+    every = 148 if algorithm != "ppo" else 480
+    training = short(algorithm, checkpoint_every=every, evaluate_every=every)
+    train(training, tmp_path / "whole")
+    with monkeypatch.context() as patch:
+        stop_after(patch, 2)
+        with pytest.raises(Killed):
+            train(training, tmp_path / "broken")
+    assert not (tmp_path / "broken" / "policy.npz").exists()
+    train(training, tmp_path / "broken", resume=True)
+    assert same(tmp_path / "whole", tmp_path / "broken")
+    evaluations = [(tmp_path / name / "evaluations.json").read_text() for name in ("whole", "broken")]
+    assert evaluations[0] == evaluations[1]
+
+
+def test_a_population_of_arms_is_resumed_too(short, tmp_path, monkeypatch):
+    arguments = {"plant": "orchard", "arms": "per_episode", "population": 5, "camera_noise_mm": 1.0}
+    training = short("ppo", checkpoint_every=480, arguments=arguments | {"feedback": "camera"})
+    train(training, tmp_path / "whole")
+    with monkeypatch.context() as patch:
+        stop_after(patch, 1)
+        with pytest.raises(Killed):
+            train(training, tmp_path / "broken")
+    train(training, tmp_path / "broken", resume=True)
+    assert same(tmp_path / "whole", tmp_path / "broken")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_a_killed_training_goes_on(tmp_path, how):
+    code = (
+        "import sys; from agents.training import Training, train;"
+        "train(Training('ppo', steps=60000, arguments={'plant': 'geometry_only'}, checkpoint_every=3840,"
+        " evaluate_every=30000, parameters={'n_envs': 64}), sys.argv[1], resume=len(sys.argv) > 2)"
+    )
+
+    def start(name: str, *more: str) -> subprocess.Popen:
+        command = [sys.executable, "-W", "ignore", "-c", code, str(tmp_path / name), *more]
+        return subprocess.Popen(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, stderr=subprocess.PIPE)
+
+    process, checkpoint = start("broken"), tmp_path / "broken" / "checkpoint.pt"
+    deadline = time.monotonic() + 120
+    while not checkpoint.exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(how)
+    assert process.wait(60) != 0
+    process.stderr.close()
+    for name, more in (("broken", ("again",)), ("whole", ())):
+        process = start(name, *more)
+        assert process.wait(300) == 0, process.stderr.read().decode()
+        process.stderr.close()
+    assert same(tmp_path / "broken", tmp_path / "whole")
+
+
+def test_the_folder_says_how_it_was_trained(short, tmp_path):
+    training = short("ppo", checkpoint_every=480)
+    done = train(training, tmp_path)
+    assert resumed(tmp_path) == training
+    assert set(done.evaluations[-1]) == {"steps", "mean_mm", "p95_mm", "success_rate"}
+    assert done.policy.record["training"] == dataclasses.asdict(training)
+
+
+def test_a_finished_training_may_be_resumed_and_stays_as_it_is(short, tmp_path):
+    train(short(), tmp_path)
+    before = weights(tmp_path)
+    train(short(), tmp_path, resume=True)
+    assert all(np.array_equal(a, b) for a, b in zip(before, weights(tmp_path), strict=True))
+
+
+def test_parameters_are_read_in_the_notation_of_the_zoo():
+    parameters = tuned("ppo", "pickenv/Reach-v0")
+    assert parameters["policy_kwargs"]["net_arch"] == [64, 64]
+    assert parameters["learning_rate"](0.5) == pytest.approx(5e-4)
+
+
+def test_what_the_native_environment_shows_is_what_the_policy_file_sees(short):
+    training = short()
+    model, env = make_model(training)
+    shown = env.reset()
+    from agents.training import actor_of
+
+    policy = actor_of(model, training, env)
+    predicted, _ = model.predict(shown, deterministic=True)
+    share = env.scaling.share(env._raw, np)
+    np.testing.assert_allclose(policy.act(env._raw), predicted * share, atol=1e-5)
+
+
+def refusals(short, tmp_path):
+    (tmp_path / "half").mkdir()
+    (tmp_path / "half" / "checkpoint.pt").write_bytes(b"PK\x03\x04 half a file")
+    (tmp_path / "text").mkdir()
+    (tmp_path / "text" / "checkpoint.pt").write_text("not a checkpoint")
+    yield (lambda: Training("dqn"), "unknown algorithm 'dqn'; give one of ppo, sac, tqc")
+    yield (lambda: Training("ppo", "CartPole-v1"), "unknown environment 'CartPole-v1'; give one of")
+    yield (lambda: Training("ppo", steps=0), "steps is 0; give at least 1")
+    yield (lambda: train(short(), tmp_path / "none", resume=True), "no checkpoint .* without --resume")
+    yield (lambda: train(short(), tmp_path / "half", resume=True), "checkpoint .* is (damaged|not a checkpoint)")
+    yield (lambda: train(short(), tmp_path / "text", resume=True), "checkpoint")
+    yield (lambda: train(short("ppo", env_id="pickenv/ReachGoal-v0"), tmp_path / "goal"), "no tuned parameters")
+    yield (lambda: train(short(arguments={"feedback": "sonar"}), tmp_path / "sonar"), "feedback is 'sonar'")
+
+
+def test_bad_input_ends_with_one_sentence(short, tmp_path):
+    for attempt, message in refusals(short, tmp_path):
+        with pytest.raises(InputError, match=message) as caught:
+            attempt()
+        assert "\n" not in str(caught.value)
+
+
+def test_a_cut_checkpoint_is_refused(short, tmp_path):
+    train(short(), tmp_path)
+    path = tmp_path / "checkpoint.pt"
+    path.write_bytes(path.read_bytes()[:-2000])
+    with pytest.raises(InputError, match=r"start the training again|not a checkpoint"):
+        train(short(), tmp_path, resume=True)
+
+
+def test_a_checkpoint_of_another_training_is_refused(short, tmp_path):
+    train(short(), tmp_path)
+    with pytest.raises(InputError, match="is of another training"):
+        train(short(seed=5), tmp_path, resume=True)
+
+
+def test_a_calibration_of_another_arm_is_refused(short, tmp_path):
+    plant = load_plant("li2016_slave")
+    rng = np.random.default_rng(0)
+    data = simulated_tracker(plant, random_joints(plant.arm.nominal, 60, rng), rng)
+    calibration: Calibration = fit(plant.arm, data, known_frames=True).calibration
+    path = calibration.save(tmp_path / "other.npz")
+    with pytest.raises(InputError, match="belongs to arm 'li2016_slave'"):
+        train(short(compensate=str(path)), tmp_path / "run")
