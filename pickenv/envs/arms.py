@@ -6,12 +6,12 @@ rows of these arrays, so that arms can be exchanged one by one without building 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pickenv.arm.batch import plant_count
 from pickenv.arm.geometry import LINK_PARAMETERS
@@ -20,7 +20,7 @@ from pickenv.envs.executors import Executor, Scalar
 from pickenv.envs.streams import ARM, stream_key, uniform
 from pickenv.envs.task import Task
 
-Change = Callable[[NDArray[np.float64]], Scalar]
+Change = Callable[[Any], Scalar]
 
 
 def choose_arm(x: Executor, key: Scalar) -> Scalar:
@@ -53,14 +53,10 @@ def changed_plant(plant: Plant, change: Change) -> Plant:
     return changed
 
 
-def prepare(plant: Plant) -> Plant:
-    """Fill the plant's caches: torch.compile cannot."""
-    _ = plant.chain, plant.warm_chain, plant.has_state
-    zero = [0.0] * plant.geometry.joints if plant_count(plant) is None else None
-    if zero is not None:
-        import math
-
-        plant.tool_frame(math, zero)
+def prepare(plant: Plant, m: ModuleType, example: Sequence[Scalar]) -> Plant:
+    """Fill the plant's caches by moving it once to joints ``example``: torch.compile cannot fill them."""
+    plant.tool_frame(m, example)
+    plant.advance(m, plant.initial_state(m, example), example, 0.0)
     return plant
 
 
@@ -78,7 +74,7 @@ def numbers_of(plant: Plant) -> list[Any]:
 
 def _changed(value: Any, change: Change) -> Any:
     """A tree of tuples and dataclasses with every array in it changed."""
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray) or type(value).__module__ == "torch":
         return change(value) if value.ndim else value
     if isinstance(value, tuple):
         parts = [_changed(entry, change) for entry in value]

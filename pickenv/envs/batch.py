@@ -70,7 +70,7 @@ class Outcome(NamedTuple):
         reward: ``(count,)``.
         success: ``(count,)``.
         numbers: Distance (mm), angle (deg), its lost and its kept part (deg): ``(4, count)``.
-        vectors: Pose error, joint command, true tool and fruit position: ``(12 + n, count)``.
+        vectors: Pose error, joint command, true tool and fruit position: ``(12 + n, count)``; nothing without poses.
     """
 
     observation: tuple[Any, ...]
@@ -86,12 +86,13 @@ class Batch:
     Attributes:
         task: What all have in common.
         goal_dict: Whether observations are goal dictionaries, and rewards made of them.
+        poses: Whether pose errors, commands and positions are given.
         count: N.
         arm: Number of each one's true arm.
     """
 
-    def __init__(self, task: Task, count: int, goal_dict: bool) -> None:
-        self.task, self.count, self.goal_dict = task, count, goal_dict
+    def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
+        self.task, self.count, self.goal_dict, self.poses = task, count, goal_dict, poses
         self.x: Executor = NUMPY
         n = task.joints
         rest = begin(NUMPY, task, changed_plant(task.plant, _first), *_example(task))
@@ -123,21 +124,22 @@ class Batch:
             self._remember(some, state.plant)
 
     def advance(
-        self, actions: Array, moments: Words, live: NDArray[np.bool_], compensate: Compensate | None
+        self, actions: Array, moments: Words, live: NDArray[np.bool_] | None, compensate: Compensate | None
     ) -> Outcome:
         """Act in all environments.
 
         Args:
             actions: Component by component, ``(n, N)``.
             moments: Number of the step in each one's episode.
-            live: Where it is False an episode has just begun: no time passes, and the action is ignored.
+            live: Where it is False an episode has just begun: no time passes, and the action is ignored. None: nowhere.
             compensate: Turns joint targets into joint commands, or None.
         """
         out, n = self._empty(self.count), self.task.joints
-        rested = np.flatnonzero(~live) if self.plant.has_state else np.empty(0, dtype=np.intp)
-        before = self._table[:, rested]
-        if not live.all():
+        rested = np.empty(0, dtype=np.intp)
+        if live is not None:
             actions = actions * live
+            rested = np.flatnonzero(~live) if self.plant.has_state else rested
+        before = self._table[:, rested]
         for (a, b), plant in zip(self._blocks, self._plants, strict=True):
             columns = slice(a, b)
             target = move(self.x, self.task, list(self._table[:n, columns]), list(actions[:, columns]))
@@ -155,6 +157,17 @@ class Batch:
             some = rows[a:b]
             self._show(out, slice(a, b), some, self._plant_of(some), compensate, np.zeros(b - a, dtype=np.uint64), 0.0)
         return out
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything that the next step depends on."""
+        return {"table": self._table, "keys": self._keys, "arm": self.arm}
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """The inverse of `state_arrays`."""
+        self._table[:], self._keys[:], self.arm[:] = state["table"], state["keys"], state["arm"]
+        if self.task.arms != "fixed":
+            for mine, all_ in zip(numbers_of(self.plant), numbers_of(self.task.plant), strict=True):
+                mine[:] = all_[self.arm]
 
     def scene(self, row: int, compensate: Compensate | None) -> tuple[Array, list[Any]]:
         """Joint target and everything that can be seen of one environment, on floats; no time passes."""
@@ -196,7 +209,7 @@ class Batch:
     @staticmethod
     def masked_rewards(rewards: Array, live: NDArray[np.bool_]) -> Array:
         """Rewards, zero where an episode has just begun."""
-        return rewards if live.all() else np.where(live, rewards, 0.0)
+        return np.where(live, rewards, 0.0)
 
     @staticmethod
     def copied(out: Outcome) -> Outcome:
@@ -250,8 +263,9 @@ class Batch:
         numbers = (scene.distance_mm, scene.angle_deg, scene.lost_deg, scene.kept_deg)
         for row, value in zip(out.numbers, numbers, strict=True):
             row[place] = value
-        for row, value in zip(out.vectors, (*scene.error, *scene.command, *scene.tool, *scene.fruit), strict=True):
-            row[place] = value
+        if self.poses:
+            for row, value in zip(out.vectors, (*scene.error, *scene.command, *scene.tool, *scene.fruit), strict=True):
+                row[place] = value
 
     def _observation(self, scene: Look) -> tuple[Components, ...]:
         return goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
@@ -264,7 +278,7 @@ class Batch:
             reward=np.empty(count),
             success=np.empty(count, dtype=np.bool_),
             numbers=np.empty((4, count)),
-            vectors=np.empty((12 + n, count)),
+            vectors=np.empty((12 + n if self.poses else 0, count)),
         )
 
     @staticmethod

@@ -141,6 +141,8 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
     - `without` (sequence of str): effects of the plant to switch off.
     - `feedback` ("encoders" or "camera"): whether the camera's tool-to-fruit offset is part of the observation.
     - `camera_noise_mm` (float, 0 to 100, default 0): standard deviation per axis of all that the camera sees.
+    - `fruit_noise_mm` (float, 0 to 100, default None): the same for the fruit's position, seen once per episode, where
+      it is not as noisy as the camera's view of the gap.
     - `tolerance_mm` (float, default 5): radius of the gripper's capture region; 5 mm is the clearance of Li's cup.
     - `angle_tolerance_deg` (float, default 10): attitude tolerance of the capture region.
     - `reward` ("dense" or "sparse").

@@ -116,9 +116,9 @@ def begin(
         command: What the drives get for ``start``.
     """
     seen = goal[9:12]
-    if task.camera_noise:
+    if task.fruit_noise:
         fruit = stream_key(x, key, FRUIT)
-        seen = tuple(v + task.camera_noise * normal(x, fruit, i) for i, v in enumerate(seen))
+        seen = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(seen))
     return ReachState(tuple(start), goal, seen, plant.initial_state(x.m, command))
 
 
@@ -138,7 +138,7 @@ def look(
     command: Sequence[Scalar],
     key: Scalar,
     moment: Scalar,
-    dt: float,
+    dt: Scalar,
 ) -> tuple[PlantState, Look]:
     """Hold the joint command for ``dt`` seconds and see where the true tool is.
 
@@ -150,7 +150,7 @@ def look(
         command: What the drives get for that target.
         key: Key of the episode.
         moment: Number of the step in its episode, a 64-bit word; used for the camera's noise only.
-        dt: s; 0 at the start of an episode.
+        dt: s, one number or one per environment; 0 at the start of an episode.
 
     Returns:
         What the plant remembers, and everything that can be seen.

@@ -53,6 +53,7 @@ class Task:
         increment: Largest joint increment of one action.
         camera: Whether the camera's tool-to-fruit offset is fed back.
         camera_noise: Standard deviation per axis of what the camera sees, m.
+        fruit_noise: Standard deviation per axis of the fruit's position as it was seen, m.
         tolerance_mm: Radius of the capture region.
         angle_tolerance_deg: Its attitude tolerance.
         sparse: Whether the reward is sparse.
@@ -69,6 +70,7 @@ class Task:
     increment: tuple[float, ...]
     camera: bool
     camera_noise: float
+    fruit_noise: float
     tolerance_mm: float
     angle_tolerance_deg: float
     sparse: bool
@@ -148,6 +150,7 @@ def make_task(
     tolerances: str = "medium",
     population: int = 256,
     population_seed: int = 0,
+    fruit_noise_mm: float | None = None,
 ) -> Task:
     """Check an environment's arguments (`pickenv/Reach-v0` explains them) and gather its constants.
 
@@ -158,9 +161,11 @@ def make_task(
     check_choice("reward", reward, REWARDS)
     check_number("tolerance_mm", tolerance_mm, positive=True)
     check_number("angle_tolerance_deg", angle_tolerance_deg, positive=True)
-    check_number("camera_noise_mm", camera_noise_mm)
-    if camera_noise_mm > MOST_CAMERA_NOISE_MM:
-        raise InputError(f"camera_noise_mm is {camera_noise_mm}; give at most {MOST_CAMERA_NOISE_MM:.0f}")
+    fruit_noise_mm = camera_noise_mm if fruit_noise_mm is None else fruit_noise_mm
+    for name, noise in (("camera_noise_mm", camera_noise_mm), ("fruit_noise_mm", fruit_noise_mm)):
+        check_number(name, noise)
+        if noise > MOST_CAMERA_NOISE_MM:
+            raise InputError(f"{name} is {noise}; give at most {MOST_CAMERA_NOISE_MM:.0f}")
     check_number("max_tilt_deg", max_tilt_deg, positive=True)
     check_choice("arms", arms, ARMS)
     true_arm = load_true_arm(plant, without)
@@ -178,6 +183,7 @@ def make_task(
         increment=tuple((true_arm.arm.speed * CONTROL_PERIOD).tolist()),
         camera=feedback == "camera",
         camera_noise=camera_noise_mm * 1e-3,
+        fruit_noise=fruit_noise_mm * 1e-3,
         tolerance_mm=float(tolerance_mm),
         angle_tolerance_deg=float(angle_tolerance_deg),
         sparse=reward == "sparse",

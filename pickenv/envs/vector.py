@@ -50,6 +50,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         compiled: torch only: whether the step is compiled (half a minute, once) or run eagerly.
         device: torch only: "cpu", "cuda", "cuda:1".
         dtype: torch only: "float64" or "float32" (positions then hold to 1 um).
+        pose_infos: Whether infos hold `pose_error`, `joint_command`, `tool_position` and `fruit_position`: at a hundred
+            thousand environments writing them down takes as long as a third of the step.
         render_mode: None or "rgb_array".
         arguments: Those of `pickenv/Reach-v0`.
 
@@ -85,6 +87,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         compiled: bool = True,
         device: str = "cpu",
         dtype: str = "float64",
+        pose_infos: bool = True,
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
@@ -104,17 +107,18 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self.single_action_space = action_space(self.task)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._poses = bool(pose_infos)
         self.compensator: Callable[[Array], Array] | None = None
         self.batch: Any
         if executor == "numpy":
-            self.batch = Batch(self.task, self.num_envs, self.goal_dict)
+            self.batch = Batch(self.task, self.num_envs, self.goal_dict, pose_infos)
         else:
             from pickenv.envs.torch_batch import TorchBatch
 
-            self.batch = TorchBatch(self.task, self.num_envs, self.goal_dict, device, dtype, compiled)
+            self.batch = TorchBatch(self.task, self.num_envs, self.goal_dict, pose_infos, device, dtype, compiled)
         self._seeds = np.zeros(self.num_envs, dtype=np.uint64)
         self._episodes = np.zeros(self.num_envs, dtype=np.uint64)
-        self._elapsed = np.zeros(self.num_envs, dtype=np.int64)
+        self._elapsed = np.zeros(self.num_envs, dtype=np.uint64)
         self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
         self._last: Outcome | None = None
@@ -164,23 +168,27 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         if not self._seeded.all():
             raise InputError("step was called before reset; call reset first")
         numbers = self.batch.numbers_of_actions(actions)
-        mode, live = self.autoreset_mode, ~self._ended
-        if mode is AutoresetMode.NEXT_STEP and self._ended.any():
+        mode = self.autoreset_mode
+        live: Mask | None = None  # where time passes; None: everywhere
+        if self._ended.any():
+            live = ~self._ended
+            if mode is not AutoresetMode.NEXT_STEP:
+                first = int(np.argmax(self._ended))
+                raise InputError(f"environment {first} has ended its episode; call reset with a reset_mask first")
             self._episodes[self._ended] += np.uint64(1)
             self._begin(np.flatnonzero(self._ended), {})
-        elif self._ended.any():
-            raise InputError(
-                f"environment {int(np.argmax(self._ended))} has ended its episode; call reset with a reset_mask first"
-            )
-        self._elapsed += live
-        out = self.batch.advance(numbers, self._elapsed.astype(np.uint64), live, self.compensator)
-        rewards = self.batch.masked_rewards(out.reward, live)
-        truncations = np.zeros(self.num_envs, dtype=np.bool_)
+            self._elapsed += live
+        else:
+            self._elapsed += np.uint64(1)
+        out = self.batch.advance(numbers, self._elapsed, live, self.compensator)
+        rewards = out.reward if live is None else self.batch.masked_rewards(out.reward, live)
+        truncations, terminations = (np.zeros(self.num_envs, dtype=np.bool_) for _ in range(2))
         if self.max_episode_steps is not None:
-            truncations = (self._elapsed >= self.max_episode_steps) & live
-        terminations = np.zeros(self.num_envs, dtype=np.bool_)
+            truncations = self._elapsed >= self.max_episode_steps
         if self.task.end_on_success:
-            terminations = self.batch.on_host(out.success) & live
+            terminations = self.batch.on_host(out.success)
+        if live is not None:
+            truncations, terminations = truncations & live, terminations & live
         ended = terminations | truncations
         final: dict[str, Any] = {}
         if mode is AutoresetMode.SAME_STEP and ended.any():
@@ -211,6 +219,18 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             target, scene = self.batch.scene(i, self.compensator)
             pictures.append(reach_pixels(plant, target, Look(*scene), self.task.tolerance_mm))
         return tuple(pictures)
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything that the next step depends on, for a checkpoint; on NumPy and not in mode "Disabled"."""
+        own = {"seeds": self._seeds, "episodes": self._episodes, "elapsed": self._elapsed}
+        own |= {"seeded": self._seeded, "ended": self._ended}
+        return {key: np.array(value) for key, value in (own | self.batch.state_arrays()).items()}
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """The inverse of `state_arrays`, in an environment made with the same arguments."""
+        self._seeds, self._episodes, self._elapsed = (state[key].copy() for key in ("seeds", "episodes", "elapsed"))
+        self._seeded, self._ended = state["seeded"].copy(), state["ended"].copy()
+        self.batch.take_state_arrays(state)
 
     def _begin(self, rows: NDArray[np.intp], chosen: dict[str, Any]) -> None:
         self._elapsed[rows], self._ended[rows] = 0, False
@@ -272,11 +292,12 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         numbers, vectors, success = out.numbers, out.vectors, out.success
         given = self.batch.on_device(mask)
         if not mask.all():
-            numbers, vectors, success = numbers * given, vectors * given, success & given
+            numbers, success = [row * given for row in numbers], success & given
+            vectors = vectors * given if self._poses else vectors
         infos: dict[str, Any] = dict(zip(NUMBER_KEYS, numbers, strict=True))
         infos["is_success"] = success
         cuts = (("pose_error", 0, 6), ("joint_command", 6, 6 + n), ("tool_position", 6 + n, 9 + n))
-        for key, a, b in (*cuts, ("fruit_position", 9 + n, 12 + n)):
+        for key, a, b in (*cuts, ("fruit_position", 9 + n, 12 + n)) if self._poses else ():
             infos[key] = vectors[a:b].T
         return infos | {f"_{key}": given for key in infos}
 
