@@ -139,7 +139,8 @@ def searched(machine: Machine, fruit: Array) -> Array:
     heights = _heights(machine, fruit)
     window = np.abs(fruit[:, 2] - machine.d1 - heights[:, None] - _slide_middle(machine))  # (k, n)
     inside = window <= (machine.slave.upper[0] - machine.slave.lower[0]) / 2 + 1e-9
-    middle = fruit[inside[int(inside.sum(axis=1).argmax())], :2].mean(axis=0)
+    most = inside[int(inside.sum(axis=1).argmax())]
+    middle = fruit[most if most.any() else slice(None), :2].mean(axis=0)
     distance = float(np.hypot(*middle))
     ahead = distance - machine.a4 - float(machine.slave.lower[2] + machine.slave.upper[2]) / 2
     heading = np.arctan2(middle[1], middle[0]) + np.arcsin(min(machine.a2 / distance, 1.0))

@@ -86,3 +86,8 @@ def test_an_empty_side_is_refused(side):
 def test_zones_smaller_than_their_overlap_are_refused():
     with pytest.raises(InputError, match="overlap"):
         cut(Grid(50, 1, 0.1), -1.0, 1.0, 0.0, 1.0)
+
+
+def test_a_zone_of_fruit_below_every_reach_has_a_pick_point_that_reaches_nothing(machine):
+    assert pick_point(machine, np.array([[0.0, -1.2, 0.40]])).count == 0
+    assert pick_point(machine, np.array([[0.0, -1.2, 0.40], [0.1, -1.2, 0.5]])).count == 1
