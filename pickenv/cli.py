@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pickenv.commands import calibrations, plants
+from pickenv.commands import agents, calibrations, plants
 from pickenv.commands.calibrate import calibrate
 from pickenv.errors import InputError
 
@@ -128,6 +128,8 @@ app.command()(calibrations.apply)
 app.command()(calibrations.export)
 app.command()(plants.effects)
 app.command()(plants.iso9283)
+app.command()(agents.train)
+app.command()(agents.evaluate)
 
 
 def main() -> None:
