@@ -47,7 +47,7 @@ def calibration_file(out: Path) -> Path:
     """A calibration of the training arm, fitted if it is not there."""
     path = out / "calibration.npz"
     if not path.is_file():
-        calibrate_arm(load_plant("qiao2026"), "best", Protocol(), 0).save(path)
+        calibrate_arm(load_plant("qiao2026"), "ls", Protocol(), 0).save(path)
     return path
 
 
@@ -78,7 +78,7 @@ def card(name: str, trained: list[Trained], figures: dict[str, Any]) -> str:
     policy = trained[0].policy
     what = policy.record["training"]
     size = sum(weight.size + bias.size for weight, bias in zip(policy.weights, policy.biases, strict=True))
-    behind = "behind a calibration (least squares and Gaussian process)" if what["compensate"] else "on the raw arm"
+    behind = "behind a calibration (least squares)" if what["compensate"] else "on the raw arm"
     rows = [
         f"| {key} | {row['mean_mm']:.3f} | {row['ci95'][0]:.3f} to {row['ci95'][1]:.3f} | {row['p95_mm']:.3f} "
         f"| {', '.join(map(str, row['by_seed']))} | {row['attitude_deg']:.2f} | {row['episodes']} |"

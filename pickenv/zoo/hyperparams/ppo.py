@@ -2,7 +2,7 @@
 
 _REACH = {
     "n_envs": 64,
-    "n_timesteps": 5e5,
+    "n_timesteps": 2.5e5,
     "policy": "MlpPolicy",
     "n_steps": 60,
     "batch_size": 960,

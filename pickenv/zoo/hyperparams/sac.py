@@ -2,11 +2,11 @@
 
 _REACH = {
     "n_envs": 16,
-    "n_timesteps": 2e4,
+    "n_timesteps": 1e4,
     "policy": "MlpPolicy",
     "learning_rate": 1e-3,
     "buffer_size": 60_000,
-    "learning_starts": 2_000,
+    "learning_starts": 1_500,
     "batch_size": 256,
     "tau": 0.01,
     "gamma": 0.9,

@@ -1,0 +1,139 @@
+"""A day in the orchard: the arm warms up and the machine sinks; what online adaptation saves. Part of `findings.py`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agents.calibrated import Protocol, calibrate_arm
+from agents.grid import GridSettings, population
+from agents.statistics import interval, paired
+from calibration import Compensator, complete_model, random_joints
+from calibration.kalman import predict, random_walk, start_filter, update
+from pickenv.arm import forward
+from pickenv.arm.batch import plant_at
+from pickenv.arm.geometry import Array
+from pickenv.arm.plant import MeasurementNoise, Plant
+from pickenv.inspect.figures import WIDTH, new_figure, style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HOURS = 8.0
+DRIFTS = ("thermal_growth", "base_tilt")
+CAMERA_STD = 1e-3
+"""Of the camera's view of the tool, per axis, m."""
+PRIOR, WALK = 0.2, 0.3
+"""Of the filter: what a calibration leaves, in tolerances, and how far parameters wander per root hour."""
+METHODS = ("raw", "calibrated in the workshop", "and adapted online")
+
+
+@dataclass(frozen=True, eq=False)
+class Day:
+    """Errors of a day.
+
+    Attributes:
+        hours: Time of each pick ``(K,)``.
+        errors_mm: By method, ``(arms, K)``.
+    """
+
+    hours: Array
+    errors_mm: dict[str, Array]
+
+
+def run_day(settings: GridSettings, picks: int) -> Day:
+    """Let each arm of the plant orchard pick all day, three times."""
+    plants: Plant = population(settings, "orchard")
+    arms = settings.arms
+    nominal = plants.arm.nominal
+    rng = np.random.default_rng(settings.seed)
+    goals = random_joints(nominal, picks * arms, rng).reshape(picks, arms, -1)
+    noise = rng.normal(size=(picks, arms, 3)) * CAMERA_STD
+    dt = HOURS * 3600.0 / picks
+    # The workshop: firm ground, and the temperature at which the arm was built.
+    workshop = [plant_at(plants, i).without(DRIFTS) for i in range(arms)]
+    fitted = [calibrate_arm(plant, "best", Protocol(), i).compensator() for i, plant in enumerate(workshop)]
+    errors: dict[str, Any] = {}
+    for method in METHODS:
+        state = plants.initial_state(np, list(goals[0].T))
+        filters = None
+        if method == METHODS[2]:
+            start = start_filter(
+                complete_model(nominal), nominal, goals.reshape(-1, nominal.joints)[:300], full_pose=False, prior=PRIOR
+            )
+            filters = [start] * arms
+        rows = []
+        for k in range(picks):
+            target = goals[k]
+            wanted = forward(nominal, target).position
+            if filters is not None:
+                target = np.stack([Compensator(nominal, f.geometry)(q) for f, q in zip(filters, target, strict=True)])
+            command = target
+            if method != METHODS[0]:
+                command = np.stack([f(q) for f, q in zip(fitted, target, strict=True)])
+            state, frame = plants.advance(np, state, list(command.T), dt)
+            tool = np.stack(np.broadcast_arrays(*frame[9:12]), axis=-1)
+            rows.append(np.linalg.norm(tool - wanted, axis=-1) * 1e3)
+            if filters is not None:
+                seen = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
+                filters = [
+                    update(predict(f, random_walk(f, WALK), dt), target[i], tool[i] + noise[k, i], seen)
+                    for i, f in enumerate(filters)
+                ]
+        errors[method] = np.array(rows).T
+    return Day((np.arange(picks) + 1.0) * dt / 3600.0, errors)
+
+
+def day_figure(day: Day) -> Figure:
+    """Mean error over the day."""
+    with style():
+        figure = new_figure(WIDTH, 3.2)
+        axis: Any = figure.subplots()
+        width = max(1, len(day.hours) // 16)
+        for errors, line in zip(day.errors_mm.items(), ("-", "--", "-."), strict=True):
+            name, values = errors
+            smooth = np.convolve(values.mean(axis=0), np.ones(width) / width, mode="valid")
+            axis.plot(day.hours[width - 1 :], smooth, line, label=name)
+        axis.set_xlabel("time since the machine was switched on [h]")
+        axis.set_ylabel("mean position error [mm]")
+        axis.set_ylim(bottom=0.0)
+        axis.legend()
+    return figure
+
+
+def day_section(day: Day) -> list[str]:
+    """The day in words."""
+    first, last = day.hours <= HOURS / 8, day.hours > HOURS * 3 / 4
+    lines = [
+        "## A day in the orchard",
+        "",
+        f"Arms of the plant `orchard` pick for {HOURS:g} h: they warm up, and the machine tilts and sinks. Calibrated "
+        "in the workshop (LS+GP, firm ground), with or without a Kalman filter on geometry, base and tool that "
+        "takes one "
+        f"picture of the tool per pick ({CAMERA_STD * 1e3:g} mm per axis; {len(day.hours)} picks). Mean error [mm].",
+        "",
+        "| | whole day | 95 % | first hour | last two hours |",
+        "|---|---|---|---|---|",
+    ]
+    for name, values in day.errors_mm.items():
+        low, high = interval(values, np.random.default_rng(0))
+        lines.append(
+            f"| {name} | {values.mean():.2f} | {low:.2f} to {high:.2f} | {values[:, first].mean():.2f} | "
+            f"{values[:, last].mean():.2f} |"
+        )
+    raw, fixed, adapted = (day.errors_mm[name] for name in METHODS)
+    saved, gained = (paired(a, b, np.random.default_rng(0)) for a, b in ((fixed, adapted), (raw, fixed)))
+    return [
+        *lines,
+        "",
+        f"The workshop's calibration changes the error of the day by {gained.difference:+.2f} mm "
+        f"({gained.ci95[0]:+.2f} to "
+        f"{gained.ci95[1]:+.2f}, {'significant' if gained.significant else 'not significant'}), online adaptation that "
+        f"by a further {saved.difference:+.2f} mm ({saved.ci95[0]:+.2f} to {saved.ci95[1]:+.2f}, "
+        f"{'significant' if saved.significant else 'not significant'}).",
+        "",
+        "![Error over a day](images/findings-day.png)",
+        "",
+    ]
