@@ -15,12 +15,11 @@ from calibration.arm_model import ArmModel, Term
 from calibration.bpnn import BpnnSettings, train_bpnn
 from calibration.calibration import Calibration
 from calibration.error_model import ErrorModel, complete_model, frames_model, link_model, with_terms
-from calibration.least_squares import Identification, identify
+from calibration.least_squares import Identification, identify_surely
 from calibration.measurements import Measurements
 from calibration.observations import PoseObservations
 from calibration.residual_models import PERIODIC_SPAN, LearntResidual, fit_residual
 from pickenv.arm import Arm
-from pickenv.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +75,7 @@ def fit(
     else:
         refuse_another_arm(nominal, measurements, "with base and tool taken as known")
     start = ArmModel.of(nominal, terms)
-    found = identify(with_terms(model, start), start, measurements)
-    if not found.converged:
-        raise InputError(
-            f"{measurements.source}: the identification did not converge (residual {found.residual_rms[-1]:.3g} "
-            "standard uncertainties); check units, joint signs and outliers, or measure more varied poses"
-        )
+    found = identify_surely(with_terms(model, start), start, measurements)
     learnt: LearntResidual | None = None
     trained: dict[str, Any] | None = None
     if residual_measurements is not None:

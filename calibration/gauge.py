@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration.arm_model import ArmModel
 from calibration.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ErrorModel
-from calibration.identifiability import Dropped, Identifiability, identifiability
+from calibration.identifiability import RANK_TOLERANCE, Dropped, Identifiability, identifiability
 from calibration.observations import Observations
 from pickenv.arm.geometry import FRAME_PARAMETERS, Array
 
@@ -28,6 +28,7 @@ def identifiable_parameters(
     matrix: Array,
     names: tuple[str, ...],
     tolerance: Array,
+    rank_tolerance: float = RANK_TOLERANCE,
 ) -> Identifiability:
     """`identifiability` of the stacked system, with the base held still where no instrument has a frame.
 
@@ -39,19 +40,22 @@ def identifiable_parameters(
         matrix: Stacked, scaled Jacobian ``(rows, own + P)``, the data's own unknowns first.
         names: Names of its columns.
         tolerance: Their scale, m or rad.
+        rank_tolerance: See `calibration.identifiability.RANK_TOLERANCE`.
     """
     poses = sum(len(part.joints) for part in sets)
     if any(part.framed for part in sets):
-        return identifiability(matrix, names, tolerance, poses)
+        return identifiability(matrix, names, tolerance, poses, rank_tolerance)
     own, first = len(names) - len(model.names), 5 * arm.geometry.joints
     by_arm = np.concatenate([part.jacobian(arm, values)[0] for part, values in zip(sets, unknowns, strict=True)])
     scale = np.where(arm.geometry.parameter_is_angle[first : first + 6], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
     others = [k for k, name in enumerate(model.names) if name not in BASE]
     columns = np.concatenate([by_arm[:, first : first + 6] * scale, matrix[:, own:][:, others]], axis=1)
     chain_names = (*BASE, *(model.names[k] for k in others))
-    chain = identifiability(columns, chain_names, np.concatenate([scale, model.tolerance[others]]), poses)
+    chain = identifiability(
+        columns, chain_names, np.concatenate([scale, model.tolerance[others]]), poses, rank_tolerance
+    )
     held = {item.name: item for item in chain.dropped} | {name: Dropped(name, {}) for name in BASE}
     left = matrix.copy()
     left[:, [k for k, name in enumerate(names) if name in held]] = 0.0
-    found = identifiability(left, names, tolerance, poses)
+    found = identifiability(left, names, tolerance, poses, rank_tolerance)
     return replace(found, dropped=tuple(held.get(item.name, item) for item in found.dropped))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.arm_model import ArmModel
+from calibration.arm_model import ArmModel, Term
 from calibration.columns import NoiseFloor
 from calibration.diagnosis import gross_outliers, lost_to_poses, refuse_gross_errors, robust_fit, suspicious
 from calibration.error_model import complete_model
@@ -22,10 +22,10 @@ from calibration.least_squares import identify
 from calibration.measurements import Measurements
 from calibration.metrics import ErrorStatistics, error_statistics
 from calibration.observations import Observations, PoseObservations
-from calibration.other_kinds import fit_kind, unknowns_of
+from calibration.other_kinds import fit_kind
 from calibration.residual_models import FITTERS, Fitter, fit_residual
 from calibration.robust import RobustIdentification
-from calibration.rows import misses
+from calibration.rows import misses, unknowns_of
 from calibration.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from calibration.uncertainty import held_out_errors
 from pickenv.arm import Arm
@@ -177,22 +177,48 @@ def judge(arm: Arm, train: Observations, test: Observations, choices: Choices | 
     choices = choices or Choices()
     if isinstance(train, PoseObservations) and isinstance(test, PoseObservations):
         return _judge_poses(arm, train.measurements, test.measurements, choices)
-    found = fit_kind(arm, train)
-    assert found.aligned is not None
-    errors = {
-        "nominal": misses(test, found.aligned.arm_model, unknowns_of(found.aligned, train)),
-        "geometric": misses(test, found.identification.arm_model, unknowns_of(found.identification, train)),
-    }
+    geometric = best = fit_kind(arm, train)
+    assert geometric.aligned is not None
+    found, name = {"nominal": geometric.aligned, "geometric": geometric.identification}, "geometry"
+    chosen, terms = _terms(arm, train, geometric, choices)
+    if terms:
+        best = _with_terms(geometric, terms, train)
+        name += f"+{chosen.chosen if chosen else choices.terms}"
+        found[name] = best.identification
     return Judged(
         arm=arm.name,
-        fit=found,
-        geometric=found,
+        fit=best,
+        geometric=geometric,
         train_rows=len(train.joints),
         test_rows=len(test.joints),
-        position={name: error_statistics(values * 1e3) for name, values in errors.items()},
+        position={
+            key: error_statistics(misses(test, item.arm_model, unknowns_of(item, train)) * 1e3)
+            for key, item in found.items()
+        },
         attitude={},
-        best_model="geometry",
+        best_model=name,
+        terms=chosen,
     )
+
+
+def _terms(
+    arm: Arm, train: Observations, geometric: Fit, choices: Choices
+) -> tuple[TermChoice | None, tuple[Term, ...]]:
+    """The terms asked for, or chosen within the training rows."""
+    if choices.terms != "auto":
+        return None, terms_of(choices.terms, arm, train)
+    if len(train.joints) < ENOUGH or geometric.aligned is None:
+        return None, ()
+    chosen = choose_terms(arm, geometric.aligned.geometry, train)
+    return chosen, terms_of(chosen.chosen, arm, train)
+
+
+def _with_terms(geometric: Fit, terms: tuple[Term, ...], train: Observations) -> Fit:
+    """The calibration with parametric terms."""
+    found = identify_terms(terms, geometric.identification, train)
+    names = sorted({term.specification()["kind"] for term in terms})
+    record = {**geometric.calibration.record, "terms": names}
+    return Fit(replace(geometric.calibration, model=found.arm_model, record=record), found, geometric.aligned)
 
 
 def _judge_poses(arm: Arm, train: Measurements, test: Measurements, choices: Choices) -> Judged:
@@ -214,16 +240,11 @@ def _judge_poses(arm: Arm, train: Measurements, test: Measurements, choices: Cho
         "nominal": held_out_errors(replace(geometric.calibration, model=ArmModel.of(geometric.aligned.geometry)), test),
         "geometric": held_out_errors(geometric.calibration, test),
     }
-    best, name, chosen = geometric, "geometry", None
-    if choices.terms == "auto" and len(train) >= ENOUGH:
-        chosen = choose_terms(arm, geometric.aligned.geometry, train)
-    terms = terms_of(chosen.chosen if chosen else choices.terms.replace("auto", "none"), arm, train)
+    best, name = geometric, "geometry"
+    chosen, terms = _terms(arm, PoseObservations(train), geometric, choices)
     if terms:
-        label = chosen.chosen if chosen else choices.terms
-        identified = identify_terms(terms, geometric.identification, train)
-        record = {**geometric.calibration.record, "terms": label}
-        best = Fit(replace(best.calibration, model=identified.arm_model, record=record), identified, geometric.aligned)
-        name += f"+{label}"
+        best = _with_terms(geometric, terms, PoseObservations(train))
+        name += f"+{chosen.chosen if chosen else choices.terms}"
         position_errors[name] = held_out_errors(best.calibration, test)
     gate, selected = _gate(train, best, terms, choices)
     if selected is not None:
@@ -260,7 +281,7 @@ def _told_apart(arm: Arm, data: Measurements) -> None:
 
 
 def _gate(
-    train: Measurements, best: Fit, terms: tuple[Any, ...], choices: Choices
+    train: Measurements, best: Fit, terms: tuple[Term, ...], choices: Choices
 ) -> tuple[GateReport | None, str | None]:
     """Verdicts on residual models within the training rows, and the one to use."""
     if choices.residual == "none":
@@ -276,7 +297,7 @@ def _gate(
 
     def refit(rows: Measurements) -> ArmModel:
         bare = identify(complete_model(aligned), aligned, rows)
-        return identify_terms(terms, bare, rows).arm_model if terms else bare.arm_model
+        return identify_terms(terms, bare, PoseObservations(rows)).arm_model if terms else bare.arm_model
 
     report = judge_residuals(data, refit, np.random.default_rng(choices.seed), models=names, fitters=quick_fitters())
     return report, names[0] if choices.force and choices.residual != "auto" else report.selected

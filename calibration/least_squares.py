@@ -15,7 +15,7 @@ import numpy as np
 from calibration.arm_model import ArmModel, Conditions
 from calibration.error_model import LENGTH_TOLERANCE, ErrorModel
 from calibration.gauge import identifiable_parameters
-from calibration.identifiability import Identifiability, identifiability
+from calibration.identifiability import RANK_TOLERANCE, Identifiability, identifiability
 from calibration.measurements import Measurements, random_joints
 from calibration.observations import Observations, PoseObservations
 from calibration.threads import single_threaded
@@ -115,6 +115,7 @@ def identify(
     *,
     max_iterations: int = 20,
     row_factors: Array | None = None,
+    rank_tolerance: float = RANK_TOLERANCE,
 ) -> Identification:
     """Identify the model's parameters by rank-aware, weighted Gauss-Newton.
 
@@ -125,6 +126,7 @@ def identify(
         data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
         max_iterations: Steps at most; three or four are usual.
         row_factors: Factors on the whitened rows ``(rows,)``, in the order of the data; for robust weights.
+        rank_tolerance: What counts as redundant, see `calibration.identifiability.RANK_TOLERANCE`.
 
     Returns:
         The identification; ``converged`` is False if the last step was not negligible.
@@ -133,7 +135,26 @@ def identify(
         InputError: If there are too few poses for the model's rank.
     """
     with single_threaded():
-        return _identify(model, start, data, max_iterations, row_factors)
+        return _identify(model, start, data, max_iterations, row_factors, rank_tolerance)
+
+
+def identify_surely(
+    model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Observations]
+) -> Identification:
+    """`identify`; where that wanders among parameters that the data hardly show, again without those.
+
+    Raises:
+        InputError: As `identify`, or if it does not converge even so.
+    """
+    for factor in (1.0, 3.0, 10.0):
+        found = identify(model, start, data, max_iterations=60, rank_tolerance=factor * RANK_TOLERANCE)
+        if found.converged:
+            return found
+    raise InputError(
+        f"{observations_of(data)[0].source}: the identification did not converge (residual "
+        f"{found.residual_rms[-1]:.3g} standard uncertainties); check units, joint signs and outliers, or measure more "
+        "varied poses"
+    )
 
 
 def _identify(
@@ -142,6 +163,7 @@ def _identify(
     data: Measurements | Sequence[Observations],
     max_iterations: int,
     row_factors: Array | None,
+    rank_tolerance: float,
 ) -> Identification:
     begin = time.perf_counter()
     sets = observations_of(data)
@@ -153,7 +175,7 @@ def _identify(
     factors = 1.0 if row_factors is None else row_factors[:, None]
     matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors), _weighted(sets, arm, unknowns, factors)
     poses = sum(len(part.joints) for part in sets)
-    found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance)
+    found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance, rank_tolerance)
     _enough_poses(model, arm, sets, found, len(weighted))
     kept, scale = found.kept, tolerance[found.kept]
     iterates = [arm]

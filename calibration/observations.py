@@ -31,6 +31,11 @@ class Observations(Protocol):
         ...
 
     @property
+    def conditions(self) -> Conditions:
+        """Payload, temperature and torques, where known."""
+        ...
+
+    @property
     def source(self) -> str:
         """Where the data come from."""
         ...

@@ -9,12 +9,11 @@ from calibration.arm_model import ArmModel
 from calibration.calibration import Calibration
 from calibration.error_model import complete_model, frames_model
 from calibration.fitting import Fit
-from calibration.least_squares import Identification, identify
+from calibration.least_squares import Identification, identify, identify_surely
 from calibration.measurements import Measurements
 from calibration.observations import Observations, ReflectorObservations, SocketObservations
-from calibration.rows import misses
+from calibration.rows import misses, unknowns_of
 from pickenv.arm import Arm, Geometry, forward
-from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 
 
@@ -27,12 +26,7 @@ def fit_kind(arm: Arm, observations: Observations) -> Fit:
     start = ArmModel.of(starting_geometry(arm, observations))
     framed = identify(frames_model(arm.nominal), start, [observations], max_iterations=100)
     _refuse_misfit(framed, observations)
-    found = identify(complete_model(arm.nominal), framed.arm_model, [observations], max_iterations=60)
-    if not found.converged:
-        raise InputError(
-            f"{observations.source}: the identification did not converge (residual {found.residual_rms[-1]:.3g} "
-            "standard uncertainties); check units, joint signs and outliers, or measure more varied poses"
-        )
+    found = identify_surely(complete_model(arm.nominal), framed.arm_model, [observations])
     record = {
         "source": observations.source,
         "poses": len(observations.joints),
@@ -44,11 +38,6 @@ def fit_kind(arm: Arm, observations: Observations) -> Fit:
     }
     calibration = Calibration(arm.name, arm.fingerprint(), framed.geometry, found.arm_model, None, record)
     return Fit(calibration, found, framed)
-
-
-def unknowns_of(found: Identification, observations: Observations) -> Array:
-    """The identified values of a data set's own unknowns."""
-    return np.array([found.unknowns[name] for name in observations.unknowns()])
 
 
 def starting_geometry(arm: Arm, observations: Observations) -> Geometry:

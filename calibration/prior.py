@@ -6,12 +6,12 @@ A term's coefficients are expected to be zero within a few tolerances. Without t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.arm_model import ArmModel
+from calibration.arm_model import ArmModel, Conditions
 from pickenv.arm.geometry import Array
 
 EXPECTED = 1.0
@@ -34,6 +34,7 @@ class Prior:
     source: str = "prior"
     kind: str = "prior"
     framed: bool = False
+    conditions: Conditions = field(default_factory=Conditions)
 
     @property
     def joints(self) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.arm_model import ArmModel
+from calibration.least_squares import Identification
 from calibration.observations import (
     DistanceObservations,
     Observations,
@@ -54,6 +55,22 @@ def misses(observations: Observations, model: ArmModel, unknowns: Array) -> Arra
         rest = observations.residual(model, unknowns)[: 3 * len(observations.joints)]
         return np.asarray(rest.reshape(-1, 3) * observations.std)
     raise TypeError(f"{type(observations).__name__} has no position errors")
+
+
+def unknowns_of(found: Identification, observations: Observations) -> Array:
+    """The identified values of a data set's own unknowns."""
+    return np.array([found.unknowns[name] for name in observations.unknowns()])
+
+
+def blocks(observations: Observations, folds: int) -> list[tuple[Rows, Rows]]:
+    """Contiguous folds of the rows, each socket's by itself: for each, the training and the held-out rows."""
+    socket = observations.socket if isinstance(observations, SocketObservations) else np.zeros(len(observations.joints))
+    fold = np.zeros(len(socket), dtype=int)
+    for number in np.unique(socket):
+        rows = np.flatnonzero(socket == number)
+        for i, part in enumerate(np.array_split(rows, folds)):
+            fold[part] = i
+    return [(np.flatnonzero(fold != i), np.flatnonzero(fold == i)) for i in range(folds)]
 
 
 def choose(

@@ -12,11 +12,10 @@ import numpy as np
 
 from calibration.arm_model import ArmModel, Term
 from calibration.error_model import complete_model, with_terms
-from calibration.gate import contiguous_folds, position_rms
 from calibration.least_squares import Identification, identify
-from calibration.measurements import Measurements
-from calibration.observations import PoseObservations
+from calibration.observations import Observations
 from calibration.prior import coefficients_prior
+from calibration.rows import blocks, misses, select, unknowns_of
 from calibration.terms import GravityTerm, PeriodicTerm, ThermalTerm
 from pickenv.arm import Arm, Geometry
 from pickenv.errors import InputError
@@ -47,7 +46,7 @@ class TermChoice:
     blocked_rms: dict[str, float]
 
 
-def terms_of(name: str, arm: Arm, measurements: Measurements) -> tuple[Term, ...]:
+def terms_of(name: str, arm: Arm, observations: Observations) -> tuple[Term, ...]:
     """The terms that a name stands for, for an arm mounted upright as its nominal base says.
 
     Raises:
@@ -58,7 +57,7 @@ def terms_of(name: str, arm: Arm, measurements: Measurements) -> tuple[Term, ...
     for part in name.split("+"):
         if part == "gravity":
             up = geometry.base.rotation.T @ np.array([0.0, 0.0, 1.0])
-            payload = measurements.conditions.payload
+            payload = observations.conditions.payload
             varied = payload is not None and float(np.ptp(payload)) > 0
             terms.append(GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), varied))
         elif part == "periodic":
@@ -77,16 +76,15 @@ def terms_of(name: str, arm: Arm, measurements: Measurements) -> tuple[Term, ...
     return tuple(terms)
 
 
-def identify_terms(terms: tuple[Term, ...], bare: Identification, measurements: Measurements) -> Identification:
+def identify_terms(terms: tuple[Term, ...], bare: Identification, observations: Observations) -> Identification:
     """Identify geometry and terms, from a geometry identified without them; coefficients have `calibration.prior`."""
     start = ArmModel.of(bare.geometry, terms)
     model = with_terms(complete_model(bare.geometry), start)
     scatter = float(np.sqrt(bare.chi_square / max(bare.degrees_of_freedom, 1)))
-    prior = coefficients_prior(start, scatter)
-    return identify(model, start, [PoseObservations(measurements), prior], max_iterations=60)
+    return identify(model, start, [observations, coefficients_prior(start, scatter)], max_iterations=60)
 
 
-def choose_terms(arm: Arm, aligned: Geometry, measurements: Measurements) -> TermChoice:
+def choose_terms(arm: Arm, aligned: Geometry, observations: Observations) -> TermChoice:
     """Choose terms by blocked cross-validation within training rows, in the order they were measured.
 
     One after the other, what every arm has first (weight), and each only if it wins over those before it.
@@ -94,21 +92,22 @@ def choose_terms(arm: Arm, aligned: Geometry, measurements: Measurements) -> Ter
     Args:
         arm: The arm.
         aligned: Its geometry with base and tool fitted.
-        measurements: Training rows.
+        observations: Training rows.
     """
-    data = measurements.select(np.unique(np.linspace(0, len(measurements) - 1, ROWS).astype(int)))
+    count = len(observations.joints)
+    data = select(observations, np.unique(np.linspace(0, count - 1, ROWS).astype(int)))
     folds = []
-    for train, test in contiguous_folds(len(data), FOLDS):
-        here = data.select(train)
-        folds.append((identify(complete_model(aligned), aligned, here), here, PoseObservations(data.select(test))))
+    for train, test in blocks(data, FOLDS):
+        here = select(data, train)
+        folds.append((identify(complete_model(aligned), aligned, [here]), here, select(data, test)))
 
     def score(name: str) -> float:
         missed = []
         for bare, here, there in folds:
             terms = terms_of(name, arm, data)
             found = identify_terms(terms, bare, here) if terms else bare
-            missed.append(there.difference(found.arm_model))
-        return position_rms(np.concatenate(missed))
+            missed.append(misses(there, found.arm_model, unknowns_of(found, there)))
+        return float(np.sqrt(np.mean(np.sum(np.concatenate(missed) ** 2, axis=1))))
 
     chosen, scores = "none", {"none": score("none")}
     temperature = data.conditions.temperature
