@@ -110,7 +110,7 @@ def funnel_bars(trees: Mapping[str, Sequence[Harvest]]) -> Figure:
         axis.bar(np.arange(len(STAGES)) + 0.17 * i, share, 0.16, color=COLOURS[i], label=name)
     axis.set_xticks(np.arange(len(STAGES)) + 0.34, STAGES)
     axis.set(ylabel="% of fruit present", ylim=(50, 101))
-    axis.legend(frameon=False, ncols=5, loc="lower left")
+    axis.legend(frameon=False, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     return figure
 
 

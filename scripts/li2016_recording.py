@@ -12,10 +12,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from pickenv.arm.geometry import Array
 from pickenv.files import write_whole
-from pickenv.harvester.harvest import Harvest, slave_joints_at
+from pickenv.harvester.harvest import Harvest, Round, slave_joints_at
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import Machine
+from pickenv.harvester.motion import master_time, profile
 
 STEP = 0.05
 COLOURS = ((0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (240, 228, 66))
@@ -30,23 +32,34 @@ def record_zone(path: Path, machine: Machine, harvest: Harvest) -> Path:
 
 def _write(path: Path, machine: Machine, harvest: Harvest) -> None:
     r = max(harvest.rounds, key=lambda item: len(item.fruit))
-    at = np.arange(0.0, r.times.makespan + 1.0, STEP)
-    slaves = slave_joints_at(machine, r.work, r.times, at)
-    tips = machine.tips(np.broadcast_to(r.master, (len(at), 3)), slaves)
-    stretched = slaves.copy()
-    stretched[..., 1:] = (0.0, 0.0)
-    pivots = machine.tips(np.broadcast_to(r.master, (len(at), 3)), stretched)
-    frame = machine.frame3(r.master)
+    arrival = float(master_time(machine, machine.master_start, r.master))
+    at = np.arange(0.0, arrival + r.times.makespan + 1.0, STEP)
+    masters = machine.master_start + profile(
+        at[:, None], r.master - machine.master_start, machine.master.speed, machine.master_acceleration
+    )
+    slaves = slave_joints_at(machine, r.work, r.times, at - arrival)
+    tips = machine.tips(masters, slaves)
+    retracted = slaves.copy()
+    retracted[..., 1:] = 0.0
+    pivots = machine.tips(masters, retracted)
+    frame = machine.frame3(masters)
+    axis = frame * (0.0, 0.0, 1.0)
+    rail = [pivots[:, 0], pivots[:, -1]]
+    for end in rail:
+        end[:, 2] = frame[:, 2]
     with rr.RecordingStream("pickenv", recording_id=f"harvest-{r.zone.name.replace(' ', '_').replace(',', '')}") as rec:
-        rec.save(str(path), default_blueprint=_blueprint(machine))
+        rec.save(str(path), default_blueprint=_blueprint(frame[-1], r.work.arms))
         column = rr.TimeColumn("sim_time", duration=at)
         rec.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        shoulder = np.array([0.0, 0.0, frame[2]])
-        rec.log(
-            "/world/master",
-            rr.LineStrips3D([[[0, 0, 0], [0, 0, 2.2]], [shoulder, frame]], colors=STEEL, radii=0.03),
-            static=True,
+        pillar = [[[0.0, 0.0, 0.0], [0.0, 0.0, float(machine.upper[1]) + machine.d1]]]
+        rec.log("/world/master/column", rr.LineStrips3D(pillar, colors=STEEL, radii=0.03), static=True)
+        boom = np.stack([axis, frame, rail[0].copy(), rail[1].copy()], axis=1)
+        rec.send_columns(
+            "/world/master/boom",
+            indexes=[column],
+            columns=rr.LineStrips3D.columns(strips=list(boom), colors=[STEEL] * len(at), radii=[0.02] * len(at)),
         )
+        pivots = machine.tips(masters, retracted)
         for arm in range(machine.arms):
             lines = np.stack([pivots[:, arm], tips[:, arm]], axis=1)
             rec.send_columns(
@@ -56,8 +69,8 @@ def _write(path: Path, machine: Machine, harvest: Harvest) -> None:
                     strips=list(lines), colors=[COLOURS[arm]] * len(at), radii=[machine.body.radius / 2] * len(at)
                 ),
             )
-            _lane(rec, arm, r.times, r.outcome.collected)
-        _fruit(rec, harvest, r)
+            _lane(rec, arm, r, arrival)
+        _fruit(rec, harvest, r, arrival)
         if machine.arms > 1:
             near = arm_distances(machine, slaves) * 1e3
             for pair, (a, b) in enumerate(zip(*np.triu_indices(machine.arms, 1), strict=True)):
@@ -71,23 +84,23 @@ def _write(path: Path, machine: Machine, harvest: Harvest) -> None:
             rec.send_columns("/distance/limit", indexes=[column], columns=rr.Scalars.columns(scalars=limit))
 
 
-def _lane(rec: rr.RecordingStream, arm: int, times: object, collected: object) -> None:
-    """One Gantt lane: travelling, out, and how the pick ended."""
-    mine = np.flatnonzero(times.arm == arm)  # type: ignore[attr-defined]
+def _lane(rec: rr.RecordingStream, arm: int, r: Round, arrival: float) -> None:
+    """One Gantt lane: carried by the master, travelling, out, and how the pick ended."""
+    mine = np.flatnonzero(r.times.arm == arm)
     name = f"/arms/slave_{arm + 1}"
     rec.log(
         name,
         rr.StateConfiguration(
-            values=["travel", "collected", "missed"],
-            labels=["travel", "out, collected", "out, missed"],
-            colors=[STEEL, FRUIT["collected"], FRUIT["missed"]],
+            values=["carried", "travel", "collected", "missed"],
+            labels=["carried", "travel", "out, collected", "out, missed"],
+            colors=[(96, 96, 104), STEEL, FRUIT["collected"], FRUIT["missed"]],
         ),
         static=True,
     )
-    moments, states = [0.0], ["travel"]
-    for pick in mine[np.argsort(times.start[mine])]:  # type: ignore[attr-defined]
-        moments += [float(times.start[pick]), float(times.end[pick])]  # type: ignore[attr-defined]
-        states += ["collected" if collected[pick] else "missed", "travel"]  # type: ignore[index]
+    moments, states = [0.0, arrival], ["carried", "travel"]
+    for pick in mine[np.argsort(r.times.start[mine])]:
+        moments += [arrival + float(r.times.start[pick]), arrival + float(r.times.end[pick])]
+        states += ["collected" if r.outcome.collected[pick] else "missed", "travel"]
     rec.send_columns(
         name,
         indexes=[rr.TimeColumn("sim_time", duration=np.array(moments))],
@@ -95,18 +108,18 @@ def _lane(rec: rr.RecordingStream, arm: int, times: object, collected: object) -
     )
 
 
-def _fruit(rec: rr.RecordingStream, harvest: Harvest, r: object) -> None:
+def _fruit(rec: rr.RecordingStream, harvest: Harvest, r: Round, arrival: float) -> None:
     """Fruit of the zone; it changes colour when its pick ends."""
-    numbers = np.flatnonzero(r.zone.holds(harvest.tree.fruit))  # type: ignore[attr-defined]
-    picks = {int(number): i for i, number in enumerate(r.fruit)}  # type: ignore[attr-defined]
-    ends = r.times.end  # type: ignore[attr-defined]
+    numbers = np.flatnonzero(r.zone.holds(harvest.tree.fruit))
+    picks = {int(number): i for i, number in enumerate(r.fruit)}
+    ends = arrival + r.times.end
     moments = np.concatenate([[0.0], np.sort(ends)])
     colours = []
     for moment in moments:
         for number in numbers.tolist():
             i = picks.get(number)
             over = i is not None and ends[i] <= moment
-            state = "hanging" if not over else "collected" if r.outcome.collected[i] else "missed"  # type: ignore[attr-defined]
+            state = "hanging" if not over else "collected" if r.outcome.collected[i] else "missed"
             colours.append(FRUIT[state])
     n = len(numbers)
     rec.log(
@@ -119,8 +132,11 @@ def _fruit(rec: rr.RecordingStream, harvest: Harvest, r: object) -> None:
     )
 
 
-def _blueprint(machine: Machine) -> rrb.Blueprint:
-    lanes = [f"+ /arms/slave_{i + 1}" for i in range(machine.arms)]
+def _blueprint(frame: Array, arms: int) -> rrb.Blueprint:
+    lanes = [f"+ /arms/slave_{i + 1}" for i in range(arms)]
+    ahead = frame * (1.0, 1.0, 0.0) / np.linalg.norm(frame[:2])
+    look = frame + 0.3 * ahead
+    eye = look + 1.3 * np.array([ahead[1], -ahead[0], 0.0]) - 0.7 * ahead + (0.0, 0.0, 0.7)
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Spatial3DView(
@@ -128,7 +144,8 @@ def _blueprint(machine: Machine) -> rrb.Blueprint:
                 contents=["+ /world/**"],
                 name="Master, slaves and fruit (m)",
                 background=(18, 18, 22),
-                eye_controls=rrb.EyeControls3D(position=(1.8, 1.2, 2.6), look_target=(0, -0.9, 1.3), eye_up=(0, 0, 1)),
+                eye_controls=rrb.EyeControls3D(position=eye, look_target=look, eye_up=(0, 0, 1)),
+                line_grid=rrb.LineGrid3D(visible=False),
             ),
             rrb.StateTimelineView(
                 origin="/arms", contents=lanes, name="Slaves: travel, out and collected, out and missed"

@@ -10,7 +10,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pickenv.arm.arm_file import read_toml
 from pickenv.arm.geometry import Array
@@ -140,8 +139,3 @@ def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corr
 def _least_distance(points: Array) -> float:
     i, j = np.triu_indices(len(points), 1)
     return float(np.linalg.norm(points[i] - points[j], axis=-1).min())
-
-
-def tree_seeds(seed: int, count: int) -> list[NDArray[np.uint32] | np.random.SeedSequence]:
-    """One seed per tree, the same whatever the number of workers."""
-    return list(np.random.SeedSequence(seed).spawn(count))

@@ -214,11 +214,6 @@ def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) 
     return replace(plant, arm=arm, geometry=arm.true)
 
 
-def nominal_controller(machine: Machine) -> Controller:
-    """The controller of the paper: no correction at all."""
-    return Controller(machine)
-
-
 def tip_errors(true: TrueMachine, controller: Controller, masters: Sequence[ArrayLike] | Array, slaves: Array) -> Array:
     """Errors of frame 3 and all cups, (poses, 1 + arms, 3) m, for nominal joints (poses, 3) and (poses, arms, 3)."""
     masters = np.asarray(masters, dtype=float)

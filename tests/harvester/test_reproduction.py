@@ -1,0 +1,38 @@
+"""The reproduction script runs from end to end and gives the numbers it promises."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.slow
+def test_the_script_gives_tables_figures_recording_and_json(tmp_path):
+    command = [
+        sys.executable,
+        "scripts/reproduce_li2016.py",
+        "--quick",
+        "--json",
+        tmp_path / "li.json",
+        "--out",
+        tmp_path,
+    ]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    found = json.loads((tmp_path / "li.json").read_text(encoding="utf-8"))
+    assert {"raw", "calibrated", "optimised"} <= set(found["recovery"])
+    for way in found["recovery"].values():
+        assert {"rate", "ci95", "picks_per_hour", "collisions"} <= set(way)
+        assert way["collisions"] == 0
+        assert way["ci95"][0] <= way["rate"] <= way["ci95"][1]
+    assert 0.70 <= found["recovery"]["raw"]["rate"] <= 0.90
+    assert found["recovery"]["optimised"]["rate"] >= 0.95
+    speed = {name: way["picks_per_hour"] for name, way in found["recovery"].items()}
+    assert speed["optimised"] >= 1.5 * speed["raw"]
+    assert set(found["table2"]) == set(found["table3"]) == {"master", "left", "middle", "right"}
+    figures = {path.stem for path in tmp_path.glob("*.png")}
+    assert figures == {"gantt", "pick_map", "funnel", "throughput", "workspace", "joint_curves"}
+    assert (tmp_path / "zone.rrd").stat().st_size > 10_000
