@@ -279,8 +279,8 @@ def population(settings: GridSettings, plant: str) -> Any:
 
 
 def policy_name(name: str) -> str:
-    """How a policy is called in tables: files by their stem."""
-    return Path(name).stem if name.endswith(".npz") else name
+    """How a policy is called in tables: files by the end of their path."""
+    return "/".join(Path(name).with_suffix("").parts[-3:]) if name.endswith(".npz") else name
 
 
 def _told(report: Callable[[str, int, int], None], stage: str) -> Callable[[int, int], None]:

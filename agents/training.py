@@ -191,7 +191,7 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     from agents.native import NativeVecEnv
 
     chosen = training.chosen
-    for key in ("n_timesteps", "env_kwargs", "policy"):
+    for key in ("n_timesteps", "env_kwargs", "env_wrapper", "policy"):
         chosen.pop(key, None)
     inner = make_environment(training, int(chosen.pop("n_envs")), "SameStep")
     scaling = scaling_of(training, inner)

@@ -150,4 +150,4 @@ def test_the_commands_run(tmp_path):
     result = runner.invoke(app, ["evaluate", *options])
     assert result.exit_code == 0, result.output
     rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
-    assert {row["policy"] for row in rows} == {"scripted", "policy"} and set(rows[0]) >= KEYS
+    assert {row["policy"].split("/")[-1] for row in rows} == {"scripted", "policy"} and set(rows[0]) >= KEYS

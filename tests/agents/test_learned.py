@@ -6,8 +6,11 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
 import pickenv  # noqa: F401
+from agents.gap_scaling import GapScaling
+from agents.grid import GridSettings, run_grid
 from agents.learned import BASELINES, load_policy, shipped_baselines
 from agents.scaling import Scaling
 from pickenv.arm import load_arm
@@ -103,3 +106,34 @@ def test_shipped_baselines_are_small_and_have_cards():
         card = (BASELINES / f"{name}.md").read_text(encoding="utf-8")
         assert policy.algorithm.upper() in card and "95 %" in card
         json.dumps(dict(policy.record))
+
+
+def test_the_wrapper_shows_what_the_vector_environment_shows(policy):
+    with GapScaling(gym.make("pickenv/Reach-v0")) as env:
+        check_env(env, skip_render_check=True)
+        seen, _ = env.reset(seed=2)
+        raw = env._raw
+        layer = seen.astype(float)
+        for i, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
+            layer = layer @ weight + bias
+            layer = np.tanh(layer) if i + 1 < len(policy.weights) else layer.clip(-1, 1)
+        np.testing.assert_allclose(layer * policy.scaling.share(raw, np), policy.act(raw), atol=1e-5)
+        _, reward, *_, info = env.step(layer)
+        assert reward < 0 and info["position_error_mm"] > 0
+    with pytest.raises(InputError, match="reads flat observations"), gym.make("pickenv/ReachGoal-v0") as goal:
+        GapScaling(goal)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ppo_encoders", "ppo_camera", "sac_her_encoders", "sac_her_camera"])
+def test_a_shipped_baseline_meets_its_card(name):
+    feedback = "camera" if name.endswith("camera") else "encoders"
+    compensation = "raw" if feedback == "camera" else "best"
+    options = {"policies": (name,), "compensations": (compensation,), "feedback": (feedback,), "plants": ("qiao2026",)}
+    found = run_grid(GridSettings(**options)).rows()[0]
+    card = (BASELINES / f"{name}.md").read_text(encoding="utf-8")
+    row = next(line for line in card.splitlines() if line.startswith(f"| {compensation} |"))
+    first_seed = float(row.split("|")[5].split(",")[0])
+    assert found["episodes"] >= 500
+    assert found["mean_mm"] == pytest.approx(first_seed, abs=0.005)
+    assert found["ci95"][1] <= (3.0 if feedback == "camera" else 2.0)

@@ -114,6 +114,12 @@ def test_a_killed_training_goes_on(tmp_path, how):
     assert same(tmp_path / "broken", tmp_path / "whole")
 
 
+def test_sac_learns_from_flat_observations_too(tmp_path):
+    parameters = {"n_envs": 4, "learning_starts": 100, "gradient_steps": 1}
+    done = train(Training("sac", steps=400, arguments={"plant": "ideal"}, parameters=parameters), tmp_path)
+    assert np.isfinite(done.evaluations[-1]["mean_mm"]) and not done.policy.scaling.goal
+
+
 def test_the_folder_says_how_it_was_trained(short, tmp_path):
     training = short("ppo", checkpoint_every=480)
     done = train(training, tmp_path)

@@ -1,4 +1,7 @@
-"""SAC: with hindsight (HER) on the goal environment, plain on the flat ones."""
+"""SAC: with hindsight (HER) on the goal environment, plain on the flat ones.
+
+`pickenv train` scales the gap to the fruit inside the networks (`agents.off_policy`), so that hindsight stays exact.
+"""
 
 _REACH = {
     "n_envs": 16,
