@@ -1,20 +1,30 @@
 """From a wanted nominal pose to corrected joints: Qiao 2026 eqs (13)-(16) and Fig. 3 through the rank-aware inverse.
 
 q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated once or twice at the corrected joints, J+
-truncated to the task's rank (the paper's J^-1 does not exist for this arm), joint limits kept.
+truncated to the task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. One pose runs on Python
+floats, many on NumPy in blocks: a compensator stands in a control loop and in vector environments.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Geometry, displace_pose, forward, joint_jacobian, pose_error
+from calibration.truncated_solve import TruncatedSolver
+from pickenv.arm import Geometry, displace_pose, forward
 from pickenv.arm.geometry import Array, Pose
-from pickenv.arm.task import truncated_inverse
+from pickenv.arm.kinematics import Chain, Frame, Scalar, attach, chain_of, frames, split_joints
+from pickenv.arm.task import RANK_TOLERANCE
+
+BLOCK = 2048
+"""Poses worked on together: what a core's first caches hold."""
 
 
 class ResidualModel(Protocol):
@@ -44,16 +54,112 @@ class Compensator:
     def __call__(self, joints: ArrayLike) -> Array:
         """Joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m, within the joint limits."""
         joints = np.asarray(joints, dtype=float)
-        wanted = forward(self.nominal, joints)
-        command = joints
-        for _ in range(self.iterations):
-            error = pose_error(self.predict(command), wanted)
-            back = truncated_inverse(joint_jacobian(self.identified, command))
-            correction = np.einsum("...ij,...j->...i", back, error)
-            command = (command + correction).clip(self.nominal.lower, self.nominal.upper)
-        return np.asarray(command)
+        split_joints(self.nominal.joints, joints)  # checks the number of joints
+        if joints.ndim == 1:
+            return np.array(self._one(joints))
+        rows = joints.reshape(-1, self.nominal.joints)
+        blocks = [self._many(rows[a : a + BLOCK]) for a in range(0, len(rows), BLOCK)]
+        return np.concatenate(blocks).reshape(joints.shape) if blocks else joints.copy()
 
     def predict(self, joints: ArrayLike) -> Pose:
         """Where the real tool is expected at joint commands ``(..., n)``: identified pose plus residual."""
         pose = forward(self.identified, joints)
         return pose if self.residual is None else displace_pose(pose, self.residual.predict(joints))
+
+    @cached_property
+    def _chains(self) -> tuple[Chain, Chain]:
+        return chain_of(self.nominal), chain_of(self.identified)
+
+    @cached_property
+    def _limits(self) -> list[tuple[float, float]]:
+        return list(zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True))
+
+    def _one(self, joints: Array) -> list[float]:
+        """The command for one target ``(n,)``."""
+        nominal, identified = self._chains
+        command: list[float] = joints.tolist()
+        wanted = attach(frames(math, nominal, command)[-1], nominal.tool)
+        for _ in range(self.iterations):
+            links = frames(math, identified, command)
+            tool = attach(links[-1], identified.tool)
+            inverse = _truncated_inverse(np.array(_jacobian_columns(self.identified, links, tool)).T)
+            if self.residual is not None:
+                tool = _displaced(math, tool, self.residual.predict(np.array(command)).tolist())
+            correction = (inverse @ _frame_error(math, tool, wanted)).tolist()
+            command = [
+                min(max(value + step, low), high)
+                for value, step, (low, high) in zip(command, correction, self._limits, strict=True)
+            ]
+        return command
+
+    def _many(self, joints: Array) -> Array:
+        """Commands for targets ``(N, n)``."""
+        nominal, identified = self._chains
+        command = [np.ascontiguousarray(column) for column in joints.T]
+        wanted = attach(frames(np, nominal, command)[-1], nominal.tool)
+        for _ in range(self.iterations):
+            links = frames(np, identified, command)
+            tool = attach(links[-1], identified.tool)
+            solver = TruncatedSolver(_jacobian_columns(self.identified, links, tool))
+            if self.residual is not None:
+                residual = self.residual.predict(np.stack(command, axis=-1))
+                tool = _displaced(np, tool, list(np.ascontiguousarray(residual.T)))
+            correction = solver.solve(_frame_error(np, tool, wanted))
+            command = [
+                np.minimum(np.maximum(value + step, low), high)
+                for value, step, (low, high) in zip(command, correction, self._limits, strict=True)
+            ]
+        return np.stack(command, axis=-1)
+
+
+def _jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[list[Scalar]]:
+    """Columns of the joint Jacobian, six components each: position (m) and rotation vector (rad) in world axes."""
+    columns: list[list[Scalar]] = []
+    px, py, pz = tool[9:12]
+    for prismatic, link in zip(geometry.prismatic, links[1:], strict=True):
+        zx, zy, zz, ox, oy, oz = link[6:12]
+        if prismatic:
+            columns.append([zx, zy, zz, 0.0, 0.0, 0.0])
+        else:
+            rx, ry, rz = px - ox, py - oy, pz - oz
+            columns.append([zy * rz - zz * ry, zz * rx - zx * rz, zx * ry - zy * rx, zx, zy, zz])
+    return columns
+
+
+def _truncated_inverse(jacobian: Array) -> Array:
+    """`pickenv.arm.task.truncated_inverse` of one matrix, without its overhead."""
+    u, s, v = np.linalg.svd(jacobian, full_matrices=False)
+    rank = int(np.count_nonzero(s > RANK_TOLERANCE * s[0]))
+    return np.asarray((v[:rank].T / s[:rank]) @ u[:, :rank].T)
+
+
+def _displaced(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
+    """A frame moved by a pose error of six components: `pickenv.arm.displace_pose`, by Rodrigues' formula."""
+    dx, dy, dz, wx, wy, wz = error
+    square = wx * wx + wy * wy + wz * wz + 1e-40
+    angle = m.sqrt(square)
+    first, half = m.sin(angle) / angle, m.sin(0.5 * angle)
+    second = 2.0 * half * half / square
+    turned: list[Scalar] = []
+    for i in (0, 3, 6):
+        x, y, z = frame[i : i + 3]
+        along = second * (wx * x + wy * y + wz * z)
+        turned.append(x + first * (wy * z - wz * y) + wx * along - second * square * x)
+        turned.append(y + first * (wz * x - wx * z) + wy * along - second * square * y)
+        turned.append(z + first * (wx * y - wy * x) + wz * along - second * square * z)
+    return (*turned, frame[9] + dx, frame[10] + dy, frame[11] + dz)
+
+
+def _frame_error(m: ModuleType, reference: Frame, actual: Frame) -> list[Scalar]:
+    """`pickenv.arm.pose_error` on components; errors of half a turn do not occur in a calibration."""
+    axx, axy, axz, ayx, ayy, ayz, azx, azy, azz, apx, apy, apz = actual
+    bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz, bpx, bpy, bpz = reference
+    sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
+    sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
+    sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
+    cosine = 0.5 * (
+        axx * bxx + axy * bxy + axz * bxz + ayx * byx + ayy * byy + ayz * byz + azx * bzx + azy * bzy + azz * bzz - 1.0
+    )
+    sine = m.sqrt(sx * sx + sy * sy + sz * sz + 1e-40)
+    scale = (math.atan2 if m is math else np.arctan2)(sine, cosine) / sine
+    return [apx - bpx, apy - bpy, apz - bpz, scale * sx, scale * sy, scale * sz]

@@ -1,0 +1,132 @@
+"""Minimum-norm solutions of J x = e with small singular values cut off, for thousands of small J at once.
+
+Does what `pickenv.arm.task.truncated_inverse` does, without one LAPACK call per pose: J^T J is factorised in
+components, the direction that is to be cut off is found by inverse iteration and projected out. Poses where more than
+one direction, or a doubtful one, would have to go are handed to the singular value decomposition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.geometry import Array
+from pickenv.arm.task import RANK_TOLERANCE, truncated_inverse
+
+RIDGE = 1e-13
+"""Added to the diagonal of J^T J, relative to its trace, so that it can be factorised where it is singular."""
+
+DOUBT = 4.0
+"""Singular values within this factor of the tolerance are left to the singular value decomposition."""
+
+INVERSE_ITERATIONS = 2
+
+SETTLED = 1e-4
+"""How much the direction that may be cut off can still turn in the last iteration, as 1 - cosine."""
+
+START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
+"""Where the search for it starts: close to no direction that symmetry makes likely."""
+
+Columns = Sequence[Sequence[Array | float]]
+"""n columns of J, each six components ``(N,)``; plain zeros cost nothing."""
+
+
+class TruncatedSolver:
+    """Factorised Jacobians of N poses, to be solved for as many right-hand sides as wanted.
+
+    Args:
+        columns: The columns of J.
+        tolerance: Relative singular value below which a direction is cut off.
+    """
+
+    def __init__(self, columns: Columns, tolerance: float = RANK_TOLERANCE) -> None:
+        self.columns = columns
+        n = len(columns)
+        gram = [[_dot(columns[i], columns[j]) for j in range(i + 1)] for i in range(n)]
+        trace = sum((gram[i][i] for i in range(1, n)), gram[0][0])
+        for i in range(n):
+            gram[i][i] = gram[i][i] + RIDGE * trace
+        self._factors = _factorised(gram)
+        smallest = [START[i % len(START)] + 0.0 * trace for i in range(n)]
+        settled: NDArray[np.bool_] = np.zeros(np.shape(trace), dtype=np.bool_)
+        for _ in range(INVERSE_ITERATIONS):
+            grown = self._solve(smallest)
+            shrinkage = 1.0 / np.sqrt(_dot(grown, grown))
+            grown = [value * shrinkage for value in grown]
+            settled, smallest = np.abs(_dot(grown, smallest)) > 1.0 - SETTLED, grown
+        # Eigenvalues of J^T J: the least, and a bound of the next (the others' geometric mean is below their mean).
+        next_least = np.prod(self._factors[1], axis=0) ** -1.0 / shrinkage / (trace / (n - 2)) ** (n - 2)
+        largest = np.sqrt(trace)  # at least the largest singular value, and at most root n times it
+        least = np.sqrt(np.maximum(shrinkage - RIDGE * trace, 0.0))
+        self.lost: NDArray[np.bool_] = least < tolerance * largest / DOUBT / np.sqrt(n)
+        kept: NDArray[np.bool_] = least > tolerance * largest * DOUBT
+        clear: NDArray[np.bool_] = np.sqrt(next_least) > tolerance * largest * DOUBT
+        self.doubtful = np.flatnonzero(~(((self.lost & clear) | kept) & settled))
+        self._direction = [np.where(self.lost, value, 0.0) for value in smallest]
+        self._inverses: Array | None = None
+        if self.doubtful.size:
+            rows = [[np.broadcast_to(v, trace.shape)[self.doubtful] for v in column] for column in columns]
+            self._inverses = truncated_inverse(np.moveaxis(np.array(rows), (0, 1), (2, 1)), tolerance)
+
+    def solve(self, right: Sequence[Array]) -> list[Array]:
+        """Solutions, n components ``(N,)``, for right-hand sides of six components ``(N,)``."""
+        wanted = [_dot(column, right) for column in self.columns]
+        solution = _without(self._direction, self._solve(_without(self._direction, wanted)))
+        if self._inverses is not None:
+            some = np.stack([value[self.doubtful] for value in right], axis=-1)
+            for value, exact in zip(solution, np.einsum("kij,kj->ik", self._inverses, some), strict=True):
+                value[self.doubtful] = exact
+        return solution
+
+    def _solve(self, right: Sequence[Array]) -> list[Array]:
+        """Solve with the factorised L D L^T."""
+        lower, inverse_diagonal = self._factors
+        values = list(right)
+        n = len(values)
+        for i in range(n):
+            for j in range(i):
+                values[i] = values[i] - lower[i][j] * values[j]
+        values = [value * inverse for value, inverse in zip(values, inverse_diagonal, strict=True)]
+        for i in reversed(range(n)):
+            for j in range(i + 1, n):
+                values[i] = values[i] - lower[j][i] * values[j]
+        return values
+
+
+def _dot(one: Sequence[Array | float], other: Sequence[Array | float]) -> Array:
+    """Scalar product of components; products with plain zeros are left out."""
+    terms = [a * b for a, b in zip(one, other, strict=True) if not (_is_zero(a) or _is_zero(b))]
+    if not terms:
+        return 0.0 * np.asarray(next(value for value in (*one, *other) if not _is_zero(value)))
+    return np.asarray(sum(terms[1:], terms[0]))
+
+
+def _is_zero(value: Array | float) -> bool:
+    return isinstance(value, float) and value == 0.0
+
+
+def _factorised(gram: list[list[Array]]) -> tuple[list[list[Array]], list[Array]]:
+    """Unit lower triangle L and the inverse of the diagonal D of the lower triangle ``gram`` = L D L^T."""
+    lower: list[list[Array]] = []
+    inverse: list[Array] = []
+    for i, row in enumerate(gram):
+        scaled: list[Array] = []  # L times D
+        for j in range(i):
+            value = row[j]
+            for k in range(j):
+                value = value - scaled[k] * lower[j][k]
+            scaled.append(value)
+        lower.append([value * inverse[j] for j, value in enumerate(scaled)])
+        diagonal = row[i]
+        for value, factor in zip(scaled, lower[i], strict=True):
+            diagonal = diagonal - value * factor
+        inverse.append(1.0 / diagonal)
+    return lower, inverse
+
+
+def _without(direction: Sequence[Array], vector: Sequence[Array]) -> list[Array]:
+    """``vector`` without its part along the unit vector ``direction``."""
+    along = _dot(direction, vector)
+    return [value - along * part for value, part in zip(vector, direction, strict=True)]
