@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN", "best": "LS+GP"}
 PURPLE: Rgb = (204, 121, 167)
 COLOURS: dict[str, Rgb] = dict(zip(COMPENSATIONS, (ORANGE, BLUE, GREEN, PURPLE), strict=True))
+LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 SMALLEST_MM = 1e-3
 """Errors below a micrometre are drawn there."""
 
@@ -94,14 +95,18 @@ def success_curves(grippers: Mapping[str, Gripper], grid: Grid | None = None) ->
 
 
 def cycle_figure(grid: Grid, period: float, plant: str) -> Figure:
-    """Accuracy against cycle time: mean error if the pick were made after each step, and the Pareto front of all."""
+    """Accuracy against cycle time: mean error if the pick were made after each step, and the Pareto front of all.
+
+    Policies with a camera are shown on raw arms only.
+    """
     curves: list[Array] = []
     with style():
         figure = new_figure(WIDTH, 3.6)
         axis: Any = figure.subplots()
-        lines = dict(zip(dict.fromkeys(cell.policy for cell in grid.cells), ("-", "--", ":", "-.") * 5, strict=False))
+        lines = dict(zip(dict.fromkeys(cell.policy for cell in grid.cells), LINES * 4, strict=False))
         for cell in grid.cells:
-            if cell.plant != plant or cell.policy == "random":
+            watched = cell.feedback == "camera" and cell.compensation != "raw"  # then all compensations look alike
+            if cell.plant != plant or cell.policy == "random" or watched:
                 continue
             error = np.maximum(cell.rollout.error_mm.mean(axis=1), SMALLEST_MM)
             curves.append(error)

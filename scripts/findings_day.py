@@ -99,7 +99,7 @@ def day_figure(day: Day) -> Figure:
         axis.set_xlabel("time since the machine was switched on [h]")
         axis.set_ylabel("mean position error [mm]")
         axis.set_ylim(bottom=0.0)
-        axis.legend()
+        figure.legend(loc="outside lower center", ncols=len(METHODS))
     return figure
 
 
