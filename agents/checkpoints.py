@@ -68,9 +68,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     except (zipfile.BadZipFile, pickle.UnpicklingError) as error:
         raise InputError(f"{path} is not a checkpoint of pickenv ({_short(error)}); start again") from error
     if newer:
-        raise InputError(
-            f"checkpoint {path} has format {content['format']}, we read {FORMAT}; update pickenv"
-        )
+        raise InputError(f"checkpoint {path} has format {content['format']}, we read {FORMAT}; update pickenv")
     return content
 
 

@@ -103,6 +103,7 @@ def card(name: str, trained: list[Trained], figures: dict[str, Any]) -> str:
             "",
             "```python",
             "from agents.learned import load_policy",
+            "",
             f'policy = load_policy("{name}")',
             "action = policy.act(observation)",
             "```",
