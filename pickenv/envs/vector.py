@@ -222,7 +222,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint; on NumPy and not in mode "Disabled"."""
-        own = {"seeds": self._seeds, "episodes": self._episodes, "elapsed": self._elapsed}
+        own: dict[str, NDArray[Any]] = {"seeds": self._seeds, "episodes": self._episodes, "elapsed": self._elapsed}
         own |= {"seeded": self._seeded, "ended": self._ended}
         return {key: np.array(value) for key, value in (own | self.batch.state_arrays()).items()}
 
