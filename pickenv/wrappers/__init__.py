@@ -1,5 +1,5 @@
 """Wrappers of the environments."""
 
-from pickenv.wrappers.compensation import CompensationWrapper, Compensator
+from pickenv.wrappers.compensation import CompensationVectorWrapper, CompensationWrapper, Compensator
 
-__all__ = ["CompensationWrapper", "Compensator"]
+__all__ = ["CompensationVectorWrapper", "CompensationWrapper", "Compensator"]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol, TypeVar
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
 from pickenv.errors import InputError
@@ -50,15 +52,61 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
         """
         RecordConstructorArgs.__init__(self, compensator=compensator)
         gym.Wrapper.__init__(self, env)
-        inner: Any = env.unwrapped
-        if not hasattr(inner, "compensator"):
-            raise InputError(f"{type(inner).__name__} has no compensation seam; wrap a pickenv environment")
-        if inner.compensator is not None:
-            raise InputError(f"{type(inner).__name__} already has a compensator; wrap it once")
-        inner.compensator = compensator
+        _install([env.unwrapped], compensator)
 
     def close(self) -> None:
         """Close the environment and remove the compensator."""
-        inner: Any = self.env.unwrapped
-        inner.compensator = None
+        _remove([self.env.unwrapped])
         super().close()
+
+
+class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
+    """`CompensationWrapper` for vector environments: the native ones, and `SyncVectorEnv` of single ones.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import pickenv
+        >>> from pickenv.wrappers import CompensationVectorWrapper
+        >>> envs = gym.make_vec("pickenv/Reach-v0", num_envs=4)
+        >>> envs = CompensationVectorWrapper(envs, lambda joints: joints)
+        >>> observations, infos = envs.reset(seed=0)
+
+    Change log:
+     * v0.1.0 - Added.
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], compensator: Compensator) -> None:
+        """Install ``compensator`` in every environment of ``env``.
+
+        Raises:
+            InputError: If an environment has no compensation seam, or already holds a compensator.
+        """
+        RecordConstructorArgs.__init__(self, compensator=compensator)
+        VectorWrapper.__init__(self, env)
+        _install(_seams(env), compensator)
+
+    def close(self, **arguments: Any) -> None:
+        """Close the environments and remove the compensator."""
+        _remove(_seams(self.env))
+        super().close(**arguments)
+
+
+def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:
+    """Where a vector environment's compensators sit: in itself, or in each of its environments."""
+    inner: Any = env.unwrapped
+    return [single.unwrapped for single in inner.envs] if hasattr(inner, "envs") else [inner]
+
+
+def _install(seams: Sequence[Any], compensator: Compensator) -> None:
+    for seam in seams:
+        if not hasattr(seam, "compensator"):
+            raise InputError(f"{type(seam).__name__} has no compensation seam; wrap a pickenv environment")
+        if seam.compensator is not None:
+            raise InputError(f"{type(seam).__name__} already has a compensator; wrap it once")
+    for seam in seams:
+        seam.compensator = compensator
+
+
+def _remove(seams: Sequence[Any]) -> None:
+    for seam in seams:
+        seam.compensator = None
