@@ -112,7 +112,9 @@ def cycle_figure(grid: Grid, period: float, plant: str) -> Figure:
             curves.append(error)
             label = f"{cell.policy}, {LABELS[cell.compensation]}"
             seconds = period * np.arange(1, len(error) + 1)
-            axis.plot(seconds, error, lines[cell.policy], color=colour(cell.compensation), label=label, alpha=0.9)
+            axis.plot(
+                seconds, error, linestyle=lines[cell.policy], color=colour(cell.compensation), label=label, alpha=0.9
+            )
         front = np.minimum.accumulate(np.min(curves, axis=0))
         axis.plot(period * np.arange(1, len(front) + 1), front, color="0.8", linewidth=6, zorder=0, label="best so far")
         axis.set_yscale("log")

@@ -171,7 +171,7 @@ def transfer_section(sizes: Sizes, runs: Path) -> list[str]:
     cells = {key: [cell for cell in grid.cells if cell.compensation == key] for key in compensations}
     index = {name: i for i, name in enumerate(("scripted", *every))}
     errors = {
-        (name, key): np.concatenate([cells[key][index[file]].errors_mm for file in group])
+        (name, key): np.concatenate([cells[key][index[file]].errors_mm for file in group], axis=1)
         for name, group in ({"scripted": ["scripted"]} | files).items()
         for key in compensations
     }
@@ -179,9 +179,7 @@ def transfer_section(sizes: Sizes, runs: Path) -> list[str]:
         "## Does a policy carry over, and can domain randomisation replace calibration?",
         "",
         "PPO without a camera, trained on the raw training arm, on that arm calibrated, or on another arm of "
-        "the class in "
-        f"every episode (domain randomisation); {sizes.seeds} seeds. "
-        f"Then on "
+        f"the class in every episode (domain randomisation); {sizes.seeds} seeds. Then on "
         "new arms of `qiao2026`. Mean final error [mm].",
         "",
         "| trained on | " + " | ".join(LABELS[key] for key in compensations) + " |",
@@ -198,7 +196,7 @@ def transfer_section(sizes: Sizes, runs: Path) -> list[str]:
     base = errors["calibrated", "best"]
     verdicts = []
     for name in list(TRAININGS)[1:]:
-        # Rows are training seeds and arms: both are resampled.
+        # Seeds share their arms, so arms are what is resampled.
         found_ = paired(base, errors[name, "best"], np.random.default_rng(0))
         verdicts.append(
             f"On calibrated arms a policy trained on {name} ones is {found_.difference:+.3f} mm from one trained on "

@@ -61,7 +61,7 @@ def judged(name: str, files: list[str], out: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for compensation in settings.compensations:
         cells = [cell for cell in grid.cells if cell.compensation == compensation]
-        errors = np.concatenate([cell.errors_mm for cell in cells])
+        errors = np.concatenate([cell.errors_mm for cell in cells], axis=1)  # seeds share their arms
         found[compensation] = {
             "mean_mm": float(errors.mean()),
             "ci95": interval(errors, np.random.default_rng(0)),
@@ -141,9 +141,11 @@ def main() -> None:
     options = parser.parse_args()
     calibration = calibration_file(options.out)
     for name in [options.only] if options.only else BASELINES_BY_NAME:
-        trained = [
-            train(training_of(name, seed, calibration), options.out / name / str(seed)) for seed in range(options.seeds)
-        ]
+        trained = []
+        for seed in range(options.seeds):
+            out = options.out / name / str(seed)
+            again = (out / "checkpoint.pt").is_file()  # goes on where it was interrupted
+            trained.append(train(training_of(name, seed, calibration), out, resume=again))
         figures = judged(name, [str(run.out / "policy.npz") for run in trained], options.out)
         trained[0].policy.save(BASELINES / f"{name}.npz")
         write_text(BASELINES / f"{name}.md", card(name, trained, figures))
