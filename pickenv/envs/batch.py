@@ -189,7 +189,7 @@ class Batch:
         if values.shape != shape:
             raise InputError(f"actions have shape {values.shape}; give {shape}, numbers between -1 and 1")
         numbers = values.T.astype(np.float64, order="C")
-        if not np.isfinite(numbers.sum()):
+        if not np.isfinite(numbers).all():
             row = int(np.argmin(np.isfinite(numbers).all(axis=0)))
             raise InputError(
                 f"the action of environment {row} is {numbers[:, row]}; give finite numbers between -1 and 1"

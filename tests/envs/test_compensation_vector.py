@@ -1,0 +1,67 @@
+"""The compensation seam of vector environments."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import SyncVectorEnv
+
+from pickenv import InputError
+from pickenv.wrappers import CompensationVectorWrapper
+
+
+def native(count=6, **arguments):
+    return gym.make_vec("pickenv/Reach-v0", num_envs=count, **arguments)
+
+
+def taken(envs, steps=4):
+    envs.reset(seed=2)
+    envs.action_space.seed(1)
+    return [envs.step(envs.action_space.sample()) for _ in range(steps)]
+
+
+def test_observations_stay_and_the_true_error_shrinks(compensator):
+    plain = taken(native(plant="geometry_only"))
+    corrected = taken(CompensationVectorWrapper(native(plant="geometry_only"), compensator))
+    for one, other in zip(plain, corrected, strict=True):
+        np.testing.assert_array_equal(one[0], other[0])
+        assert not np.array_equal(one[4]["joint_command"], other[4]["joint_command"])
+    goal = {"goal_joints": [0.1, 0.2, 0.3, 0.2, 0.1, 0.3], "start_joints": [0.1, 0.2, 0.3, 0.2, 0.1, 0.3]}
+    errors = [
+        env.reset(seed=0, options=goal)[1]["position_error_mm"]
+        for env in (
+            native(plant="geometry_only"),
+            CompensationVectorWrapper(native(plant="geometry_only"), compensator),
+        )
+    ]
+    assert np.all(errors[0] > 0.5) and np.all(errors[1] < 1e-3)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_native_and_synchronous_agree(compensator, mode):
+    def single():
+        return gym.make("pickenv/Reach-v0", max_episode_steps=3, executor="numpy", disable_env_checker=True)
+
+    sync = SyncVectorEnv([single] * 3, autoreset_mode=gym.vector.AutoresetMode(mode))
+    one = taken(CompensationVectorWrapper(sync, compensator), 7)
+    other = taken(CompensationVectorWrapper(native(3, max_episode_steps=3, autoreset_mode=mode), compensator), 7)
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a[0], b[0], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(a[4]["pose_error"], b[4]["pose_error"], rtol=0, atol=1e-9)
+
+
+def test_torch_is_compensated_too(compensator):
+    pytest.importorskip("torch")
+    one = taken(CompensationVectorWrapper(native(), compensator))
+    other = taken(CompensationVectorWrapper(native(executor="torch", compiled=False), compensator))
+    np.testing.assert_allclose(one[-1][4]["pose_error"], other[-1][4]["pose_error"].numpy(), rtol=0, atol=1e-9)
+
+
+def test_it_is_installed_once_and_removed_on_closing(compensator):
+    envs = native()
+    wrapped = CompensationVectorWrapper(envs, compensator)
+    with pytest.raises(InputError, match="wrap it once"):
+        CompensationVectorWrapper(envs, compensator)
+    wrapped.close()
+    assert envs.unwrapped.compensator is None
+    with pytest.raises(InputError, match="no compensation seam"):
+        CompensationVectorWrapper(gym.make_vec("CartPole-v1", num_envs=1), compensator)
