@@ -96,7 +96,7 @@ class GateReport:
     def report(self) -> str:
         """For people, in mm."""
         first = self.verdicts[0]
-        rows = [("geometry alone", first.geometric_random_rms, first.geometric_blocked_rms, "")]
+        rows = [("without residual", first.geometric_random_rms, first.geometric_blocked_rms, "")]
         rows += [(f"+ {v.model}", v.random_rms, v.blocked_rms, v.reason) for v in self.verdicts]
         lines = [f"{'held-out RMS, mm':>18}  {'random':>8}  {'blocked':>8}  verdict"]
         lines += [f"{label:>18}  {a * 1e3:8.4f}  {b * 1e3:8.4f}  {reason}".rstrip() for label, a, b, reason in rows]

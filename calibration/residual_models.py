@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from calibration.blend import Blend, fit_blend
 from calibration.bpnn import Bpnn, BpnnSettings, train_bpnn
 from calibration.extra_trees import ExtraTrees, fit_extra_trees
 from calibration.gaussian_process import GaussianProcess, fit_gaussian_process
@@ -160,7 +161,7 @@ def _fit_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
 
 
 FITTERS: Mapping[str, Fitter] = MappingProxyType(
-    {"bpnn": _fit_bpnn, "rbf": fit_rbf, "gp": fit_gaussian_process, "trees": fit_extra_trees}
+    {"bpnn": _fit_bpnn, "rbf": fit_rbf, "gp": fit_gaussian_process, "trees": fit_extra_trees, "blend": fit_blend}
 )
 """The residual models by name."""
 
@@ -170,6 +171,7 @@ REGRESSORS: Mapping[str, Callable[[dict[str, Any]], Regressor]] = MappingProxyTy
         "rbf": Rbf.from_arrays,
         "gp": GaussianProcess.from_arrays,
         "trees": ExtraTrees.from_arrays,
+        "blend": Blend.from_arrays,
     }
 )
 """How each is read back."""
@@ -189,7 +191,7 @@ def fit_residual(
     """Fit a residual model by name.
 
     Args:
-        name: One of `FITTERS`: "bpnn", "rbf", "gp", "trees".
+        name: One of `FITTERS`: "bpnn", "rbf", "gp", "trees", "blend".
         joints: Training joints ``(N, n)``, rad or m.
         residuals: Measured minus identified ``(N, 6)`` or ``(N, 3)``, m and rad (eq (17)).
         prismatic: Joint types.
