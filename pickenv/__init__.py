@@ -31,5 +31,6 @@ gymnasium.register(
     vector_entry_point="pickenv.envs.harvest_vector:HarvestVectorEnv",
     max_episode_steps=600,
 )
+gymnasium.register(id="pickenv/Pick-v0", entry_point="pickenv.envs.pick:PickEnv", max_episode_steps=400)
 
 __all__ = ["InputError", "__version__"]

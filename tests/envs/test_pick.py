@@ -1,0 +1,228 @@
+"""Pick-v0: fruit goes down the funnel, haste and an arm that is not exact cost fruit, and bad input is explained."""
+
+import doctest
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
+
+import pickenv.envs.pick
+from agents.picking import ScriptedPick
+from calibration import Compensator
+from pickenv.arm import forward, load_plant
+from pickenv.arm.kinematics import pose_of, split_joints
+from pickenv.arm.pose_error import pose_error
+from pickenv.envs.pick import PickEnv
+from pickenv.errors import InputError
+from pickenv.wrappers import CompensationWrapper
+
+STAGES = ("present", "visible", "reachable", "attempted", "attached", "detached", "collected")
+FRUIT = [[0.6, -0.7, 0.5], [0.75, -0.65, 0.6]]
+
+
+class Known:
+    """What geometry alone leaves of the cold arm's error, known exactly."""
+
+    def __init__(self, plant):
+        self.plant = plant
+
+    def predict(self, joints):
+        command = split_joints(self.plant.geometry.joints, joints)
+        state = self.plant.initial_state(np, command)
+        _, tool = self.plant.advance(np, state, command, 0.0)
+        return pose_error(forward(self.plant.geometry, np.asarray(joints)), pose_of(tool))
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    plant = load_plant("orchard")
+    return Compensator(plant.arm.nominal, plant.geometry, Known(plant))
+
+
+@pytest.fixture(scope="module")
+def patient(calibrated):
+    """Fruit collected, and in reach, by the calibrated arm that waits."""
+    return collected(calibrated)
+
+
+def pick(seed, compensator=None, *, policy=None, options=None, **arguments):
+    """Observations and informations of an episode of the scripted policy."""
+    env = gym.make("pickenv/Pick-v0", **arguments)
+    if compensator is not None:
+        env = CompensationWrapper(env, compensator)
+    driver = ScriptedPick(env, **(policy or {}))
+    observation, info = env.reset(seed=seed, options=options)
+    observations, infos, rewards = [observation], [info], []
+    over = False
+    while not over:
+        observation, reward, terminated, truncated, info = env.step(driver.act(observation))
+        observations.append(observation)
+        infos.append(info)
+        rewards.append(reward)
+        over = terminated or truncated
+    env.close()
+    return np.array(observations), infos, np.array(rewards), terminated
+
+
+def collected(compensator=None, **arguments):
+    last = [pick(seed, compensator, **arguments)[1][-1] for seed in range(4)]
+    return sum(info["collected"] for info in last), sum(info["reachable"] for info in last)
+
+
+@pytest.mark.parametrize("arguments", [{}, {"gripper": "compliant_hand", "fruit_map": "v_trellis"}], ids=str)
+def test_checkers(arguments):
+    env = gym.make("pickenv/Pick-v0", **arguments).unwrapped
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env)
+        check_env_for_sb3(env)
+
+
+def test_a_seed_gives_the_same_episode_and_another_seed_another():
+    options = {"fruit": FRUIT}
+    one, other, third = pick(3, options=options), pick(3, options=options), pick(4, options=options)
+    assert np.array_equal(one[0], other[0]) and np.array_equal(one[2], other[2])
+    assert not np.array_equal(one[0][0], third[0][0])
+
+
+@pytest.mark.parametrize("arguments", [{}, {"gripper": "compliant_hand", "fruit_map": "v_trellis"}], ids=str)
+def test_the_funnel_never_widens_and_never_goes_back(arguments):
+    for seed in range(3):
+        _, infos, _, _ = pick(seed, **arguments)
+        funnel = np.array([[info[stage] for stage in STAGES] for info in infos])
+        assert (np.diff(funnel, axis=1) <= 0).all()
+        assert (np.diff(funnel, axis=0) >= 0).all()
+        assert all(info.keys() == infos[0].keys() for info in infos)
+
+
+def test_random_actions_keep_the_rules():
+    env = gym.make("pickenv/Pick-v0")
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    for _ in range(300):
+        observation, reward, terminated, _, info = env.step(env.action_space.sample())
+        assert env.observation_space.contains(observation) and type(reward) is float and not terminated
+        assert [info[stage] for stage in STAGES] == sorted((info[stage] for stage in STAGES), reverse=True)
+
+
+def test_the_exact_arm_takes_what_it_tries_and_the_reward_counts_it():
+    _, infos, rewards, terminated = pick(1, plant="ideal", camera="perfect")
+    last = infos[-1]
+    assert terminated and last["attached"] == last["detached"] == last["reachable"] > 3
+    assert rewards.sum() == pytest.approx(last["collected"] - 0.25 * last["damaged"] - 0.002 * len(rewards))
+
+
+def test_haste_misses_more(calibrated, patient):
+    """The same fruit, camera and luck; only speed and waiting differ."""
+    hasty, reachable = collected(calibrated, policy={"settle": 0.0, "speed": 1.0})
+    assert reachable == patient[1] and patient[0] > 0.85 * reachable
+    assert hasty < patient[0]
+
+
+def test_haste_is_less_accurate(calibrated):
+    options = {"fruit": [FRUIT[0]]}
+    calm, rushed = (
+        pick(0, calibrated, policy=policy, options=options, camera="perfect")[1][-1]["grasp_lateral_mm"]
+        for policy in ({}, {"settle": 0.0, "speed": 1.0})
+    )
+    assert calm < 1.0 < rushed
+
+
+def test_compensation_collects_more(patient):
+    raw, reachable = collected()
+    assert reachable == patient[1] and raw < patient[0]
+
+
+def test_compensation_is_invisible(calibrated):
+    """Until the first grasp, whose outcome differs, the policy sees the same to a count of the encoders."""
+    bare, wrapped = pick(0), pick(0, calibrated)
+    until = next(i for i, info in enumerate(bare[1]) if info["attempted"])
+    assert until > 10
+    assert np.abs(bare[0][:until] - wrapped[0][:until]).max() < 1e-3
+    commands = [np.array([info["joint_command"] for info in run[1][:until]]) for run in (bare, wrapped)]
+    assert np.abs(commands[0] - commands[1]).max() > 1e-4
+    errors = [min(info["position_error_mm"] for info in run[1][:until]) for run in (bare, wrapped)]
+    assert errors[1] < errors[0]
+
+
+def test_nothing_that_is_seen_depends_on_the_true_arm():
+    env, exact = gym.make("pickenv/Pick-v0", without=["encoder", "servo"]), gym.make("pickenv/Pick-v0", plant="ideal")
+    one, other = env.reset(seed=5)[0], exact.reset(seed=5)[0]
+    for _ in range(30):
+        assert np.allclose(one, other, atol=1e-6)
+        action = np.array([*env.unwrapped.np_random.uniform(-1, 1, 6), 0.0], dtype=np.float32)
+        one, other = env.step(action)[0], exact.step(action)[0]
+
+
+def test_a_pulled_fruit_is_torn_and_a_push_moves_neighbours():
+    env = gym.make("pickenv/Pick-v0", plant="ideal", camera="perfect")
+    pair = [[0.6, -0.7, 0.5], [0.6, -0.7, 0.6], [0.9, -0.7, 0.3]]
+    observation, info = env.reset(seed=0, options={"fruit": pair})
+    driver, scene = ScriptedPick(env, settle=0.3), env.unwrapped.scene
+    while not info["attached"]:
+        observation, _, _, _, info = env.step(driver.act(observation))
+    held = scene.held
+    scene.strength.twist[held], scene.strength.pull[held] = np.inf, 10.0
+    rest = scene.displacement.copy()
+    lower = np.array([0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0])
+    while not info["detached"]:
+        *_, info = env.step(lower)
+    assert info["damaged"] == 1 and info["collected"] == 0
+    moved = np.linalg.norm(scene.displacement - rest, axis=-1)
+    near, far = sorted(
+        (i for i in range(3) if i != held), key=lambda i: np.linalg.norm(scene.rest[i] - scene.rest[held])
+    )
+    assert moved[near] > moved[far] > 0
+
+
+def test_options_place_fruit_and_arm():
+    env = gym.make("pickenv/Pick-v0", camera="perfect")
+    start = env.unwrapped.task.middle
+    observation, info = env.reset(seed=0, options={"fruit": FRUIT, "start_joints": start})
+    assert info["present"] == 2 and np.allclose(env.unwrapped.joint_target, start)
+    assert min(np.abs(observation[9:12] - fruit).max() for fruit in FRUIT) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"gripper": "tongs"}, "unknown gripper 'tongs'"),
+        ({"fruit": 0}, "fruit is 0"),
+        ({"looks": 0}, "looks is 0"),
+        ({"camera": "eye"}, "unknown camera 'eye'"),
+        ({"render_mode": "human"}, "no render modes"),
+        ({"fruit": 1e-9}, "no fruit in 200 draws"),
+    ],
+    ids=str,
+)
+def test_impossible_arguments_are_explained(arguments, words):
+    with pytest.raises(InputError, match=words) as error:
+        PickEnv(**arguments).reset(seed=0)
+    assert "\n" not in str(error.value)
+
+
+def test_impossible_actions_and_options_are_explained():
+    env = gym.make("pickenv/Pick-v0").unwrapped
+    with pytest.raises(InputError, match="before reset"):
+        env.step(np.zeros(7))
+    env.reset(seed=0)
+    for action in (np.full(7, np.nan), np.zeros(6)):
+        with pytest.raises(InputError, match="finite numbers"):
+            env.step(action)
+    with pytest.raises(InputError, match="none of the fruit given"):
+        env.reset(options={"fruit": [[0.6, -0.7, 5.0]]})
+    for fruit in ([], [[1.0, 2.0]], [[np.nan, 0, 0]]):
+        with pytest.raises(InputError, match="at least one finite position"):
+            env.reset(options={"fruit": fruit})
+    with pytest.raises(InputError, match="unknown reset option"):
+        env.reset(options={"apples": 3})
+    with pytest.raises(InputError, match="start_joints"):
+        env.reset(options={"start_joints": [9.0] * 6})
+
+
+def test_the_example_runs():
+    result = doctest.testmod(pickenv.envs.pick)
+    assert result.attempted > 0 and result.failed == 0
