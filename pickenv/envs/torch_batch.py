@@ -35,7 +35,7 @@ from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, Task, check_choice
 from pickenv.errors import InputError
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
-BLOCK = 16384
+BLOCK = 32768
 """Environments that begin an episode together when run eagerly on a processor: what its cache holds."""
 
 MOST_FUSED = 4096
