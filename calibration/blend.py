@@ -17,9 +17,6 @@ from calibration.extra_trees import ExtraTrees, fit_extra_trees
 from calibration.gaussian_process import GaussianProcess, fit_gaussian_process
 from pickenv.arm.geometry import Array
 
-PROCESS_ROWS = 1200
-"""Rows that the process learns from at most, taken evenly: its time grows with their cube."""
-
 
 @dataclass(frozen=True, eq=False)
 class Blend:
@@ -54,6 +51,4 @@ class Blend:
 
 def fit_blend(inputs: Array, targets: Array, rng: np.random.Generator) -> Blend:
     """Fit both to inputs ``(N, F)`` and targets ``(N, k)``."""
-    some = np.unique(np.linspace(0, len(inputs) - 1, PROCESS_ROWS).astype(int))
-    process = fit_gaussian_process(inputs[some], targets[some], rng)
-    return Blend(process, fit_extra_trees(inputs, targets, rng))
+    return Blend(fit_gaussian_process(inputs, targets, rng), fit_extra_trees(inputs, targets, rng))

@@ -35,7 +35,7 @@ from pickenv.errors import InputError
 GATE_ROWS = 3000
 """Residual models are judged on so many training rows at most, taken evenly."""
 
-SLOW_ROWS = {"gp": 1200, "bpnn": 2000}
+SLOW_ROWS = {"bpnn": 2000}
 """Training rows of the models whose time grows too fast."""
 
 ENOUGH = 40
