@@ -176,7 +176,7 @@ def test_a_lifting_torso_with_markers(data_folder):
 
 
 def test_balls_in_sockets_need_no_tracker(data_folder):
-    """MUKCa's panda_1, ball to its socket's centre: mean 7.8 mm, calibrated 0.343 mm (0.32 to 0.37 over eight splits)."""
+    """MUKCa panda_1, ball to its socket: mean 7.8 mm nominal, 0.343 mm calibrated (0.32 to 0.37 over eight splits)."""
     arm, reading = read_set(
         data_folder,
         "{}/mukca_sockets/urdf/panda.urdf#ball_link",
