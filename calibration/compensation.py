@@ -16,6 +16,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dgesdd
 
 from calibration.truncated_solve import TruncatedSolver
 from pickenv.arm import Geometry, displace_pose, forward
@@ -82,10 +83,10 @@ class Compensator:
         for _ in range(self.iterations):
             links = frames(math, identified, command)
             tool = attach(links[-1], identified.tool)
-            inverse = _truncated_inverse(np.array(_jacobian_columns(self.identified, links, tool)).T)
+            columns = _jacobian_columns(self.identified, links, tool)
             if self.residual is not None:
                 tool = _displaced(math, tool, self.residual.predict(np.array(command)).tolist())
-            correction = (inverse @ _frame_error(math, tool, wanted)).tolist()
+            correction = _truncated_step(columns, _frame_error(math, tool, wanted))
             command = [
                 min(max(value + step, low), high)
                 for value, step, (low, high) in zip(command, correction, self._limits, strict=True)
@@ -126,11 +127,13 @@ def _jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -
     return columns
 
 
-def _truncated_inverse(jacobian: Array) -> Array:
-    """`pickenv.arm.task.truncated_inverse` of one matrix, without its overhead."""
-    u, s, v = np.linalg.svd(jacobian, full_matrices=False)
-    rank = int(np.count_nonzero(s > RANK_TOLERANCE * s[0]))
-    return np.asarray((v[:rank].T / s[:rank]) @ u[:, :rank].T)
+def _truncated_step(columns: Sequence[Sequence[float]], error: Sequence[float]) -> list[float]:
+    """`pickenv.arm.task.truncated_inverse` of one Jacobian times an error, without the overhead of many poses."""
+    u, singular, v, _ = dgesdd(np.array(columns).T, full_matrices=0)
+    values = singular.tolist()
+    rank = sum(value > RANK_TOLERANCE * values[0] for value in values)
+    step: list[float] = ((np.array(error) @ u[:, :rank] / singular[:rank]) @ v[:rank]).tolist()
+    return step
 
 
 def _displaced(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
