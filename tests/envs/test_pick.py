@@ -116,6 +116,7 @@ def test_the_exact_arm_takes_what_it_tries_and_the_reward_counts_it():
     assert rewards.sum() == pytest.approx(last["collected"] - 0.25 * last["damaged"] - 0.002 * len(rewards))
 
 
+# A regression check on seeds chosen after seeing outcomes; no evidence for the size of the effect.
 def test_haste_misses_more(calibrated, patient):
     """The same fruit, camera and luck; only speed and waiting differ."""
     hasty, reachable = collected(calibrated, policy={"settle": 0.0, "speed": 1.0})
@@ -132,6 +133,7 @@ def test_haste_is_less_accurate(calibrated):
     assert calm < 1.0 < rushed
 
 
+# A regression check on seeds chosen after seeing outcomes; no evidence for the size of the effect.
 def test_compensation_collects_more(patient):
     raw, reachable = collected()
     assert reachable == patient[1] and raw < patient[0]
