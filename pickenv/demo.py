@@ -29,8 +29,9 @@ from calibration import (
     simulated_tracker,
 )
 from calibration.error_model import residual
+from calibration.uncertainty import held_out_errors, pose_uncertainty
 from pickenv.arm import Pose, forward, inverse, load_plant, noncompensable_error, pose_error
-from pickenv.arm.geometry import Array, Geometry
+from pickenv.arm.geometry import Array
 from pickenv.arm.plant import Plant
 from pickenv.files import write_text
 from pickenv.inspect.comparison import Comparison, PolicyErrors
@@ -157,7 +158,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         predicted_r2=r2,
         test_errors=test_errors,
         reaches=reaches,
-        comparison=_comparison(settings, plant, calibration.identified, compensators, reaches),
+        comparison=_comparison(settings, plant, fitted, test, compensators, reaches),
     )
 
 
@@ -170,7 +171,8 @@ def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Arr
 def _comparison(
     settings: DemoSettings,
     plant: Plant,
-    identified: Geometry,
+    fitted: Fit,
+    test: Measurements,
     compensators: dict[str, Compensator | None],
     reaches: dict[str, Reaches],
 ) -> Comparison:
@@ -186,25 +188,29 @@ def _comparison(
     solution = inverse(nominal, Pose(points, np.eye(3)), restarts=1)
     inside = solution.reached
     joints = solution.joints[inside]
+    calibration = fitted.calibration
+    uncertainty = pose_uncertainty(fitted.identification, held_out_errors(calibration, test))
     policies = []
     for key, compensator in compensators.items():
         run = reaches[key]
+        field = _errors(plant, joints, compensator)
         policies.append(
             PolicyErrors(
                 key=key,
                 label=LABELS[key],
-                field_errors=_errors(plant, joints, compensator)[:, :3],
+                field_errors=field[:, :3],
                 reach_joints=run.joint_command,
                 reach_positions=run.tool_position,
                 position_error_mm=run.position_error_mm,
                 attitude_error_deg=run.attitude_error_deg,
                 success=run.success,
+                field_attitude=field[:, 3:],
             )
         )
     return Comparison(
         plant=plant,
         nominal=nominal,
-        identified=identified,
+        identified=calibration.identified,
         seed=settings.seed,
         tolerance_mm=settings.tolerance_mm,
         grid_shape=(int(shape[0]), int(shape[1]), int(shape[2])),
@@ -212,8 +218,10 @@ def _comparison(
         grid_step=step,
         field_index=index[inside],
         field_points=points[inside],
+        field_joints=joints,
         fruit=reaches["raw"].fruit_position,
         policies=tuple(policies),
+        field_uncertainty=uncertainty.standard(calibration.model, joints)[0],
     )
 
 

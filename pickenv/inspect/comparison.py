@@ -24,6 +24,8 @@ class PolicyErrors:
         position_error_mm: Final distance between true tool and fruit ``(R,)``.
         attitude_error_deg: Final attitude error ``(R,)``.
         success: Whether the fruit was inside the gripper's capture region ``(R,)``.
+        field_attitude: True against wanted attitude at the field's points ``(F, 3)``, rotation vectors in world axes,
+            rad; None where only positions are known.
     """
 
     key: str
@@ -34,6 +36,7 @@ class PolicyErrors:
     position_error_mm: Array
     attitude_error_deg: Array
     success: NDArray[np.bool_]
+    field_attitude: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +54,11 @@ class Comparison:
         grid_step: Cell size, m.
         field_index: Integer grid index of each field point ``(F, 3)``; unreachable cells are left out.
         field_points: Wanted tool positions ``(F, 3)``, m.
+        field_joints: Joints that bring the nominal arm there ``(F, n)``, rad or m.
         fruit: Fruit positions of the reaches ``(R, 3)``, m.
         policies: One entry per policy, raw first.
+        field_uncertainty: Standard uncertainty of the calibrated tool position that the calibration itself predicts
+            ``(F,)``, m; None where the calibration carries none.
     """
 
     plant: Plant
@@ -65,5 +71,7 @@ class Comparison:
     grid_step: float
     field_index: NDArray[np.int64]
     field_points: Array
+    field_joints: Array
     fruit: Array
     policies: tuple[PolicyErrors, ...]
+    field_uncertainty: Array | None = None

@@ -79,6 +79,7 @@ def synthetic_comparison(
                 position_error_mm=final_mm,
                 attitude_error_deg=0.05 * final_mm,
                 success=final_mm <= tolerance_mm,
+                field_attitude=0.4 * np.roll(errors[: len(points)][cells], 1, axis=-1),
             )
         )
     return Comparison(
@@ -92,8 +93,10 @@ def synthetic_comparison(
         grid_step=STEP,
         field_index=index[cells],
         field_points=points[cells],
+        field_joints=joints[: len(points)][cells],
         fruit=fruit[picks],
         policies=tuple(policies),
+        field_uncertainty=1e-4 * (1.0 + rng.random(int(cells.sum()))),
     )
 
 
@@ -117,6 +120,7 @@ def without_reaches(comparison: Comparison) -> Comparison:
     policy = replace(
         raw,
         field_errors=raw.field_errors[inside],
+        field_attitude=None,
         attitude_error_deg=np.empty(0),
         success=np.empty(0, dtype=bool),
         **empty,
@@ -125,6 +129,8 @@ def without_reaches(comparison: Comparison) -> Comparison:
         comparison,
         field_index=comparison.field_index[inside],
         field_points=comparison.field_points[inside],
+        field_joints=comparison.field_joints[inside],
+        field_uncertainty=None,
         fruit=np.empty((0, 3)),
         policies=(policy,),
     )
