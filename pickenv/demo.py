@@ -34,6 +34,7 @@ from pickenv.arm import Pose, forward, inverse, load_plant, noncompensable_error
 from pickenv.arm.geometry import Array
 from pickenv.arm.plant import Plant
 from pickenv.files import write_text
+from pickenv.inspect.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.comparison import Comparison, PolicyErrors
 from pickenv.wrappers import CompensationWrapper
 
@@ -74,6 +75,11 @@ class DemoSettings:
     def quick(seed: int) -> DemoSettings:
         """A shorter run for trying things out; its figures are worse than the paper protocol's."""
         return DemoSettings(seed=seed, reaches=20, epochs=100, grid_step=0.2)
+
+    def command(self) -> str:
+        """The command line, or the call, that makes the same numbers."""
+        lines = {DemoSettings(self.seed): "", DemoSettings.quick(self.seed): " --quick"}
+        return f"pickenv demo --seed {self.seed}{lines[self]}" if self in lines else f"run_demo({self!r})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,20 +278,29 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
     from pickenv.demo_figures import demo_figures
     from pickenv.inspect.figures import save_figure
     from pickenv.inspect.recording import record_comparison
+    from pickenv.inspect.run_folder import recorded_run, save_comparison, save_trace
 
     report = progress or (lambda stage, done, total: None)
-    written = [
-        result.identification.write_csv(out / "measurements.csv"),
-        result.network.write_csv(out / "network_measurements.csv"),
-        result.test.write_csv(out / "test_measurements.csv"),
-        result.fit.calibration.save(out / "calibration"),
-    ]
-    drawings = demo_figures(result)
-    for i, (name, draw) in enumerate(drawings.items(), start=1):
-        written.append(save_figure(draw(), out / f"{name}.png"))
-        report("drawing", i, len(drawings))
-    written.append(record_comparison(result.comparison, out / "errors.rrd"))
-    report("recording", 1, 1)
-    # The summary comes last: where it stands, the run is complete.
-    written.append(write_text(out / "summary.json", json.dumps(summarise(result), indent=2) + "\n"))
+    with recorded_run(out, "demo", result.settings.command(), result.settings.seed):
+        written = [
+            result.identification.write_csv(out / "measurements.csv"),
+            result.network.write_csv(out / "network_measurements.csv"),
+            result.test.write_csv(out / "test_measurements.csv"),
+            result.fit.calibration.save(out / "calibration"),
+            save_comparison(out, result.comparison),
+            save_trace(out, trace(result), result.settings.seed),
+        ]
+        drawings = demo_figures(result)
+        for i, (name, draw) in enumerate(drawings.items(), start=1):
+            written.append(save_figure(draw(), out / f"{name}.png"))
+            report("drawing", i, len(drawings))
+        written.append(record_comparison(result.comparison, out / "errors.rrd"))
+        report("recording", 1, 1)
+        written.append(write_text(out / "summary.json", json.dumps(summarise(result), indent=2) + "\n"))
     return written
+
+
+def trace(result: DemoResult) -> CalibrationTrace:
+    """What the figures and the report of the calibration are made of."""
+    sets = {"identification": result.identification, "network": result.network, "test": result.test}
+    return trace_of(result.fit, sets, {LABELS[key]: error for key, error in result.test_errors.items()})
