@@ -17,7 +17,7 @@ from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.comparison import Comparison, PolicyErrors
 from pickenv.inspect.figures import new_figure, style
 from pickenv.inspect.links import nominal_points
-from pickenv.inspect.summary import SCALE_PERCENTILE, colour_scale_mm, field_mm, spread, ticks_mm
+from pickenv.inspect.summary import SCALE_PERCENTILE, colour_scale_mm, field_mm, spread, ticks
 from pickenv.inspect.view import eye_direction, shown_box
 
 if TYPE_CHECKING:
@@ -219,7 +219,7 @@ def _colour_bar(figure: Figure, panels: Any, top: float) -> None:
 
     scale = ScalarMappable(Normalize(0.0, top), ListedColormap(viridis(np.linspace(0.0, 1.0, 256)) / 255.0))
     bar = figure.colorbar(scale, ax=list(panels), location="bottom", aspect=60, shrink=0.8, pad=0.02, extend="max")
-    bar.set_ticks(ticks_mm(top))
+    bar.set_ticks(ticks(top))
     bar.set_label(f"position error (mm); the scale ends at p{SCALE_PERCENTILE:g} of the first field", color=INK)
     bar.ax.tick_params(color=INK, labelcolor=INK)
     bar.outline.set_visible(False)

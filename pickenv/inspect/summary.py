@@ -68,8 +68,8 @@ def round_step(at_least: float) -> float:
     return next(float(m * power) for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= at_least * (1.0 - 1e-9))
 
 
-def ticks_mm(top: float, count: int = 8) -> list[float]:
-    """Round tick values from 0 up to ``top``, about ``count`` of them, mm."""
+def ticks(top: float, count: int = 8) -> list[float]:
+    """Round tick values from 0 up to ``top``, about ``count`` of them."""
     step = round_step(top / count)
     return [i * step for i in range(int(top / step + 1e-9) + 1)]
 
