@@ -12,6 +12,7 @@ import typer
 
 from pickenv.commands import agents, calibrations, plants
 from pickenv.commands.calibrate import calibrate
+from pickenv.commands.study import study
 from pickenv.errors import InputError
 
 app = typer.Typer(
@@ -130,6 +131,7 @@ app.command()(plants.effects)
 app.command()(plants.iso9283)
 app.command()(agents.train)
 app.command()(agents.evaluate)
+app.command()(study)
 
 
 def main() -> None:

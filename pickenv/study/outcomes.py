@@ -1,0 +1,108 @@
+"""From the errors of arms at their fruit to rows of the result table: m and rad come in, mm and deg go out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from pickenv.arm.geometry import Array
+from pickenv.arm.plant import Plant
+from pickenv.study.config import Setting
+from pickenv.study.deviations import deviations
+from pickenv.study.protocol import Protocol
+from pickenv.study.table import FIGURES, OK, make_table
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """What became of N arms in one setting.
+
+    Attributes:
+        setting: The setting.
+        status: For each arm, `pickenv.study.table.OK` or why it could not be judged ``(N,)``.
+        iterations: Steps of its least squares ``(N,)``.
+        position: True tool against wanted tool at each fruit ``(N, M)``, m; anything where the status is not OK.
+        attitude: The same for the attitude, rad.
+    """
+
+    setting: Setting
+    status: Sequence[str]
+    iterations: Sequence[int]
+    position: Array
+    attitude: Array
+
+
+def out_of_reach(missed: int, protocol: Protocol) -> str:
+    """Why an arm is not judged: the calibration itself says that its commands end far from some fruit."""
+    return (
+        f"{missed} of {protocol.config.fruit} fruit are out of this arm's reach: even by its calibration the commands "
+        f"miss them by more than {protocol.config.radius_mm:g} mm"
+    )
+
+
+NOT_FINITE = "the simulated arm has no finite pose at some fruit"
+
+
+def figures(position: Array, attitude: Array, radius_mm: float) -> dict[str, Array]:
+    """Error columns ``(N,)`` of arms with these errors ``(N, M)``, m and rad."""
+    position_mm = 1e3 * np.ascontiguousarray(position)
+    median, p95 = np.percentile(position_mm, [50, 95], axis=1)
+    values = (
+        position_mm.mean(axis=1),
+        np.sqrt(np.mean(position_mm**2, axis=1)),
+        median,
+        p95,
+        position_mm.max(axis=1),
+        np.degrees(np.ascontiguousarray(attitude).mean(axis=1)),
+    )
+    return dict(zip(FIGURES, values, strict=True)) | {"share_within": np.mean(position_mm <= radius_mm, axis=1)}
+
+
+def chunk_table(protocol: Protocol, arms: range, populations: Sequence[tuple[Plant, Sequence[Outcomes]]]) -> pa.Table:
+    """The rows of a chunk.
+
+    Args:
+        protocol: The study.
+        arms: Numbers of the chunk's arms.
+        populations: For each population, its true arms and their outcomes in each of its settings.
+    """
+    parts = [
+        _columns(protocol, arms, outcomes) | drawn
+        for plants, settings in populations
+        for drawn in [deviations(protocol.design, plants)]
+        for outcomes in settings
+    ]
+    return make_table({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+
+
+def _columns(protocol: Protocol, arms: range, outcomes: Outcomes) -> dict[str, Any]:
+    setting, count = outcomes.setting, len(arms)
+    finite: NDArray[np.bool_] = np.isfinite(outcomes.position + outcomes.attitude).all(axis=1)
+    status = [
+        NOT_FINITE if text == OK and not sound else text for text, sound in zip(outcomes.status, finite, strict=True)
+    ]
+    judged = np.array([text == OK for text in status])
+    same: Mapping[str, Any] = {
+        "setting": setting.number,
+        "tolerances": setting.tolerances,
+        "it_grade": setting.it_grade,
+        "poses": setting.poses,
+        "noise_mm": setting.noise.position_mm,
+        "noise_deg": setting.noise.attitude_deg,
+        "payload_kg": setting.payload_kg,
+        "method": setting.method,
+    }
+    columns: dict[str, Any] = {name: np.full(count, value) for name, value in same.items()}
+    columns |= {"arm": np.arange(arms.start, arms.stop), "status": np.array(status)}
+    columns |= {"iterations": np.asarray(outcomes.iterations)}
+    columns |= {name: np.full(count, np.nan) for name in (*FIGURES, "share_within")}
+    if judged.any():
+        found = figures(outcomes.position[judged], outcomes.attitude[judged], protocol.config.radius_mm)
+        for name, values in found.items():
+            columns[name][judged] = values
+    return columns

@@ -1,0 +1,138 @@
+"""What all arms of a study share: design, populations, fruit and calibration poses; and each arm's random numbers.
+
+An arm's random numbers depend on the study's seed and the arm's own number alone, never on chunks, workers or settings:
+arm 17 deviates in the same direction in every grade, and its tracker errs the same way. SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calibration.error_model import ErrorModel, link_model
+from calibration.least_squares import identify
+from calibration.measurements import random_joints, simulated_tracker
+from pickenv.arm.geometry import Array, Geometry, Pose
+from pickenv.arm.kinematics import forward
+from pickenv.arm.plant import MeasurementNoise, Plant
+from pickenv.arm.tolerances import draw_plants
+from pickenv.envs.task import GOAL_MARGIN
+from pickenv.errors import InputError
+from pickenv.study.config import Noise, Setting, StudyConfig
+
+ARMS, TRACKER, FRUIT, POSES, RESIDUAL = range(5)
+"""First part of the key of each random stream."""
+
+MAX_TILT = math.radians(30.0)
+"""Fruit are reached for with the tool this near to the vertical, as in `pickenv/Reach-v0`."""
+
+DRAWS = 1000
+"""Joints drawn for every fruit before an arm counts as unable to hold its tool upright."""
+
+
+@dataclass(frozen=True, eq=False)
+class Protocol:
+    """A study made ready.
+
+    Attributes:
+        config: What is studied.
+        settings: Its cells.
+        design: The plant that arms are drawn from.
+        model: What least squares identifies.
+        fruit: Nominal joints that bring the tool to each fruit ``(M, n)``, rad or m.
+        poses: Calibration poses ``(P, n)``; a setting with fewer uses the first ones.
+        residual_poses: Poses for learnt residuals ``(R, n)``.
+    """
+
+    config: StudyConfig
+    settings: tuple[Setting, ...]
+    design: Plant
+    model: ErrorModel
+    fruit: Array
+    poses: Array
+    residual_poses: Array
+
+    @property
+    def nominal(self) -> Geometry:
+        """What the controller believes."""
+        return self.design.arm.nominal
+
+    @cached_property
+    def wanted(self) -> Pose:
+        """Tool poses at the fruit ``(M,)``."""
+        return forward(self.nominal, self.fruit)
+
+    def populations(self) -> list[list[Setting]]:
+        """The settings by population: those that draw the same arms."""
+        groups: dict[tuple[str, int], list[Setting]] = {}
+        for setting in self.settings:
+            groups.setdefault((setting.tolerances, setting.it_grade), []).append(setting)
+        return list(groups.values())
+
+    def draw(self, setting: Setting, arms: range) -> Plant:
+        """These arms of a setting's population, as a batch."""
+        parent = np.random.SeedSequence(self.config.seed, spawn_key=(ARMS,), n_children_spawned=arms.start)
+        return draw_plants(self.design, self.config.load_tolerances(setting), len(arms), np.random.default_rng(parent))
+
+    def stream(self, purpose: int, arm: int) -> np.random.Generator:
+        """The random numbers of an arm for a purpose: `TRACKER` or `RESIDUAL`."""
+        return _stream(self.config, purpose, arm)
+
+
+def prepare(config: StudyConfig) -> Protocol:
+    """Load and draw what all arms share.
+
+    Raises:
+        InputError: If plant or tolerance class are unknown, poses are too few to calibrate with, or no fruit is found.
+    """
+    design = config.load_plant()
+    nominal = design.arm.nominal
+    protocol = Protocol(
+        config=config,
+        settings=config.settings(),
+        design=design,
+        model=link_model(nominal),
+        fruit=_upright_joints(nominal, config.fruit, _stream(config, FRUIT)),
+        poses=random_joints(nominal, max(config.poses), _stream(config, POSES)),
+        residual_poses=random_joints(nominal, config.residual_poses, _stream(config, RESIDUAL)),
+    )
+    for poses in {setting.poses for setting in protocol.settings if setting.poses}:
+        ideal = seen_by(replace(design, geometry=nominal), Noise(0.0, 0.0))
+        identify(protocol.model, nominal, simulated_tracker(ideal, protocol.poses[:poses], np.random.default_rng(0)))
+    return protocol
+
+
+def seen_by(plant: Plant, noise: Noise) -> Plant:
+    """The plant measured by another tracker."""
+    return replace(
+        plant, measurement_noise=MeasurementNoise(noise.position_mm * 1e-3, math.radians(noise.attitude_deg))
+    )
+
+
+def carrying(plant: Plant, payload_kg: float) -> Plant:
+    """The plant with a mass held at its tool; a plant without masses stays as it is."""
+    return plant if plant.load is None else replace(plant, load=replace(plant.load, payload=payload_kg))
+
+
+def _stream(config: StudyConfig, *key: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=key))
+
+
+def _upright_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
+    """Joints ``(count, n)`` away from their limits that hold the tool upright, drawn evenly among such joints."""
+    margin = GOAL_MARGIN * (nominal.upper - nominal.lower)
+    inner = replace(nominal, lower=nominal.lower + margin, upper=nominal.upper - margin)
+    found = np.empty((0, nominal.joints))
+    for _ in range(DRAWS):
+        joints = random_joints(inner, count, rng)
+        upright = forward(nominal, joints).rotation[:, 2, 2] >= math.cos(MAX_TILT)
+        found = np.concatenate([found, joints[upright]])
+        if len(found) >= count:
+            return found[:count]
+    raise InputError(
+        f"of {DRAWS * count} joint poses only {len(found)} hold the tool within {math.degrees(MAX_TILT):.0f} deg of "
+        f"the vertical, too few for {count} fruit; give another arm"
+    )

@@ -1,0 +1,121 @@
+"""Run a study, or go on with one: only chunks that are not on disk yet are computed. Then the summary."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pickenv import __version__
+from pickenv.errors import InputError
+from pickenv.files import write_text
+from pickenv.study.config import LS, RAW, StudyConfig
+from pickenv.study.executors import Crew, Work, load_executor, run_serial
+from pickenv.study.protocol import Protocol, prepare
+from pickenv.study.table import missing_chunks, open_folder, table_sha256, write_chunk
+
+BATCHED = "batched"
+"""Works on all arms of a chunk at once, in this process; the other executors work arm by arm."""
+
+Progress = Callable[[int, int], None]
+"""Called with (arms done, arms in all)."""
+
+
+def run_study(
+    config: StudyConfig,
+    folder: Path,
+    *,
+    executor: str = "joblib",
+    crew: Crew | None = None,
+    device: str = "cpu",
+    progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Compute what is missing of a study and summarise it.
+
+    Args:
+        config: The study.
+        folder: Results; chunks already there are kept.
+        executor: A name of `pickenv.study.executors.EXECUTORS`, or "batched".
+        crew: Workers and address.
+        device: Where "batched" computes: "cpu" or "cuda".
+        progress: Told how many arms are done.
+        warn: Told of damaged files, which are computed again.
+
+    Returns:
+        The summary, which is also written to ``folder/summary.json``.
+
+    Raises:
+        InputError: If the executor is unknown, or the folder holds another study.
+    """
+    run = run_serial if executor == BATCHED else load_executor(executor)
+    protocol = prepare(config)
+    work = _work(protocol, executor, device)
+    open_folder(folder, config)
+    missing, damaged = missing_chunks(folder, config)
+    for path in damaged:
+        if warn is not None:
+            warn(f"{path} is damaged and is computed again")
+    done = config.arms - sum(len(config.arms_of(chunk)) for chunk in missing)
+    reused = len(config.chunks()) - len(missing)
+    report = progress or (lambda done, total: None)
+    report(done, config.arms)
+    begin = time.perf_counter()
+    if missing:
+        for chunk, rows in run(missing, work, crew or Crew()):
+            write_chunk(folder, chunk, rows)
+            done += len(config.arms_of(chunk))
+            report(done, config.arms)
+    return _summary(config, folder, executor, time.perf_counter() - begin, reused)
+
+
+def _work(protocol: Protocol, executor: str, device: str) -> Work:
+    """What is done with a chunk."""
+    if executor != BATCHED:
+        from pickenv.study.arm_by_arm import evaluate_chunk
+
+        return partial(evaluate_chunk, protocol)
+    learnt = sorted({setting.method for setting in protocol.settings} - {RAW, LS})
+    if learnt:
+        raise InputError(f"the batched executor has no {learnt[0]}; give --executor joblib, or leave that method out")
+    from pickenv.study.batched import evaluate_batch
+
+    return partial(evaluate_batch, protocol, device=device)
+
+
+def _summary(config: StudyConfig, folder: Path, executor: str, seconds: float, reused: int) -> dict[str, Any]:
+    from pickenv.study.quantiles import quantile_table
+    from pickenv.study.yields import yield_table
+
+    quantiles = [{key: _known(value) for key, value in row.items()} for row in quantile_table(folder).to_pylist()]
+    summary = {
+        "plant": config.plant,
+        "simulated": True,
+        "pickenv": __version__,
+        "arms": config.arms,
+        "settings": len(config.settings()),
+        "fruit": config.fruit,
+        "seed": config.seed,
+        "radius_mm": config.radius_mm,
+        "share": config.share,
+        "executor": executor,
+        "seconds": seconds,
+        "chunks_reused": reused,
+        "config_sha256": config.sha256(),
+        "table_sha256": table_sha256(folder),
+        "yield": yield_table(folder).to_pylist(),
+        "quantiles_mm": [row for row in quantiles if row["quantity"].endswith("_mm")],
+        "quantiles_deg": [row for row in quantiles if row["quantity"].endswith("_deg")],
+    }
+    # The summary comes last: where it stands, the study is complete.
+    write_text(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
+    return summary
+
+
+def _known(value: Any) -> Any:
+    """None for a quantile of no arms: JSON has no NaN."""
+    return None if isinstance(value, float) and math.isnan(value) else value
