@@ -93,8 +93,8 @@ def _print(summary: dict[str, Any]) -> None:
     table = Table(
         title=f"{summary['arms']} simulated arms of plant {summary['plant']}, {summary['fruit']} fruit each, "
         f"seed {summary['seed']}",
-        caption=f"yield: arms with at least {100 * summary['share']:g} % of their fruit within {summary['radius_mm']:g} mm, "
-        "with Wilson 95 % interval; error: mean over an arm's fruit",
+        caption=f"yield: arms with at least {100 * summary['share']:g} % of their fruit within {summary['radius_mm']:g} mm, with "
+        "Wilson 95 % interval; error: mean over an arm's fruit",
     )
     heads = ("class", "IT", "method", "poses", "noise [mm]", "payload [kg]")
     errors = ("median arm [mm]", "95 % of arms below [mm]")

@@ -35,7 +35,7 @@ class Crew:
 
     def count(self) -> int:
         """Number of processes on this machine."""
-from joblib import cpu_count
+        from joblib import cpu_count
 
         return self.workers or int(cpu_count())
 
