@@ -90,11 +90,11 @@ def _print(summary: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    specified = f"at least {100 * summary['share']:g} % of their fruit within {summary['radius_mm']:g} mm"
     table = Table(
         title=f"{summary['arms']} simulated arms of plant {summary['plant']}, {summary['fruit']} fruit each, "
         f"seed {summary['seed']}",
-        caption=f"yield: arms with at least {100 * summary['share']:g} % of their fruit within {summary['radius_mm']:g} mm, with "
-        "Wilson 95 % interval; error: mean over an arm's fruit",
+        caption=f"yield: arms with {specified}, with Wilson 95 % interval; error: mean over an arm's fruit",
     )
     heads = ("class", "IT", "method", "poses", "noise [mm]", "payload [kg]")
     errors = ("median arm [mm]", "95 % of arms below [mm]")
