@@ -1,0 +1,120 @@
+"""Sensitivities: shares that are known in closed form are found, by regression and by Sobol's indices."""
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.dataset as ds
+import pytest
+
+from pickenv.errors import InputError
+from pickenv.study.sensitivity import kind_of, sensitivities_of, sobol_table
+
+
+def rows_of(columns, squared_error, arm=None):
+    count = len(squared_error)
+    return ds.dataset(
+        pa.table(
+            {
+                "setting": pa.array(np.zeros(count), pa.int32()),
+                "arm": pa.array(np.arange(count) if arm is None else arm, pa.int64()),
+                "status": ["ok"] * count,
+                "error_rms_mm": np.sqrt(squared_error),
+                **columns,
+            }
+        )
+    )
+
+
+def even(count, number, seed=0):
+    return np.random.default_rng(seed).uniform(-1, 1, (count, number))
+
+
+def test_a_quadratic_form_of_independent_deviations():
+    """y = 1 + 3 x^2 + u + 2 z^2 with even x, u, z: variances 9 * 4/45, 1/3, 4 * 4/45; means of squares 1 and 2/3."""
+    x, u, z = even(40_000, 3).T
+    rows = rows_of({"delta_a0_mm": x, "size_backlash_2": u, "delta_alpha1_deg": z}, 1 + 3 * x**2 + u + 2 * z**2)
+    variances = {"delta_a0_mm": 9 * 4 / 45, "size_backlash_2": 1 / 3, "delta_alpha1_deg": 4 * 4 / 45}
+    found = {row["parameter"]: row for row in sensitivities_of(rows).to_pylist()}
+    for name, variance in variances.items():
+        expected = variance / sum(variances.values())
+        assert found[name]["share"] == pytest.approx(expected, abs=0.01)
+        assert found[name]["share_low"] < expected < found[name]["share_high"]
+        assert found[name]["r2"] == pytest.approx(1.0)
+    assert found["delta_a0_mm"]["mean_square_mm2"] == pytest.approx(1.0, abs=0.02)
+    assert found["delta_alpha1_deg"]["mean_square_mm2"] == pytest.approx(2 / 3, abs=0.02)
+    assert found["size_backlash_2"]["linear"] == pytest.approx(np.sqrt(1 / 3 / sum(variances.values())), abs=0.01)
+    assert found["lengths"]["share"] == pytest.approx(found["delta_a0_mm"]["share"])
+
+
+def test_noise_and_interactions_are_what_r2_leaves():
+    x, z = even(40_000, 2).T
+    rows = rows_of({"delta_a0_mm": x, "delta_a1_mm": z}, 2 + x * z + x**2)
+    (first, *_) = sensitivities_of(rows).to_pylist()
+    assert first["r2"] == pytest.approx((4 / 45) / (4 / 45 + 1 / 9), abs=0.01)
+
+
+def test_memory_holds_sums_not_rows_and_batches_do_not_matter():
+    x, z = even(3000, 2).T
+    columns, y = {"delta_a0_mm": x, "size_friction_1": 1 + 0.1 * z}, 1 + x**2 + 0.3 * z
+    one = sensitivities_of(rows_of(columns, y)).to_pylist()
+    order = np.random.default_rng(5).permutation(3000)
+    other = sensitivities_of(rows_of({k: v[order] for k, v in columns.items()}, y[order], arm=order)).to_pylist()
+    for a, b in zip(one, other, strict=True):
+        assert a["parameter"] == b["parameter"]
+        numbers = ("share", "share_low", "share_high", "mean_square_mm2", "r2")
+        assert [a[k] for k in numbers] == pytest.approx([b[k] for k in numbers], rel=1e-9)
+
+
+def test_failed_arms_and_constant_columns_are_left_out():
+    x = even(500, 1)[:, 0]
+    table = rows_of({"delta_a0_mm": x, "delta_a1_mm": np.zeros(500)}, 1 + x**2).to_table()
+    lost = table.set_column(2, "status", pa.array(["did not converge"] * 100 + ["ok"] * 400))
+    found = sensitivities_of(ds.dataset(lost)).to_pylist()
+    assert {row["parameter"] for row in found} == {"delta_a0_mm", "lengths"} and found[0]["arms"] == 400
+
+
+def test_too_few_arms_and_nothing_that_varies_are_said():
+    x = even(8, 1)[:, 0]
+    with pytest.raises(InputError, match=r"setting 0 has 8 arms with a result; its 1 deviations need 9"):
+        sensitivities_of(rows_of({"delta_a0_mm": x}, 1 + x**2))
+    with pytest.raises(InputError, match="nothing varies between the arms of setting 0"):
+        sensitivities_of(rows_of({"delta_a0_mm": np.ones(50)}, np.ones(50)))
+
+
+def test_kinds():
+    assert kind_of("delta_alpha3_deg") == "angles" and kind_of("delta_d2_mm") == "lengths"
+    assert kind_of("size_joint_stiffness_4") == "joint stiffness" and kind_of("rise_K") == "temperature rise"
+
+
+def test_sobol_indices_of_ishigami():
+    """Ishigami and Homma 1990, a = 7, b = 0.1: first orders 0.3139, 0.4424, 0; totals 0.5576, 0.4424, 0.2437."""
+
+    def ishigami(even):
+        x = np.pi * (2 * even - 1)
+        return np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+
+    rng = np.random.default_rng(0)
+    table = sobol_table(ishigami, {"x1": [0], "x2": [1], "x3": [2]}, 4096, rng).to_pandas()
+    np.testing.assert_allclose(table.first_order, [0.3139, 0.4424, 0.0], atol=0.03)
+    np.testing.assert_allclose(table.total, [0.5576, 0.4424, 0.2437], atol=0.03)
+    assert (table.total_low <= table.total).all() and (table.total <= table.total_high).all()
+
+
+def test_sobol_indices_of_groups_of_a_linear_model():
+    """Shares of independent inputs add up within a group."""
+    weights = np.array([3.0, 1.0, 2.0, 1.0])
+    table = sobol_table(
+        lambda u: u @ weights, {"one": [0, 3], "other": [1, 2]}, 1024, np.random.default_rng(1)
+    ).to_pandas()
+    np.testing.assert_allclose(table.first_order, [10 / 15, 5 / 15], atol=0.02)
+    np.testing.assert_allclose(table.total, [10 / 15, 5 / 15], atol=0.02)
+
+
+def test_sobol_indices_are_reproducible_and_refuse_what_they_cannot_do():
+    def run(seed):
+        return sobol_table(lambda u: u.sum(axis=1), {"a": [0], "b": [1]}, 64, np.random.default_rng(seed)).to_pylist()
+
+    assert run(3) == run(3) != run(4)
+    with pytest.raises(InputError, match="give a power of two"):
+        sobol_table(lambda u: u[:, 0], {"a": [0]}, 100, np.random.default_rng(0))
+    with pytest.raises(InputError, match=r"the groups name inputs \[0, 2\]"):
+        sobol_table(lambda u: u[:, 0], {"a": [0], "b": [2]}, 64, np.random.default_rng(0))
