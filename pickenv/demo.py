@@ -30,12 +30,13 @@ from calibration import (
 )
 from calibration.error_model import residual
 from calibration.uncertainty import held_out_errors, pose_uncertainty
-from pickenv.arm import Pose, forward, inverse, load_plant, noncompensable_error, pose_error
+from pickenv.arm import forward, load_plant, noncompensable_error, pose_error
 from pickenv.arm.geometry import Array
 from pickenv.arm.plant import Plant
 from pickenv.files import write_text
 from pickenv.inspect.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.comparison import Comparison, PolicyErrors
+from pickenv.inspect.field_grid import field_grid
 from pickenv.wrappers import CompensationWrapper
 
 LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN"}
@@ -183,23 +184,13 @@ def _comparison(
     reaches: dict[str, Reaches],
 ) -> Comparison:
     """The error field on a regular grid of upright tool poses, and the reaches, for pictures."""
-    nominal, step = plant.arm.nominal, settings.grid_step
-    probe = forward(nominal, random_joints(nominal, 4000, np.random.default_rng(settings.seed)))
-    upright = probe.rotation[:, 2, 2] > np.cos(np.radians(30.0))
-    low, high = np.percentile(probe.position[upright], [1, 99], axis=0)
-    shape = np.maximum(((high - low) / step).astype(int), 1)
-    index = np.stack(np.meshgrid(*(np.arange(count) for count in shape), indexing="ij"), -1).reshape(-1, 3)
-    origin = (low + high) / 2 - (shape - 1) / 2 * step
-    points = origin + index * step
-    solution = inverse(nominal, Pose(points, np.eye(3)), restarts=1)
-    inside = solution.reached
-    joints = solution.joints[inside]
+    grid = field_grid(plant.arm.nominal, settings.grid_step, settings.seed)
     calibration = fitted.calibration
     uncertainty = pose_uncertainty(fitted.identification, held_out_errors(calibration, test))
     policies = []
     for key, compensator in compensators.items():
         run = reaches[key]
-        field = _errors(plant, joints, compensator)
+        field = _errors(plant, grid.joints, compensator)
         policies.append(
             PolicyErrors(
                 key=key,
@@ -215,19 +206,19 @@ def _comparison(
         )
     return Comparison(
         plant=plant,
-        nominal=nominal,
+        nominal=plant.arm.nominal,
         identified=calibration.identified,
         seed=settings.seed,
         tolerance_mm=settings.tolerance_mm,
-        grid_shape=(int(shape[0]), int(shape[1]), int(shape[2])),
-        grid_origin=origin,
-        grid_step=step,
-        field_index=index[inside],
-        field_points=points[inside],
-        field_joints=joints,
+        grid_shape=grid.shape,
+        grid_origin=grid.origin,
+        grid_step=grid.step,
+        field_index=grid.index,
+        field_points=grid.points,
+        field_joints=grid.joints,
         fruit=reaches["raw"].fruit_position,
         policies=tuple(policies),
-        field_uncertainty=uncertainty.standard(calibration.model, joints)[0],
+        field_uncertainty=uncertainty.standard(calibration.model, grid.joints)[0],
     )
 
 
