@@ -2,18 +2,19 @@
 
 Does what `pickenv.arm.task.truncated_inverse` does, without one LAPACK call per pose: J^T J is factorised in
 components, the direction that is to be cut off is found by inverse iteration and projected out. Poses where more than
-one direction, or a doubtful one, would have to go are handed to the singular value decomposition.
+one direction, or a doubtful one, would have to go are handed to the singular value decomposition. The same lines run on
+NumPy arrays and torch tensors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pickenv.arm.geometry import Array
-from pickenv.arm.task import RANK_TOLERANCE, truncated_inverse
+from pickenv.arm.kinematics import Scalar
+from pickenv.arm.task import RANK_TOLERANCE
 
 RIDGE = 1e-13
 """Added to the diagonal of J^T J, relative to its trace, so that it can be factorised where it is singular."""
@@ -29,8 +30,8 @@ SETTLED = 1e-4
 START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
 """Where the search for it starts: close to no direction that symmetry makes likely."""
 
-Columns = Sequence[Sequence[Array | float]]
-"""n columns of J, each six components ``(N,)``; plain zeros cost nothing."""
+Columns = Sequence[Sequence[Scalar]]
+"""n columns of J, each six components ``(...)``; plain zeros cost nothing."""
 
 
 class TruncatedSolver:
@@ -39,10 +40,11 @@ class TruncatedSolver:
     Args:
         columns: The columns of J.
         tolerance: Relative singular value below which a direction is cut off.
+        m: ``numpy`` or ``torch``.
     """
 
-    def __init__(self, columns: Columns, tolerance: float = RANK_TOLERANCE) -> None:
-        self.columns = columns
+    def __init__(self, columns: Columns, tolerance: float = RANK_TOLERANCE, m: ModuleType = np) -> None:
+        self.columns, self._m = columns, m
         n = len(columns)
         gram = [[_dot(columns[i], columns[j]) for j in range(i + 1)] for i in range(n)]
         trace = sum((gram[i][i] for i in range(1, n)), gram[0][0])
@@ -50,37 +52,41 @@ class TruncatedSolver:
             gram[i][i] = gram[i][i] + RIDGE * trace
         self._factors = _factorised(gram)
         smallest = [START[i % len(START)] + 0.0 * trace for i in range(n)]
-        settled: NDArray[np.bool_] = np.zeros(np.shape(trace), dtype=np.bool_)
+        settled: Scalar = False
         for _ in range(INVERSE_ITERATIONS):
             grown = self._solve(smallest)
-            shrinkage = 1.0 / np.sqrt(_dot(grown, grown))
+            shrinkage = 1.0 / m.sqrt(_dot(grown, grown))
             grown = [value * shrinkage for value in grown]
-            settled, smallest = np.abs(_dot(grown, smallest)) > 1.0 - SETTLED, grown
+            settled, smallest = m.abs(_dot(grown, smallest)) > 1.0 - SETTLED, grown
         # Eigenvalues of J^T J: the least, and a bound of the next (the others' geometric mean is below their mean).
-        next_least = np.prod(self._factors[1], axis=0) ** -1.0 / shrinkage / (trace / (n - 2)) ** (n - 2)
-        largest = np.sqrt(trace)  # at least the largest singular value, and at most root n times it
-        least = np.sqrt(np.maximum(shrinkage - RIDGE * trace, 0.0))
-        self.lost: NDArray[np.bool_] = least < tolerance * largest / DOUBT / np.sqrt(n)
-        kept: NDArray[np.bool_] = least > tolerance * largest * DOUBT
-        clear: NDArray[np.bool_] = np.sqrt(next_least) > tolerance * largest * DOUBT
-        self.doubtful = np.flatnonzero(~(((self.lost & clear) | kept) & settled))
-        self._direction = [np.where(self.lost, value, 0.0) for value in smallest]
-        self._inverses: Array | None = None
-        if self.doubtful.size:
-            rows = [[np.broadcast_to(v, trace.shape)[self.doubtful] for v in column] for column in columns]
-            self._inverses = truncated_inverse(np.moveaxis(np.array(rows), (0, 1), (2, 1)), tolerance)
+        determinant: Scalar = 1.0
+        for inverse in self._factors[1]:
+            determinant = determinant / inverse
+        next_least = determinant / shrinkage / (trace / (n - 2)) ** (n - 2)
+        largest = m.sqrt(trace)  # at least the largest singular value, and at most root n times it
+        least = m.sqrt(m.clip(shrinkage - RIDGE * trace, 0.0, None))
+        self.lost = least < tolerance * largest / DOUBT / n**0.5
+        kept = least > tolerance * largest * DOUBT
+        clear = m.sqrt(next_least) > tolerance * largest * DOUBT
+        self.doubtful = m.where(~(((self.lost & clear) | kept) & settled))
+        self._direction = [m.where(self.lost, value, 0.0) for value in smallest]
+        self._inverses: Scalar = None
+        if len(self.doubtful[0]):
+            whole = 0.0 * trace
+            rows = [m.stack([(whole + value)[self.doubtful] for value in column], -1) for column in columns]
+            self._inverses = m.linalg.pinv(m.stack(rows, -1), rtol=tolerance)
 
-    def solve(self, right: Sequence[Array]) -> list[Array]:
-        """Solutions, n components ``(N,)``, for right-hand sides of six components ``(N,)``."""
+    def solve(self, right: Sequence[Scalar]) -> list[Scalar]:
+        """Solutions, n components ``(...)``, for right-hand sides of six components ``(...)``."""
         wanted = [_dot(column, right) for column in self.columns]
         solution = _without(self._direction, self._solve(_without(self._direction, wanted)))
         if self._inverses is not None:
-            some = np.stack([value[self.doubtful] for value in right], axis=-1)
-            for value, exact in zip(solution, np.einsum("kij,kj->ik", self._inverses, some), strict=True):
+            some = self._m.stack([value[self.doubtful] for value in right], -1)
+            for value, exact in zip(solution, self._m.einsum("kij,kj->ik", self._inverses, some), strict=True):
                 value[self.doubtful] = exact
         return solution
 
-    def _solve(self, right: Sequence[Array]) -> list[Array]:
+    def _solve(self, right: Sequence[Scalar]) -> list[Scalar]:
         """Solve with the factorised L D L^T."""
         lower, inverse_diagonal = self._factors
         values = list(right)
@@ -95,24 +101,24 @@ class TruncatedSolver:
         return values
 
 
-def _dot(one: Sequence[Array | float], other: Sequence[Array | float]) -> Array:
+def _dot(one: Sequence[Scalar], other: Sequence[Scalar]) -> Scalar:
     """Scalar product of components; products with plain zeros are left out."""
     terms = [a * b for a, b in zip(one, other, strict=True) if not (_is_zero(a) or _is_zero(b))]
     if not terms:
-        return 0.0 * np.asarray(next(value for value in (*one, *other) if not _is_zero(value)))
-    return np.asarray(sum(terms[1:], terms[0]))
+        return 0.0 * next(value for value in (*one, *other) if not _is_zero(value))
+    return sum(terms[1:], terms[0])
 
 
-def _is_zero(value: Array | float) -> bool:
+def _is_zero(value: Scalar) -> bool:
     return isinstance(value, float) and value == 0.0
 
 
-def _factorised(gram: list[list[Array]]) -> tuple[list[list[Array]], list[Array]]:
+def _factorised(gram: list[list[Scalar]]) -> tuple[list[list[Scalar]], list[Scalar]]:
     """Unit lower triangle L and the inverse of the diagonal D of the lower triangle ``gram`` = L D L^T."""
-    lower: list[list[Array]] = []
-    inverse: list[Array] = []
+    lower: list[list[Scalar]] = []
+    inverse: list[Scalar] = []
     for i, row in enumerate(gram):
-        scaled: list[Array] = []  # L times D
+        scaled: list[Scalar] = []  # L times D
         for j in range(i):
             value = row[j]
             for k in range(j):
@@ -126,7 +132,7 @@ def _factorised(gram: list[list[Array]]) -> tuple[list[list[Array]], list[Array]
     return lower, inverse
 
 
-def _without(direction: Sequence[Array], vector: Sequence[Array]) -> list[Array]:
+def _without(direction: Sequence[Scalar], vector: Sequence[Scalar]) -> list[Scalar]:
     """``vector`` without its part along the unit vector ``direction``."""
     along = _dot(direction, vector)
     return [value - along * part for value, part in zip(vector, direction, strict=True)]
