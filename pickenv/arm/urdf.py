@@ -19,6 +19,8 @@ from pickenv.errors import InputError
 from pickenv.files import write_text
 
 MOVING = {"revolute": False, "continuous": False, "prismatic": True}
+ROD_RADIUS, SHORTEST_ROD = 0.015, 0.02
+"""m; of the rods that viewers draw for the links. Kinematics do not look at them."""
 
 
 def load_urdf(path: str | Path, tip: str | None = None, base: str | None = None) -> Arm:
@@ -125,9 +127,12 @@ def _number(text: str, owner: str, path: Path) -> float:
 
 
 def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
-    """A URDF of the chain, one link per joint, ``base`` to ``tool``; exact, so forward kinematics agree to rounding."""
+    """A URDF of the chain, one link per joint, ``base`` to ``tool``; exact, so forward kinematics agree to rounding.
+
+    Each link is drawn as a rod to the next joint, and a slide as a rod back to where it starts.
+    """
     robot = ElementTree.Element("robot", name=name)
-    ElementTree.SubElement(robot, "link", name="base")
+    body = ElementTree.SubElement(robot, "link", name="base")
     parent, pending = "base", geometry.base
     for i in range(geometry.joints):
         twist = Rotation.from_euler("x", geometry.alpha[i])
@@ -139,7 +144,10 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
         )
         origin = Pose(pending.position + pending.rotation @ local.position, pending.rotation @ local.rotation)
         link = f"link{i + 1}"
-        ElementTree.SubElement(robot, "link", name=link)
+        _rod(body, origin.position)
+        body = ElementTree.SubElement(robot, "link", name=link)
+        if geometry.prismatic[i]:
+            _rod(body, np.array([0.0, 0.0, -geometry.upper[i]]))
         kind = "prismatic" if geometry.prismatic[i] else "revolute"
         joint = _joint(robot, geometry.joint_names[i], kind, parent, link, origin)
         ElementTree.SubElement(joint, "axis", xyz="0 0 1")
@@ -152,6 +160,7 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
             effort="0",
         )
         parent, pending = link, Pose(np.zeros(3), np.eye(3))
+    _rod(body, geometry.tool.position)
     ElementTree.SubElement(robot, "link", name="tool")
     _joint(robot, "tool_mount", "fixed", parent, "tool", geometry.tool)
     ElementTree.indent(robot)
@@ -170,6 +179,19 @@ def _joint(
     xyz = " ".join(repr(float(v)) for v in origin.position)
     ElementTree.SubElement(joint, "origin", xyz=xyz, rpy=" ".join(repr(float(v)) for v in rpy))
     return joint
+
+
+def _rod(link: ElementTree.Element, end: Array) -> None:
+    """Draw a link as a rod from its origin to ``end``, m."""
+    length = float(np.linalg.norm(end))
+    if length < SHORTEST_ROD:
+        return
+    pitch, yaw = np.arccos(end[2] / length), np.arctan2(end[1], end[0])
+    visual = ElementTree.SubElement(link, "visual")
+    middle = " ".join(repr(float(v)) for v in end / 2.0)
+    ElementTree.SubElement(visual, "origin", xyz=middle, rpy=f"0 {float(pitch)!r} {float(yaw)!r}")
+    shape = ElementTree.SubElement(visual, "geometry")
+    ElementTree.SubElement(shape, "cylinder", length=repr(length), radius=repr(ROD_RADIUS))
 
 
 def write_urdf(geometry: Geometry, path: str | Path, name: str = "arm", speed: Array | None = None) -> Path:

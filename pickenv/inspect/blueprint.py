@@ -7,25 +7,28 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from pickenv.arm.geometry import Array
 from pickenv.inspect.comparison import Comparison, PolicyErrors
+from pickenv.inspect.detail_tabs import detail_tabs
+from pickenv.inspect.details import Details
 from pickenv.inspect.summary import colour_scale_mm, field_mm, spread
-from pickenv.inspect.view import eye_direction, shown_box
+from pickenv.inspect.view import eye_direction
+from pickenv.inspect.views import BACKGROUND, ghost, space, with_colour_bar
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
-BACKGROUND = (34, 34, 42)
-"""Explicit, so that 3D views look the same in the light and in the dark theme."""
-EYE_DISTANCE = 2.2
-"""In units of the shown box's radius."""
 REACHES_PER_SECOND = 2.0
 
 
-def comparison_blueprint(comparison: Comparison, gain: float) -> rrb.Blueprint:
+def comparison_blueprint(comparison: Comparison, details: Details, gain: float) -> rrb.Blueprint:
     """The layout for ``comparison``, whose errors are drawn ``gain`` times too long.
 
     Args:
         comparison: At least one policy.
+        details: From `details_of`.
         gain: As given to `record_comparison`.
     """
     import rerun.blueprint as rrb
@@ -33,14 +36,13 @@ def comparison_blueprint(comparison: Comparison, gain: float) -> rrb.Blueprint:
     policies = comparison.policies
     top = colour_scale_mm(comparison)
     has_reaches = len(comparison.fruit) > 0
-    arm = ["+ /world/arm/nominal"] if has_reaches else []
+    arm = ghost(comparison)
     fields = [
-        _space(rrb, comparison, _field_title(policy, gain), [f"+ /world/field/{policy.key}/vectors", *arm])
+        space(comparison, _field_title(policy, gain), [f"+ /world/field/{policy.key}/vectors", *arm])
         for policy in policies
     ]
     voxels = [
-        _space(
-            rrb,
+        space(
             comparison,
             f"{policy.label} | error magnitude, mm, corner cut away",
             [f"+ /world/field/{policy.key}/voxels"],
@@ -48,31 +50,27 @@ def comparison_blueprint(comparison: Comparison, gain: float) -> rrb.Blueprint:
         for policy in policies
     ]
     slices = [_slice(rrb, comparison, policy) for policy in policies]
+    if details.removed is not None:
+        fields.append(_removed(comparison, details.removed, gain))
+    meaning = f"Colour: position error, 0 to {top:.2f} mm"
     tabs: list[Any] = [
-        rrb.Horizontal(*fields, name=f"Error fields, arrows ×{gain:g}"),
-        rrb.Horizontal(*voxels, name="Voxels"),
-        rrb.Horizontal(*slices, name="Slices"),
+        with_colour_bar(fields, "position", meaning, f"Error fields, arrows ×{gain:g}"),
+        with_colour_bar(voxels, "position", meaning, "Voxels"),
+        with_colour_bar(slices, "position", meaning, "Slices"),
     ]
     below: list[Any] = [
         rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary"),
     ]
+    tabs += detail_tabs(comparison, details, gain)
     if has_reaches:
         tabs.insert(1, _picking(rrb, comparison, gain))
         tabs.append(_table(rrb, policies))
         below = [_reaches(rrb, comparison), _histogram(rrb), *below]
-    bar = rrb.Spatial2DView(
-        origin="/legend",
-        contents=["+ /legend/**"],
-        name=f"Colour of arrows, voxels and slices: position error, 0 to {top:.2f} mm",
-        background=BACKGROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=[-14.0, 534.0], y_range=[-4.0, 20.0]),
-    )
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Tabs(*tabs, active_tab=0),
-            bar,
             rrb.Horizontal(*below, column_shares=[3.0, 2.0, 3.0][-len(below) :]),
-            row_shares=[5.3, 0.8, 3.9],
+            row_shares=[6.1, 3.9],
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -83,28 +81,22 @@ def comparison_blueprint(comparison: Comparison, gain: float) -> rrb.Blueprint:
     )
 
 
+def _removed(comparison: Comparison, removed: Array, gain: float) -> Any:
+    """What the last policy takes away from the error that the one before it leaves; beside the fields themselves."""
+    before, last = comparison.policies[-2:]
+    better = float(np.mean(field_mm(last) < field_mm(before)))
+    mean = spread(np.linalg.norm(1e3 * removed, axis=-1)).mean
+    title = f"{before.label} minus {last.label} | mean {mean:.2f} mm | better at {100.0 * better:.0f} % | ×{gain:g}"
+    return space(comparison, title, ["+ /world/field/removed/vectors", *ghost(comparison)])
+
+
 def _field_title(policy: PolicyErrors, gain: float) -> str:
     return f"{policy.label} | mean {spread(field_mm(policy)).mean:.2f} mm | arrows ×{gain:g}"
 
 
-def _space(rrb: Any, comparison: Comparison, name: str, contents: list[str], **options: Any) -> Any:
-    centre, radius = shown_box(comparison)
-    eye = centre + EYE_DISTANCE * radius * eye_direction(comparison)
-    return rrb.Spatial3DView(
-        origin="/world",
-        contents=[*contents, "+ /world/workspace", "+ /world/axes"],
-        name=name,
-        background=BACKGROUND,
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=centre, eye_up=[0.0, 0.0, 1.0]),
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, stroke_width=0.5, color=(255, 255, 255, 30)),
-        **options,
-    )
-
-
 def _picking(rrb: Any, comparison: Comparison, gain: float) -> Any:
     arms = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/arm/true"]
-    scene = _space(
-        rrb,
+    scene = space(
         comparison,
         f"Believed arm (wire), {comparison.policies[0].label} arm and misses ×{gain:g}, capture region (red)",
         [*arms, "+ /world/fruit", "+ /world/capture", "+ /world/miss/**"],

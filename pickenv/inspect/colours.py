@@ -15,6 +15,9 @@ BLUE: Rgb = (0, 114, 178)
 GREEN: Rgb = (0, 158, 115)
 RED: Rgb = (208, 32, 38)
 """Reserved for the tolerance and for misses."""
+GREY: Rgb = (150, 150, 158)
+STEEL: Rgb = (190, 194, 204)
+FRUIT: Rgb = (222, 202, 160)
 
 BY_KEY: dict[str, Rgb] = {"raw": ORANGE, "ls": BLUE, "ls_bpnn": GREEN}
 OTHERS: tuple[Rgb, ...] = ((204, 121, 167), (86, 180, 233), (240, 228, 66), (150, 150, 150))

@@ -1,44 +1,40 @@
 """A comparison as one Rerun recording: error fields, reaches, arms, statistics, and the blueprint that lays them out.
 
-Everything is sent as whole columns without wall-clock times, so equal comparisons give equal recordings. The only time
-line is `reach`, the number of the reach. Metres in space; millimetres and degrees on plots, as their titles say.
+The main time line is `reach`, the number of the reach; a day in the field has `hours` as well.
 """
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Iterable
-from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
-from pickenv.files import write_whole
 from pickenv.inspect.blueprint import comparison_blueprint
-from pickenv.inspect.colours import RED, Rgb, policy_colours, policy_key, viridis
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, policy_colours, policy_key
 from pickenv.inspect.comparison import Comparison, PolicyErrors
-from pickenv.inspect.links import capsules, drawn_parts, nominal_points, true_points
-from pickenv.inspect.summary import colour_scale_mm, field_mm, histogram_edges_mm, summary_markdown, ticks_mm
+from pickenv.inspect.detail_entities import send_details
+from pickenv.inspect.details import Details, details_of
+from pickenv.inspect.links import drawn_parts, nominal_points, true_points
+from pickenv.inspect.saved import versions
+from pickenv.inspect.scribe import (
+    Scribe,
+    f32,
+    reading,
+    reading_columns,
+    send_arm,
+    send_arrows,
+    send_colour_bar,
+    send_voxels,
+    write_recording,
+)
+from pickenv.inspect.summary import cell_means, colour_scale_mm, field_mm, histogram_edges_mm, summary_markdown
 from pickenv.inspect.view import cut_away
 
-if TYPE_CHECKING:
-    import rerun as rr
-
-APPLICATION_ID = "pickenv"
 TIME_LINE = "reach"
-
-GREY: Rgb = (150, 150, 158)
-STEEL: Rgb = (190, 194, 204)
-FRUIT: Rgb = (222, 202, 160)
-BASE_RADIUS, TOOL_RADIUS = 0.030, 0.012
-"""m; links are drawn thinner from base to tool."""
 FRUIT_RADIUS = 0.008
 """m; smaller than an apple, so that a hundred of them hide nothing."""
-COLOUR_BAR_PIXELS = (512, 7)
 
 
 def record_comparison(comparison: Comparison, path: str | Path, *, gain: float = 20.0) -> Path:
@@ -56,8 +52,17 @@ def record_comparison(comparison: Comparison, path: str | Path, *, gain: float =
         InputError: If there is no policy or a key repeats or cannot be part of an entity path, if the gain is not above
             zero, or if the file cannot be written.
     """
+    import rerun as rr
+
     _check(comparison, gain)
-    return write_whole(path, lambda temporary: _write(comparison, temporary, gain))
+    details = details_of(comparison)
+    times = [rr.TimeColumn(TIME_LINE, sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
+    return write_recording(
+        path,
+        recording_id(comparison),
+        comparison_blueprint(comparison, details, gain),
+        lambda stream: _send(Scribe(stream, times), comparison, details, gain),
+    )
 
 
 def recording_id(comparison: Comparison) -> str:
@@ -80,73 +85,26 @@ def _check(comparison: Comparison, gain: float) -> None:
         raise InputError(f"the gain is {gain}; give a number above zero")
 
 
-def _write(comparison: Comparison, path: Path, gain: float) -> None:
-    import rerun as rr
-    from rerun.chunk import RrdReader
-
-    blueprint = comparison_blueprint(comparison, gain)
-    try:
-        with rr.RecordingStream(APPLICATION_ID, recording_id=recording_id(comparison), send_properties=False) as stream:
-            stream.save(path, default_blueprint=blueprint)
-            _send(_Scribe(stream, len(comparison.fruit)), comparison, gain)
-        RrdReader(path).store()  # refuses a file without the footer that ends a finished recording
-    except RuntimeError as error:  # a full disk ends rerun's writer thread, and its reader meets half a file
-        raise OSError(f"{error}; is the disk full, or the variable RERUN set to off?") from error
-
-
-def _send(scribe: _Scribe, comparison: Comparison, gain: float) -> None:
+def _send(scribe: Scribe, comparison: Comparison, details: Details, gain: float) -> None:
     _send_properties(scribe, comparison, gain)
     _send_scene(scribe, comparison, gain)
-    for policy, colour in zip(comparison.policies, _colours(comparison), strict=True):
+    for policy in comparison.policies:
         _send_field(scribe, comparison, policy, gain)
-        _send_reaches(scribe, comparison, policy, colour, gain)
+        _send_reaches(scribe, comparison, policy, gain)
     _send_tolerance(scribe, comparison, gain)
     _send_histograms(scribe, comparison)
     _send_legend(scribe, comparison, gain)
-
-
-class _Scribe:
-    """Sends columns to one stream, either for all time or along the time line `reach`."""
-
-    def __init__(self, stream: rr.RecordingStream, reaches: int) -> None:
-        self.stream, self.reaches = stream, reaches
-
-    def still(self, entity: str, *content: rr.AsComponents) -> None:
-        """Send archetypes that hold for all time, all of an entity in one chunk."""
-        import rerun as rr
-
-        columns: list[rr.ComponentColumn] = []
-        for archetype in content:
-            for batch in archetype.as_component_batches():
-                columns.append(
-                    rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
-                )
-        self.stream.send_columns(entity, [], columns, strict=True)
-
-    def along(self, entity: str, *columns: Iterable[rr.ComponentColumn]) -> None:
-        """Send columns with one row per reach; nothing is sent when there are no reaches."""
-        import rerun as rr
-
-        if self.reaches:
-            time = rr.TimeColumn(TIME_LINE, sequence=np.arange(self.reaches))
-            self.stream.send_columns(entity, [time], [c for several in columns for c in several], strict=True)
+    send_details(scribe, comparison, details, gain)
 
 
 def _colours(comparison: Comparison) -> list[Rgb]:
     return policy_colours([policy.key for policy in comparison.policies])
 
 
-def _f32(values: ArrayLike) -> Any:
-    return np.ascontiguousarray(values, dtype=np.float32)
-
-
-def _send_properties(scribe: _Scribe, comparison: Comparison, gain: float) -> None:
+def _send_properties(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     import rerun as rr
 
-    try:
-        version = metadata.version("pickenv")
-    except metadata.PackageNotFoundError:
-        version = "not installed"
+    made_with: Any = {f"{name}_version": version for name, version in {**versions(), "rerun": rr.__version__}.items()}
     scribe.stream.send_property(
         "pickenv",
         rr.AnyValues(
@@ -158,15 +116,12 @@ def _send_properties(scribe: _Scribe, comparison: Comparison, gain: float) -> No
             gain=gain,
             tolerance_mm=comparison.tolerance_mm,
             colour_scale_mm=colour_scale_mm(comparison),
-            pickenv_version=version,
-            rerun_version=rr.__version__,
-            numpy_version=np.__version__,
-            python_version=platform.python_version(),
+            **made_with,
         ),
     )
 
 
-def _send_scene(scribe: _Scribe, comparison: Comparison, gain: float) -> None:
+def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
     import rerun as rr
 
@@ -192,7 +147,7 @@ def _send_scene(scribe: _Scribe, comparison: Comparison, gain: float) -> None:
             fill_mode="majorwireframe",
         ),
     )
-    if not scribe.reaches:
+    if not scribe.times:
         return
     scribe.still("world/fruit", rr.Points3D(comparison.fruit, colors=[FRUIT], radii=FRUIT_RADIUS))
     first = comparison.policies[0]
@@ -200,101 +155,44 @@ def _send_scene(scribe: _Scribe, comparison: Comparison, gain: float) -> None:
     true = true_points(comparison.plant.geometry, first.reach_joints, first.reach_positions)
     parts = drawn_parts(believed)
     drawn = believed + gain * (true - believed)
-    _send_arm(scribe, "world/arm/nominal", believed, parts, GREY, "majorwireframe", 1.0)
-    _send_arm(scribe, "world/arm/true", true, parts, STEEL, "solid", 1.0)
-    _send_arm(scribe, "world/arm/exaggerated", drawn, parts, _colours(comparison)[0], "solid", 0.5)
+    send_arm(scribe, "world/arm/nominal", believed, parts, GREY, "majorwireframe")
+    send_arm(scribe, "world/arm/true", true, parts, STEEL, "solid")
+    send_arm(scribe, "world/arm/exaggerated", drawn, parts, _colours(comparison)[0], "solid", 0.5)
 
 
-def _send_arm(
-    scribe: _Scribe, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float
-) -> None:
-    """An arm that stands at another pose at every reach; ``points`` is ``(R, K, 3)``."""
-    import rerun as rr
-
-    rods, count = capsules(points, parts), len(parts)
-    lengths = [count] * scribe.reaches
-    scribe.still(
-        entity,
-        rr.Capsules3D.from_fields(
-            radii=_f32(thickness * np.linspace(BASE_RADIUS, TOOL_RADIUS, count)),
-            colors=[colour] * count,
-            line_radii=rr.Radius.ui_points(0.6),
-            fill_mode=fill_mode,
-        ),
-    )
-    moving = rr.Capsules3D.columns(
-        lengths=_f32(rods.length.ravel()),
-        translations=_f32(rods.start.reshape(-1, 3)),
-        quaternions=_f32(rods.quaternion.reshape(-1, 4)),
-    )
-    scribe.along(entity, moving.partition(lengths))
-
-
-def _pick_error(errors: Array) -> rr.DynamicArchetype:
-    """What a click on an arrow reads out: the error's length and components, mm; ``errors`` is ``(N, 3)`` in m."""
-    import rerun as rr
-
-    xyz = rr.components.Vector3DBatch(_f32(errors * 1e3))
-    return rr.DynamicArchetype(
-        "PickError", components={"norm_mm": _f32(np.linalg.norm(errors, axis=-1) * 1e3), "xyz_mm": xyz}
-    )
-
-
-def _send_field(scribe: _Scribe, comparison: Comparison, policy: PolicyErrors, gain: float) -> None:
+def _send_field(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, gain: float) -> None:
     """One policy's error field three times: arrows, voxels, and a tensor for slices."""
     import rerun as rr
 
     entity, top, magnitude = f"world/field/{policy.key}", colour_scale_mm(comparison), field_mm(policy)
-    scribe.still(
-        f"{entity}/vectors",
-        rr.Arrows3D(
-            origins=_f32(comparison.field_points),
-            vectors=_f32(gain * policy.field_errors),
-            colors=viridis(magnitude / top),
-            radii=rr.Radius.ui_points(1.6),
-        ),
-        _pick_error(policy.field_errors),
-    )
-    kept = ~cut_away(comparison)
-    scribe.still(
-        f"{entity}/voxels",
-        rr.VoxelGridMap(
-            np.asarray(comparison.field_index[kept], dtype=np.int32),
-            [comparison.grid_step] * 3,
-            values=_f32(magnitude[kept]),
-            value_range=[0.0, top],
-            colormap="Viridis",
-            translation=comparison.grid_origin - comparison.grid_step / 2.0,
-        ),
-    )
+    errors, step = policy.field_errors, comparison.grid_step
+    send_arrows(scribe, f"{entity}/vectors", comparison.field_points, gain * errors, 1e3 * errors, top)
+    kept, index = ~cut_away(comparison), comparison.field_index
+    corner = comparison.grid_origin - step / 2.0
+    send_voxels(scribe, f"{entity}/voxels", *cell_means(index[kept], magnitude[kept]), top, step, corner)
+    index, mean = cell_means(index, magnitude)
     grid = np.full(comparison.grid_shape, np.nan, dtype=np.float32)
-    grid[tuple(np.asarray(comparison.field_index).T)] = magnitude
+    grid[tuple(index.T)] = mean
     scribe.still(
         f"field/{policy.key}/magnitude_mm",
         rr.Tensor(np.ascontiguousarray(grid.transpose(2, 1, 0)), dim_names=["z", "y", "x"], value_range=[0.0, top]),
     )
 
 
-def _send_reaches(scribe: _Scribe, comparison: Comparison, policy: PolicyErrors, colour: Rgb, gain: float) -> None:
+def _send_reaches(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, gain: float) -> None:
     """One policy's reaches along the time line: the miss as an arrow, the errors as numbers, and pick or miss."""
     import rerun as rr
 
-    if not scribe.reaches:
+    if not scribe.times:
         return
+    colour = dict(zip((p.key for p in comparison.policies), _colours(comparison), strict=True))[policy.key]
     miss = policy.reach_positions - comparison.fruit
     entity = f"world/miss/{policy.key}"
     scribe.still(entity, rr.Arrows3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(2.5)))
-    error_columns = rr.DynamicArchetype.columns(
-        "PickError",
-        components={
-            "norm_mm": _f32(np.linalg.norm(miss, axis=-1) * 1e3),
-            "xyz_mm": rr.components.Vector3DBatch(_f32(miss * 1e3)),
-        },
-    )
-    arrows = rr.Arrows3D.columns(origins=_f32(comparison.fruit), vectors=_f32(gain * miss))
-    scribe.along(entity, arrows, error_columns)
-    shots = rr.Points3D(_f32(miss * 1e3), colors=[colour], radii=rr.Radius.ui_points(3.0))
-    scribe.still(f"target/{policy.key}", shots, _pick_error(miss))
+    arrows = rr.Arrows3D.columns(origins=f32(comparison.fruit), vectors=f32(gain * miss))
+    scribe.along(entity, arrows, reading_columns(1e3 * miss))
+    shots = rr.Points3D(f32(miss * 1e3), colors=[colour], radii=rr.Radius.ui_points(3.0))
+    scribe.still(f"target/{policy.key}", shots, reading(1e3 * miss))
     for name, values in (("error_mm", policy.position_error_mm), ("attitude_deg", policy.attitude_error_deg)):
         entity = f"metrics/{name}/{policy.key}"
         scribe.still(entity, rr.SeriesLines(names=[policy.label], colors=[colour], widths=[1.8]))
@@ -307,15 +205,15 @@ def _send_reaches(scribe: _Scribe, comparison: Comparison, policy: PolicyErrors,
     scribe.along(entity, rr.StateChange.columns(state=["pick" if ok else "miss" for ok in policy.success]))
 
 
-def _send_tolerance(scribe: _Scribe, comparison: Comparison, gain: float) -> None:
+def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The gripper's capture region: a line on the error plot and, enlarged like the errors, a ball around the fruit."""
     import rerun as rr
 
-    if not scribe.reaches:
+    if not scribe.times:
         return
     line = rr.SeriesLines(names=[f"tolerance {comparison.tolerance_mm:g} mm"], colors=[RED], widths=[1.5])
     scribe.still("metrics/tolerance_mm", line)
-    scribe.along("metrics/tolerance_mm", rr.Scalars.columns(scalars=[comparison.tolerance_mm] * scribe.reaches))
+    scribe.along("metrics/tolerance_mm", rr.Scalars.columns(scalars=[comparison.tolerance_mm] * len(comparison.fruit)))
     radius = gain * comparison.tolerance_mm * 1e-3
     ball = rr.Ellipsoids3D.from_fields(
         half_sizes=[[radius] * 3], colors=[(*RED, 160)], line_radii=rr.Radius.ui_points(0.6), fill_mode="majorwireframe"
@@ -336,10 +234,10 @@ def _send_tolerance(scribe: _Scribe, comparison: Comparison, gain: float) -> Non
         radii=rr.Radius.ui_points(1.0),
     )
     scribe.still("target/axes", axes)
-    scribe.along("world/capture", rr.Ellipsoids3D.columns(centers=_f32(comparison.fruit)))
+    scribe.along("world/capture", rr.Ellipsoids3D.columns(centers=f32(comparison.fruit)))
 
 
-def _send_histograms(scribe: _Scribe, comparison: Comparison) -> None:
+def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
     """Reach errors in bins that all policies share; within a bin the policies' bars stand side by side."""
     import rerun as rr
 
@@ -349,20 +247,14 @@ def _send_histograms(scribe: _Scribe, comparison: Comparison) -> None:
         numbers, _ = np.histogram(policy.position_error_mm, edges)
         middle = (edges[:-1] + edges[1:]) / 2.0 + (i - (count - 1) / 2.0) * width
         chart = rr.BarChart(
-            numbers, abscissa=_f32(middle), widths=_f32(np.full(len(numbers), width)), color=(*colour, 255)
+            numbers, abscissa=f32(middle), widths=f32(np.full(len(numbers), width)), color=(*colour, 255)
         )
         scribe.still(f"hist/{policy.key}", chart)
 
 
-def _send_legend(scribe: _Scribe, comparison: Comparison, gain: float) -> None:
+def _send_legend(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The colour bar with its unit, and the summary."""
     import rerun as rr
 
-    top, (width, height) = colour_scale_mm(comparison), COLOUR_BAR_PIXELS
-    bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
-    scribe.still("legend/bar", rr.Image(np.ascontiguousarray(bar)))
-    ticks = ticks_mm(top)
-    positions = [(tick / top * width, height + 5.0) for tick in ticks]
-    labels = [f"{tick:g}" for tick in ticks[:-1]] + [f"{ticks[-1]:g} mm"]
-    scribe.still("legend/ticks", rr.Points2D(positions, labels=labels, radii=0.0, colors=[STEEL], show_labels=True))
+    send_colour_bar(scribe, "legend/position", colour_scale_mm(comparison), "mm")
     scribe.still("summary", rr.TextDocument(summary_markdown(comparison, gain), media_type="text/markdown"))

@@ -6,10 +6,11 @@ Millimetres and degrees, because these numbers are for people.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.geometry import Array
 from pickenv.inspect.comparison import Comparison, PolicyErrors
@@ -46,10 +47,37 @@ def field_mm(policy: PolicyErrors) -> Array:
     return np.asarray(np.linalg.norm(policy.field_errors, axis=-1) * 1e3)
 
 
+def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
+    """Cells of a grid that hold points, ``(C, 3)`` in order, and the mean of their points' values ``(C,)``.
+
+    Args:
+        index: Cell of each point ``(F, 3)``.
+        values: Value at each point ``(F,)``.
+    """
+    cells, cell = np.unique(index, axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+    return cells, np.bincount(cell, values, len(cells)) / np.bincount(cell, minlength=len(cells))
+
+
 def colour_scale_mm(comparison: Comparison) -> float:
     """Upper end of the one colour scale that all fields share, mm."""
-    magnitude = field_mm(comparison.policies[0])
-    top = float(np.percentile(magnitude, SCALE_PERCENTILE)) if magnitude.size else 0.0
+    return _scale(field_mm(comparison.policies[0]))
+
+
+def uncertainty_scale_mm(comparison: Comparison) -> float:
+    """Upper end of the colour scale that predicted uncertainty and the last policy's field share, mm."""
+    assert comparison.field_uncertainty is not None
+    shown = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
+    return _scale(shown)
+
+
+def attitude_scale_deg(fields: Mapping[str, Array]) -> float:
+    """Upper end of the colour scale that attitude errors ``(F, 3)`` in rad share, deg: that of the first of them."""
+    return _scale(np.degrees(np.linalg.norm(next(iter(fields.values())), axis=-1)))
+
+
+def _scale(values: Array) -> float:
+    top = float(np.percentile(values, SCALE_PERCENTILE)) if values.size else 0.0
     return top if top > 0.0 else 1.0
 
 

@@ -169,3 +169,25 @@ def test_unusable_files_get_one_sentence(tmp_path, case):
     with pytest.raises(InputError, match=said) as caught:
         load_arm(f"{path}#{tip}")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["qiao2026", "ur5"])
+def test_links_are_drawn_as_rods_from_joint_to_joint(name: str) -> None:
+    geometry = load_arm(name).nominal
+    root = ElementTree.fromstring(urdf_text(geometry, "arm"))
+    origins = {joint.find("parent").get("link"): joint.find("origin") for joint in root.iter("joint")}
+    drawn = 0
+    for link in root.iter("link"):
+        for visual in link.iter("visual"):
+            place, shape = visual.find("origin"), visual.find("geometry/cylinder")
+            roll, pitch, yaw = map(float, place.get("rpy").split())
+            along = np.array([np.sin(pitch) * np.cos(yaw), np.sin(pitch) * np.sin(yaw), np.cos(pitch)])
+            middle = np.array(list(map(float, place.get("xyz").split())))
+            half = 0.5 * float(shape.get("length")) * along
+            np.testing.assert_allclose(middle, half, atol=1e-12)
+            ends = np.array(list(map(float, origins[link.get("name")].get("xyz").split())))
+            slides_back = np.allclose(along, [0, 0, -1])
+            assert roll == 0.0
+            assert slides_back or np.allclose(middle + half, ends, atol=1e-12)
+            drawn += 1
+    assert drawn >= geometry.joints // 2

@@ -160,6 +160,12 @@ class Reading:
         array = flat.to_numpy(zero_copy_only=False)
         return array.reshape(-1, width) if width else array
 
+    def times(self, entity: str, time_line: str) -> np.ndarray:
+        """All times of an entity on one time line: numbers of a sequence, or ns of a duration."""
+        batches = [chunk.to_record_batch() for chunk in self.store.stream().filter(content=entity)]
+        columns = [batch.column(time_line) for batch in batches if time_line in batch.schema.names]
+        return pa.chunked_array(columns).combine_chunks().cast(pa.int64()).to_numpy()
+
     def rules(self) -> list[str]:
         """The include rules of all views of the embedded blueprint."""
         found = []

@@ -23,6 +23,7 @@ from pickenv.inspect.view import cut_away
 
 RERUN = Path(sys.executable).with_name("rerun")
 KEYS = ("raw", "ls", "ls_bpnn")
+EFFECTS = ("geometry", "joint_compliance", "boom_bending", "transmission_error")
 
 
 def compare(first: Path, second: Path) -> int:
@@ -30,7 +31,12 @@ def compare(first: Path, second: Path) -> int:
 
 
 def test_every_entity_is_in_the_file(reading: Any) -> None:
-    wanted = {"/summary", "/legend/bar", "/legend/ticks", "/metrics/tolerance_mm", "/__properties/pickenv"}
+    wanted = {"/summary", "/metrics/tolerance_mm", "/__properties/pickenv", "/world/field/removed/vectors"}
+    wanted |= {f"/legend/{key}/{part}" for key in ("position", "attitude", "uncertainty") for part in ("bar", "ticks")}
+    wanted |= {f"/world/effect/{name}" for name in EFFECTS}
+    wanted |= {f"/world/attitude/{name}" for name in ("raw", "ls_bpnn", "floor")}
+    wanted |= {f"/world/uncertainty/{name}" for name in ("predicted", "actual")}
+    wanted |= {f"/day/{name}_mm/{key}" for name in ("mean", "p95") for key in KEYS}
     wanted |= {f"/world/{name}" for name in ("axes", "workspace", "fruit", "capture")}
     wanted |= {f"/world/arm/{name}" for name in ("nominal", "true", "exaggerated")}
     wanted |= {"/target/capture", "/target/axes"}
@@ -38,7 +44,10 @@ def test_every_entity_is_in_the_file(reading: Any) -> None:
         wanted |= {f"/world/field/{key}/vectors", f"/world/field/{key}/voxels", f"/field/{key}/magnitude_mm"}
         wanted |= {f"/world/miss/{key}", f"/metrics/error_mm/{key}", f"/metrics/attitude_deg/{key}"}
         wanted |= {f"/outcome/{key}", f"/hist/{key}", f"/target/{key}"}
-    assert reading.entities() == wanted
+    arms = {entity for entity in reading.entities() if entity.startswith("/urdf_")}
+    for name in ("urdf_nominal", "urdf_true"):
+        assert {f"/{name}/base", f"/{name}/tf_static", *(f"/{name}/joint{i}" for i in range(1, 7))} <= arms
+    assert reading.entities() - arms == wanted
 
 
 def test_arrows_are_the_errors_times_the_gain(reading: Any, comparison: Comparison) -> None:
@@ -92,7 +101,7 @@ def test_voxels_and_slices_are_the_error_magnitude(reading: Any, comparison: Com
 
 
 def test_each_reach_has_its_errors_and_its_outcome(reading: Any, comparison: Comparison) -> None:
-    assert {column.name for column in reading.store.schema().index_columns()} == {"reach"}
+    assert {column.name for column in reading.store.schema().index_columns()} == {"reach", "hours"}
     for policy in comparison.policies:
         np.testing.assert_array_equal(
             reading.values(f"/metrics/error_mm/{policy.key}", "Scalars:scalars"), policy.position_error_mm
@@ -168,7 +177,9 @@ def test_one_policy_without_reaches_is_enough(
 ) -> None:
     reading = reader(record_comparison(without_reaches, tmp_path / "errors.rrd"))
     assert "/world/field/raw/vectors" in reading.entities()
-    assert not any(entity.startswith(("/metrics", "/outcome", "/target")) for entity in reading.entities())
+    absent = ("/metrics", "/outcome", "/target", "/day", "/urdf", "/world/attitude", "/world/uncertainty")
+    assert not any(entity.startswith(absent) for entity in reading.entities())
+    assert "/world/field/removed/vectors" not in reading.entities()
     assert reading.unmatched_rules() == []
 
 

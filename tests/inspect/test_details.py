@@ -1,0 +1,150 @@
+"""Effects, attitude and a day are what the plant itself says, by other ways."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pickenv.arm import forward, load_plant, noncompensable_error
+from pickenv.arm.effect_shares import effect_shares
+from pickenv.arm.jacobians import joint_jacobian
+from pickenv.inspect.comparison import Comparison
+from pickenv.inspect.details import FLOOR, attitude_fields, day_of, details_of, drifting_plant, effect_fields
+from pickenv.inspect.recording import record_comparison
+from pickenv.inspect.summary import cell_means
+
+
+def orchard(comparison: Comparison) -> Comparison:
+    return replace(comparison, plant=load_plant("orchard"))
+
+
+def test_effects_agree_with_the_table_of_effects(comparison: Comparison) -> None:
+    """`pickenv effects` moves the arm through time; where nothing has a memory both must give the same shares."""
+    fields = effect_fields(comparison)
+    shares = effect_shares(comparison.plant, comparison.field_joints).alone
+    assert set(fields) == set(shares)
+    for name, field in fields.items():
+        assert 1e3 * np.linalg.norm(field, axis=-1).mean() == pytest.approx(shares[name].mean, rel=1e-6)
+
+
+def test_effects_sum_to_the_raw_error_to_first_order(comparison: Comparison) -> None:
+    raw = comparison.policies[0].field_errors
+    together = np.sum(list(effect_fields(comparison).values()), axis=0)
+    np.testing.assert_allclose(together, raw, atol=0.02 * np.abs(raw).max())
+
+
+def test_effects_without_a_settled_field_are_left_out(comparison: Comparison) -> None:
+    fields = effect_fields(orchard(comparison))
+    assert {"thermal_growth", "base_tilt", "roller_play"} <= set(fields)
+    assert not {"settling", "measurement_noise"} & set(fields)
+    nothing = replace(comparison.plant.without(("joint_compliance", "boom_bending", "transmission_error")))
+    ideal = replace(comparison, plant=replace(nothing, geometry=comparison.nominal))
+    assert effect_fields(ideal) == {}
+
+
+def test_the_floor_is_what_no_joint_motion_moves(comparison: Comparison) -> None:
+    fields = attitude_fields(comparison)
+    assert list(fields) == ["raw", "ls_bpnn", FLOOR]
+    last = comparison.policies[-1]
+    error = np.concatenate([last.field_errors, last.field_attitude], axis=-1)
+    floor = noncompensable_error(comparison.plant.geometry, comparison.field_joints, error)
+    jacobian = joint_jacobian(comparison.plant.geometry, comparison.field_joints)
+    strongest = np.linalg.norm(jacobian, axis=(-2, -1))
+    moved = np.linalg.norm(np.einsum("fij,fi->fj", jacobian, floor), axis=-1)
+    assert np.all(moved < 5e-3 * strongest * np.linalg.norm(floor, axis=-1) + 1e-15)
+    np.testing.assert_array_equal(fields[FLOOR], floor[:, 3:])
+
+
+def test_what_is_removed_lies_between_two_policies(comparison: Comparison) -> None:
+    removed = details_of(comparison).removed
+    before, last = comparison.policies[-2:]
+    np.testing.assert_array_equal(last.field_errors + removed, before.field_errors)
+    assert details_of(replace(comparison, policies=comparison.policies[:1])).removed is None
+
+
+def test_a_day_without_drift_repeats_the_reaches(comparison: Comparison) -> None:
+    plant = load_plant("orchard").without(
+        ("thermal_growth", "base_tilt", "settling", "stick_band", "backlash", "servo")
+    )
+    still = replace(plant, base_tilt=replace(load_plant("orchard").base_tilt, stiffness=(1e15, 1e15), settlement=0.0))
+    day = day_of(replace(comparison, plant=still))
+    for policy in comparison.policies:
+        expected = still.tool_pose(policy.reach_joints).position - comparison.fruit
+        error = 1e3 * np.linalg.norm(expected, axis=-1)
+        np.testing.assert_allclose(day.errors_mm[policy.key], np.broadcast_to(error, day.errors_mm[policy.key].shape))
+
+
+def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(comparison: Comparison) -> None:
+    plant = load_plant("orchard").without(("settling", "stick_band", "backlash", "servo"))
+    day = day_of(replace(comparison, plant=plant), hours=2000.0)
+    raw = comparison.policies[0]
+    settled = 1e3 * np.linalg.norm(plant.tool_pose(raw.reach_joints).position - comparison.fruit, axis=-1)
+    assert day.hours[-1] == 2000.0
+    np.testing.assert_allclose(day.errors_mm["raw"][-1], settled, rtol=1e-6)
+    assert day.errors_mm["raw"][0].mean() < day.errors_mm["raw"][-1].mean()
+
+
+def test_only_the_same_arm_borrows_the_orchards_drift(comparison: Comparison) -> None:
+    borrowed = drifting_plant(comparison.plant)
+    assert borrowed.name == "orchard"
+    assert borrowed.joint_compliance is comparison.plant.joint_compliance
+    assert borrowed.backlash is None
+    moved = replace(comparison.nominal, a=comparison.nominal.a + 0.1)
+    assert drifting_plant(replace(comparison.plant, arm=replace(comparison.plant.arm, nominal=moved))) is None
+
+
+def test_cells_hold_the_mean_of_their_points() -> None:
+    index = np.array([[1, 0, 0], [0, 2, 1], [1, 0, 0], [0, 0, 3]])
+    cells, means = cell_means(index, np.array([1.0, 5.0, 4.0, 7.0]))
+    assert cells.tolist() == [[0, 0, 3], [0, 2, 1], [1, 0, 0]]
+    assert means.tolist() == [7.0, 5.0, 2.5]
+
+
+@pytest.fixture(scope="module")
+def orchard_reading(
+    comparison: Comparison, reader: Callable[[Path], Any], tmp_path_factory: pytest.TempPathFactory
+) -> Any:
+    return reader(record_comparison(orchard(comparison), tmp_path_factory.mktemp("orchard") / "errors.rrd", gain=10.0))
+
+
+def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison) -> None:
+    details = details_of(orchard(comparison))
+    assert len(details.effects) > 5
+    assert orchard_reading.unmatched_rules() == []
+    fields = {f"effect/{name}": field for name, field in details.effects.items()}
+    for name, field in {**fields, "field/removed/vectors": details.removed}.items():
+        vectors = orchard_reading.values(f"/world/{name}", "Arrows3D:vectors")
+        np.testing.assert_allclose(vectors, 10.0 * field, rtol=1e-6, atol=1e-9)
+        xyz = orchard_reading.values(f"/world/{name}", "PickError:xyz_mm")
+        np.testing.assert_allclose(xyz, 1e3 * field, rtol=1e-6, atol=1e-7)
+    for key, field in details.attitude.items():
+        degrees = orchard_reading.values(f"/world/attitude/{key}", "PickError:xyz_deg")
+        np.testing.assert_allclose(degrees, np.degrees(field), rtol=1e-5, atol=1e-9)
+    predicted = orchard_reading.values("/world/uncertainty/predicted", "VoxelGridMap:values")
+    assert set(np.round(predicted, 6)) <= set(np.round(np.float32(1e3 * comparison.field_uncertainty), 6))
+    for key, errors in details.day.errors_mm.items():
+        means = orchard_reading.values(f"/day/mean_mm/{key}", "Scalars:scalars")
+        np.testing.assert_allclose(means, errors.mean(axis=1))
+        times = orchard_reading.times(f"/day/p95_mm/{key}", "hours")
+        np.testing.assert_allclose(times, 3.6e12 * details.day.hours, rtol=1e-9)
+
+
+def test_the_exported_arms_stand_where_the_reach_puts_them(reading: Any, comparison: Comparison) -> None:
+    """The chain of transforms that the viewer walks, from the root to the tool, at each reach."""
+    commands = comparison.policies[0].reach_joints
+    for name, geometry in (("urdf_nominal", comparison.nominal), ("urdf_true", comparison.plant.geometry)):
+        rotation, position = np.broadcast_to(np.eye(3), (len(commands), 3, 3)), np.zeros((len(commands), 3))
+        for i in range(geometry.joints):
+            step = reading.values(f"/{name}/joint{i + 1}", "Transform3D:translation")
+            turn = Rotation.from_quat(reading.values(f"/{name}/joint{i + 1}", "Transform3D:quaternion")).as_matrix()
+            position = position + np.einsum("rij,rj->ri", rotation, step)
+            rotation = rotation @ turn
+        last = reading.values(f"/{name}/tf_static", "Transform3D:translation")[-1]
+        tool = position + np.einsum("rij,j->ri", rotation, last)
+        np.testing.assert_allclose(tool, forward(geometry, commands).position, atol=5e-6)
