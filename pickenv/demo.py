@@ -266,12 +266,12 @@ def _figures(error: Array, impossible: Array) -> dict[str, Any]:
 
 def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -> list[Path]:
     """Write the run folder: data, calibration, summary, figures and the Rerun recording; returns what was written."""
-    from pickenv.demo_figures import demo_figures
-    from pickenv.inspect.figures import save_figure
+    from pickenv.inspect.drawings import comparison_drawings, trace_drawings, write_drawings
     from pickenv.inspect.recording import record_comparison
     from pickenv.inspect.run_folder import recorded_run, save_comparison, save_trace
 
     report = progress or (lambda stage, done, total: None)
+    found = trace(result)
     with recorded_run(out, "demo", result.settings.command(), result.settings.seed):
         written = [
             result.identification.write_csv(out / "measurements.csv"),
@@ -279,12 +279,10 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
             result.test.write_csv(out / "test_measurements.csv"),
             result.fit.calibration.save(out / "calibration"),
             save_comparison(out, result.comparison),
-            save_trace(out, trace(result), result.settings.seed),
+            save_trace(out, found, result.settings.seed),
         ]
-        drawings = demo_figures(result)
-        for i, (name, draw) in enumerate(drawings.items(), start=1):
-            written.append(save_figure(draw(), out / f"{name}.png"))
-            report("drawing", i, len(drawings))
+        drawings = [*comparison_drawings(result.comparison), *trace_drawings(found)]
+        written += write_drawings(drawings, out / "figures", ("png",), report)
         written.append(record_comparison(result.comparison, out / "errors.rrd"))
         report("recording", 1, 1)
         written.append(write_text(out / "summary.json", json.dumps(summarise(result), indent=2) + "\n"))

@@ -15,7 +15,8 @@ from rich.table import Table
 
 from pickenv.arm.geometry import Array
 from pickenv.files import write_text
-from pickenv.inspect import figures
+from pickenv.inspect import plot_calibration, plot_errors
+from pickenv.inspect.figures import save_figure
 
 HEADS = ("mean (mm)", "RMS (mm)", "mean (deg)", "RMS (deg)")
 NOTES = (
@@ -147,18 +148,19 @@ def write_page(
     count = len(run.test)
     first = {name: e[:count] for name, e in errors.items()}
     sets = {"identification": run.identification.joints, "network": run.network.joints, "test": run.test.joints}
+    raw_and_identified = {label: values for label, values in mm(first).items() if label in ("raw", "LS")}
     drawings = {
-        "fig5_joint_configurations": figures.joint_coverage(run.plant.arm.nominal, sets),
-        "fig6_raw_and_identified": figures.error_per_pose({k: v for k, v in mm(first).items() if k in ("raw", "LS")}),
-        "fig7_position_by_method": figures.error_by_method(mm(errors), logarithmic=True),
-        "fig7_attitude_by_method": figures.error_by_method(
+        "fig5_joint_configurations": plot_calibration.joint_coverage(run.plant.arm.nominal, sets),
+        "fig6_raw_and_identified": plot_errors.error_per_pose(raw_and_identified),
+        "fig7_position_by_method": plot_errors.error_by_method(mm(errors), logarithmic=True),
+        "fig7_attitude_by_method": plot_errors.error_by_method(
             deg(errors), quantity="attitude error", unit="deg", logarithmic=True
         ),
-        "fig8_simulated_twin": figures.error_per_pose(mm(twin)),
+        "fig8_simulated_twin": plot_errors.error_per_pose(mm(twin)),
     }
     parts = []
     for name, figure in drawings.items():
-        figures.save_figure(figure, out / f"{name}.png")
+        save_figure(figure, out / f"{name}.png")
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=110)
         data = base64.b64encode(buffer.getvalue()).decode()

@@ -19,7 +19,7 @@ FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
     (("calibration",), ("pickenv.harvester",)),
     (("pickenv.envs", "pickenv.wrappers"), ("pickenv.inspect",), ("pickenv.zoo",)),
     (("agents",),),
-    (("pickenv.cli", "pickenv.demo", "pickenv.demo_figures", "pickenv.commands", "pickenv.study", "pickenv.__main__"),),
+    (("pickenv.cli", "pickenv.demo", "pickenv.commands", "pickenv.study", "pickenv.__main__"),),
 )
 DOORSTEP = 2  # `import pickenv` itself rests on the foundation and loads no room
 # Narrower than the floors: what these rooms may import, and nothing else of ours.

@@ -15,7 +15,7 @@ from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.comparison import Comparison, PolicyErrors
-from pickenv.inspect.figures import new_figure, style
+from pickenv.inspect.figures import INK, RULE, SOFT, WIDTH, new_figure, rgb, style
 from pickenv.inspect.links import nominal_points
 from pickenv.inspect.summary import SCALE_PERCENTILE, colour_scale_mm, field_mm, spread, ticks
 from pickenv.inspect.view import eye_direction, shown_box
@@ -25,11 +25,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-PANEL_WIDTH, BESIDE_PANELS = 8.0 / 3.0, 1.6
+PANEL_WIDTH, BESIDE_PANELS = WIDTH / 3.0, 1.5
 """Inches; the latter is the height of the titles and the colour bar."""
 MOST_ARROWS = 400
 """More arrows than this would cover each other: only every second, third … cell along each axis is drawn."""
-BACKGROUND, INK, FAINT = "#14141a", "#e8e8ee", "#6a6a78"
 
 
 def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure:
@@ -49,9 +48,8 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         raise InputError(f"the gain is {gain}; give a number above zero")
     shown, spacing = _thinned(comparison)
     top = colour_scale_mm(comparison)
-    gain = gain or _round_down(1.1 * spacing / (top * 1e-3))
-    dark = {"text.color": INK, "figure.facecolor": BACKGROUND, "axes.facecolor": BACKGROUND, "axes.grid": False}
-    with style(**dark, **{"axes.titlelocation": "center"}):
+    gain = gain or round_down(1.1 * spacing / (top * 1e-3))
+    with style(**{"axes.grid": False, "axes.titlelocation": "center"}):
         low, high = _extent(comparison, _View(comparison))
         height = min(0.93 * PANEL_WIDTH * (high[1] - low[1]) / (high[0] - low[0]), PANEL_WIDTH)
         figure = new_figure(PANEL_WIDTH * max(len(policies), 2), height + BESIDE_PANELS)
@@ -59,16 +57,15 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         panels = figure.subplots(1, len(policies), squeeze=False)[0]
         for axes, policy, colour in zip(panels, policies, colours, strict=True):
             _panel(axes, comparison, policy, shown, gain, top)
-            bright = tuple(0.35 + 0.65 * c / 255.0 for c in colour)
-            axes.set_title(policy.label, color=bright, fontsize=13, weight="bold", pad=16.0)
+            axes.set_title(policy.label, color=rgb([colour])[0], fontsize=12, weight="bold", pad=15.0)
             numbers = spread(field_mm(policy))
             text = f"mean {numbers.mean:.2f} mm, max {numbers.largest:.2f} mm"
-            axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=9)
+            axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
         cast("ConstrainedLayoutEngine", figure.get_layout_engine()).set(h_pad=0.11)
         figure.suptitle(
-            f"Tool position error across the workspace: wanted (dot) to true position, drawn ×{gain:g}", fontsize=11
+            f"Tool position error across the workspace: wanted (dot) to true position, drawn ×{gain:g}", fontsize=10
         )
-        _colour_bar(figure, panels, top)
+        colour_bar(figure, panels, top)
     return figure
 
 
@@ -83,7 +80,8 @@ def _thinned(comparison: Comparison) -> tuple[NDArray[np.intp], float]:
     return np.arange(len(comparison.field_points)), comparison.grid_step
 
 
-def _round_down(value: float) -> float:
+def round_down(value: float) -> float:
+    """The largest of 1, 2, 3, 4, 5 and 8 times a power of ten that is not above ``value``: for gains."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(m for m in (1.0, 2.0, 3.0, 4.0, 5.0, 8.0) if m * power <= value * (1.0 + 1e-9)))
 
@@ -122,11 +120,9 @@ def _panel(
     tail, tip = view.flat(start), view.flat(start + gain * error)
     width = 0.011 * view.radius
     outlines = list(_arrow_outlines(tail, tip, width))
-    axes.scatter(tail[:, 0], tail[:, 1], s=2.2, color=FAINT, linewidths=0.0, zorder=2.0)
+    axes.scatter(tail[:, 0], tail[:, 1], s=2.2, color=SOFT, linewidths=0.0, zorder=2.0)
     axes.add_collection(
-        PolyCollection(
-            outlines, facecolors=colours, edgecolors=(1.0, 1.0, 1.0, 0.45), linewidths=0.3, zorder=3.0, clip_on=False
-        )
+        PolyCollection(outlines, facecolors=colours, edgecolors=SOFT, linewidths=0.3, zorder=3.0, clip_on=False)
     )
     low, high = _extent(comparison, view)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
@@ -169,7 +165,7 @@ def _box(axes: Axes, comparison: Comparison, view: _View) -> None:
             hidden = farthest in (i, j)
             flat = view.flat(corners[[i, j]])
             line: dict[str, Any] = {
-                "color": FAINT,
+                "color": SOFT,
                 "linewidth": 0.5 if hidden else 0.9,
                 "alpha": 0.6 if hidden else 1.0,
             }
@@ -194,11 +190,12 @@ def _axis_text(axes: Axes, corners: Array, view: _View, axis: int) -> None:
     angle = 90.0 - (90.0 - angle) % 180.0
     options: dict[str, Any] = {"ha": "center", "va": "center", "rotation": angle, "fontsize": 7.5, "zorder": 4.0}
     off = 0.09 * view.radius * outward
-    x, y = middle + off * (1.0 if length > 0.8 * view.radius else 2.1)  # a short edge has room for its ends only
+    short = length < 0.8 * view.radius  # then there is room for its ends only, and they stand farther apart
+    x, y = middle + off * (2.1 if short else 1.0)
     axes.text(x, y, f"{'xyz'[axis]} (m)", **options)
     for end, value, inward in ((flat[i], corners[i, axis], direction), (flat[j], corners[j, axis], -direction)):
-        x, y = end + off + 0.11 * view.radius * inward
-        axes.text(x, y, f"{value:.2f}", **options)
+        x, y = end + off + (0.04 if short else 0.11) * view.radius * inward
+        axes.text(x, y, f"{value:.2f}".replace("-", "−"), **options)
 
 
 def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
@@ -210,16 +207,18 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
     flat = view.flat(points)
     for i, (a, b) in enumerate(itertools.pairwise(flat)):
         thickness = 6.0 - 3.5 * i / (len(flat) - 1)
-        axes.plot(*np.stack([a, b]).T, color="#4a4a58", linewidth=thickness, solid_capstyle="round", zorder=1.5)
+        axes.plot(*np.stack([a, b]).T, color=RULE, linewidth=thickness, solid_capstyle="round", zorder=1.5)
 
 
-def _colour_bar(figure: Figure, panels: Any, top: float) -> None:
+def colour_bar(figure: Figure, panels: Any, top: float) -> None:
+    """The one scale of all panels, Viridis from 0 to ``top`` mm, below them."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
     scale = ScalarMappable(Normalize(0.0, top), ListedColormap(viridis(np.linspace(0.0, 1.0, 256)) / 255.0))
-    bar = figure.colorbar(scale, ax=list(panels), location="bottom", aspect=60, shrink=0.8, pad=0.02, extend="max")
+    bar = figure.colorbar(
+        scale, ax=list(np.ravel(panels)), location="bottom", aspect=60, shrink=0.8, pad=0.02, extend="max"
+    )
     bar.set_ticks(ticks(top))
     bar.set_label(f"position error (mm); the scale ends at p{SCALE_PERCENTILE:g} of the first field", color=INK)
-    bar.ax.tick_params(color=INK, labelcolor=INK)
     bar.outline.set_visible(False)

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.inspect import figures
+from pickenv.harvester.summary import Measure
+from pickenv.inspect import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.field_figure import error_fields
-from pickenv.inspect.figures import save_figure
+from pickenv.inspect.figures import INK, PIXELS_PER_INCH, WIDTH, save_figure
+from pickenv.inspect.gripping import gripper_curves
+from pickenv.inspect.harvest_trace import JointCurves, PickedTree
+from pickenv.inspect.plot_policies import CycleCurve, Estimate
+from pickenv.inspect.plot_slices import error_slices
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,23 +28,70 @@ NAMES = [f"theta{i}" for i in range(12)]
 MAGNITUDES = np.geomspace(1.0, 1e-4, 12)
 KEPT = np.arange(12) < 10
 
+X = np.linspace(0.6, 1.6, 50)
+GRID = np.stack(np.meshgrid(*[0.1 * np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+FIELDS = {"raw": RNG.normal(scale=(1e-3, 1e-5, 1e-3), size=(64, 3)), "LS": RNG.normal(scale=1e-4, size=(64, 3))}
+TREE = PickedTree(
+    seconds=20.0,
+    fruit=RNG.uniform((-0.8, -1.4, 0.5), (0.8, -1.0, 2.5), size=(6, 3)),
+    collected=np.array([True, True, False, True, False, True]),
+    by_arm=np.array([0, 1, 1, 0, -1, 2]),
+    zones=np.array([[-0.8, 0.0, 0.5, 1.5], [0.0, 0.8, 1.5, 2.5]]),
+    stands=np.array([[2.0, 8.0], [10.0, 18.0]]),
+    arm=np.array([0, 1, 2]),
+    start=np.array([2.0, 3.0, 11.0]),
+    end=np.array([5.0, 7.0, 15.0]),
+    held=np.array([0.0, 0.5, 0.0]),
+    got=np.array([True, False, True]),
+)
+CURVES = JointCurves(X, {"master d2": X, "master theta1": X, "left d4": X}, ("master theta1",))
+AGGREGATES = {"plant": {"mean": {"scripted": {"raw": Estimate(2.0, 1.0, 3.0), "LS": Estimate(0.5, 0.4, 0.6)}}}}
+CYCLES = [CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)), CycleCurve("ppo", "LS", np.geomspace(300, 0.5, 50))]
+
 PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
-    "per pose": (lambda: figures.error_per_pose(ERRORS, tolerance_mm=5.0), ("(number)", "(mm)")),
-    "box": (lambda: figures.error_by_method(ERRORS), ("(mm)",)),
+    "per pose": (lambda: plot_errors.error_per_pose(ERRORS, tolerance_mm=5.0), ("(number)", "(mm)")),
+    "box": (lambda: plot_errors.error_by_method(ERRORS), ("(mm)",)),
     "box, attitude": (
-        lambda: figures.error_by_method(ERRORS, quantity="attitude error", unit="deg", logarithmic=True),
+        lambda: plot_errors.error_by_method(ERRORS, quantity="attitude error", unit="deg", logarithmic=True),
         ("(deg)",),
     ),
+    "histogram": (lambda: plot_errors.error_histogram(ERRORS, tolerance=5.0), ("(mm)", "(%)")),
+    "cumulative": (lambda: plot_errors.error_cumulative(ERRORS, tolerance=5.0), ("(mm)", "(%)")),
+    "against": (lambda: plot_errors.error_against(X, ERRORS, name="extension", unit="m"), ("extension (m)", "(mm)")),
     "least squares": (
-        lambda: figures.least_squares_convergence([6.8, 0.9, 0.5], [0.3, 0.02, 0.02]),
+        lambda: plot_calibration.least_squares_convergence([6.8, 0.9, 0.5], [0.3, 0.02, 0.02]),
         ("(number)", "(mm)", "(deg)"),
     ),
-    "network": (lambda: figures.network_convergence([1.0, 0.3], [1.1, 0.4], best_epoch=1), ("(number)", "(–)")),
+    "network": (
+        lambda: plot_calibration.network_convergence([1.0, 0.3], [1.1, 0.4], best_epoch=1),
+        ("(number)", "(–)"),
+    ),
     "diagonal of R": (
-        lambda: figures.parameter_spectrum(MAGNITUDES, KEPT, names=NAMES, threshold=2e-4),
+        lambda: plot_calibration.parameter_spectrum(MAGNITUDES, KEPT, names=NAMES, threshold=2e-4),
         ("(scaled, –)",),
     ),
-    "singular values": (lambda: figures.parameter_spectrum(np.append(MAGNITUDES[:-1], 0.0), KEPT), ("(scaled, –)",)),
+    "singular values": (
+        lambda: plot_calibration.parameter_spectrum(np.append(MAGNITUDES[:-1], 0.0), KEPT),
+        ("(scaled, –)",),
+    ),
+    "slices": (lambda: error_slices(GRID, FIELDS, step=0.1), ("x (m)", "z (m)", "(mm)")),
+    "gantt": (lambda: plot_harvest.gantt({"raw": TREE, "best": TREE}, 3), ("(s)",)),
+    "pick map": (lambda: plot_harvest.pick_map({"raw": TREE}), ("(m)",)),
+    "funnel": (lambda: plot_harvest.funnel_bars({"raw": {"present": 10, "collected": 7}}), ("(%)",)),
+    "throughput": (
+        lambda: plot_harvest.throughput_by_arms({"thin": {1: Measure(500, 450, 540), 2: Measure(900, 800, 990)}}),
+        ("(number)", "(1/h)"),
+    ),
+    "workspace": (lambda: plot_harvest.workspace_cloud(GRID[:, None], [((0, 1), (0, 1), (0, 1))]), ("x (m)", "z (m)")),
+    "joint curves": (lambda: plot_harvest.joint_curves(CURVES), ("(s)", "(mm)", "(deg)")),
+    "aggregates": (lambda: plot_policies.aggregates(AGGREGATES), ("(mm)",)),
+    "success": (
+        lambda: plot_policies.success_against_misalignment(gripper_curves(), {"raw": {"li_cup": (2.0, 1.0)}}),
+        ("(mm)", "(%)"),
+    ),
+    "cycle time": (lambda: plot_policies.accuracy_against_cycle_time(CYCLES, 0.05), ("(s)", "(mm)")),
+    "ISO 9283": (lambda: plot_policies.accuracy_by_pose({"raw": [1, 2, 3, 4, 5]}, {"raw": [1, 1, 1, 1, 1]}), ("(mm)",)),
+    "drift": (lambda: plot_policies.accuracy_drift([0, 1, 2], {"raw": [1.0, 2.0, 2.5]}), ("(h)", "(mm)")),
 }
 
 
@@ -55,23 +107,24 @@ def test_axes_name_their_units_and_the_file_is_written(name: str, tmp_path: Path
     figure = make()
     for unit in units:
         assert unit in texts(figure)
-    for axes in figure.axes:
-        assert axes.get_ylabel()
+    labels = {label for axes in figure.axes for label in (axes.get_xlabel(), axes.get_ylabel())} - {"", "parameter"}
+    assert labels
+    assert [label for label in labels if "(" not in label] == []
     path = save_figure(figure, tmp_path / "figure.png")
     assert path.read_bytes()[:4] == b"\x89PNG"
 
 
 def test_dropped_parameters_are_named_in_red() -> None:
-    figure = figures.parameter_spectrum(MAGNITUDES, KEPT, names=NAMES)
+    figure = plot_calibration.parameter_spectrum(MAGNITUDES, KEPT, names=NAMES)
     labels = figure.axes[0].get_xticklabels()
     assert [label.get_text() for label in labels] == NAMES
-    assert [label.get_color() == "black" for label in labels] == list(KEPT)
+    assert [label.get_color() == INK for label in labels] == list(KEPT)
 
 
 def test_each_method_keeps_its_colour() -> None:
     expected = policy_colours(["raw", "ls", "ls_bpnn"])
     assert policy_colours(list(ERRORS)) == expected
-    lines = figures.error_per_pose(ERRORS).axes[0].get_lines()
+    lines = plot_errors.error_per_pose(ERRORS).axes[0].get_lines()
     drawn = [tuple(round(255 * float(c)) for c in line.get_color()) for line in lines]  # type: ignore[arg-type]
     assert drawn == expected
     assert len(set(policy_colours(["raw", "servo", "rl", "ls"]))) == 4
@@ -82,7 +135,7 @@ def test_joint_coverage_is_framed_by_the_joint_limits_in_degrees_and_millimetres
 ) -> None:
     geometry = comparison.nominal
     q = RNG.uniform(geometry.lower, geometry.upper, size=(40, geometry.joints))
-    figure = figures.joint_coverage(geometry, {"identification": q, "training": q[:20], "test": q[:10]})
+    figure = plot_calibration.joint_coverage(geometry, {"identification": q, "training": q[:20], "test": q[:10]})
     bottom = figure.axes[-geometry.joints :]
     units = ["mm" if slides else "deg" for slides in geometry.prismatic]
     assert [axes.get_xlabel() for axes in bottom] == [f"q{i + 1} ({unit})" for i, unit in enumerate(units)]
@@ -110,7 +163,7 @@ def test_error_fields_share_view_scale_and_gain(comparison: Comparison, tmp_path
     assert lengths[0] > lengths[1] > lengths[2]
     assert raw > ls > bpnn
     pixels = imread(save_figure(figure, tmp_path / "fields.png"))
-    assert pixels.shape[1] == 1600
+    assert pixels.shape[1] == round(WIDTH * PIXELS_PER_INCH)
 
 
 def test_error_fields_of_one_policy_and_a_gappy_grid(without_reaches: Comparison, tmp_path: Path) -> None:
@@ -131,18 +184,18 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone() -> None:
     import matplotlib
 
     before = dict(matplotlib.rcParams)
-    figures.error_per_pose(ERRORS)
+    plot_errors.error_per_pose(ERRORS)
     assert dict(matplotlib.rcParams) == before
 
 
 @pytest.mark.parametrize("values", [[], [1.0, np.nan]])
 def test_a_series_that_cannot_be_drawn_is_named(values: list[float]) -> None:
     with pytest.raises(InputError, match="'LS'"):
-        figures.error_per_pose({"raw": [1.0], "LS": values})
+        plot_errors.error_per_pose({"raw": [1.0], "LS": values})
 
 
 def test_an_unknown_format_and_a_folder_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
-    figure = figures.error_per_pose(ERRORS)
+    figure = plot_errors.error_per_pose(ERRORS)
     with pytest.raises(InputError, match="png"):
         save_figure(figure, tmp_path / "figure.docx")
     (tmp_path / "file").write_text("not a folder")
