@@ -1,6 +1,8 @@
-# Each target first sets up what it needs in .venv; nothing outside this folder is changed.
+# Each target first sets up what it needs in .venv; nothing outside this folder is changed, save that test-browser
+# installs Chromium and a graphics driver with apt where they are missing.
 #   make demo                 calibrate the arm, pick with it, look at the error: runs/demo
 #   make test                 style, types, tests
+#   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
 #   make demo ARGS=--quick    options for the command
 #   make ... PYTHON=python3.12  another Python, for a new .venv
 
@@ -12,12 +14,15 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 RUNTIME := $(VENV)/.runtime
 DEVELOPMENT := $(VENV)/.development
+BROWSER := $(VENV)/.browser
+# Chromium, and Mesa's drivers that draw on the processor: for Vulkan (rerun's own viewer) and OpenGL (the browser).
+BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri
 
 # One thread per process: two test processes with as many threads as cores each would only wait for one another.
 TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
-.PHONY: demo test test-slow lint format benchmark clean
+.PHONY: demo test test-slow test-browser lint format benchmark clean
 
 demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
@@ -27,6 +32,10 @@ test: lint
 
 test-slow: $(DEVELOPMENT)
 	$(PYTEST) -m slow $(ARGS)
+
+test-browser: $(BROWSER)
+	$(BIN)/pickenv demo --out runs/browser
+	$(PYTEST) -m browser tests/browser $(ARGS)
 
 lint: $(DEVELOPMENT)
 	$(BIN)/ruff check
@@ -58,4 +67,14 @@ $(RUNTIME): pyproject.toml constraints.txt
 
 $(DEVELOPMENT): $(RUNTIME)
 	@$(PIP) install -c constraints.txt -e ".[dev]"
+	@touch $@
+
+$(BROWSER): $(DEVELOPMENT)
+	@dpkg-query -W $(BROWSER_PACKAGES) >/dev/null 2>&1 || { \
+		if [ "$$(id -u)" = 0 ]; then root=env; else root=sudo; fi; \
+		command -v apt-get >/dev/null && command -v $$root >/dev/null || { \
+			echo "test-browser needs $(BROWSER_PACKAGES); installing them needs apt, and root or sudo" >&2; exit 1; }; \
+		$$root apt-get update -qq && \
+		$$root DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(BROWSER_PACKAGES); }
+	@$(PIP) install -c constraints.txt -e ".[browser]"
 	@touch $@

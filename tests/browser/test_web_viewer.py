@@ -1,0 +1,126 @@
+"""A recording in a real browser: it appears, in both themes, turns, and a click on an arrow reads out its error."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.browser.chromium import SIZE
+from tests.browser.layout import Blueprint, tabs, title_of
+from tests.browser.pictures import changed_share, colours, crop, decode, file_name, settled
+from tests.browser.web_viewer import WebViewer, number, project, serve, view_of
+
+BLANK = 60
+"""Colours of the viewer's own frame without any content; every tab shows hundreds."""
+Open = Callable[[str], WebViewer]
+
+
+@pytest.fixture(scope="module")
+def address(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with serve(recording, tmp_path_factory.mktemp("server") / "log.txt") as page:
+        yield page
+
+
+@pytest.fixture
+def open_in(browser: Any, address: str, blueprint: Blueprint) -> Iterator[Open]:
+    """Opens the recording in a theme."""
+    contexts = []
+
+    def opened(theme: str) -> WebViewer:
+        contexts.append(browser.new_context(viewport=SIZE, color_scheme=theme))
+        viewer = WebViewer(contexts[-1].new_page(), [])
+        viewer.open(address, theme, [title_of(blueprint, f"view/{view}") for view in tabs(blueprint)[0].views])
+        return viewer
+
+    yield opened
+    for context in contexts:
+        context.close()
+
+
+def test_the_first_picture_comes(open_in: Open, measured: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    began = time.perf_counter()
+    viewer = open_in("dark")
+    while colours(decode(viewer.shoot())) < BLANK:
+        assert time.perf_counter() - began < 120.0
+    measured["first_frame_in_browser_s"] = round(time.perf_counter() - began, 1)
+    with capsys.disabled():
+        print(f"\nfirst picture in the browser after {measured['first_frame_in_browser_s']} s (20 s are wanted)")
+    assert viewer.complaints() == []
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_every_tab_comes_to_the_front_with_a_click(
+    theme: str, open_in: Open, blueprint: Blueprint, screenshots: Path
+) -> None:
+    viewer, blank, missing = open_in(theme), [], []
+    frame = crop(viewer.settle(), viewer.pane("Top bar")).mean()
+    assert frame > 180.0 if theme == "light" else frame < 60.0
+    buttons, known = viewer.tab_buttons(), tabs(blueprint)
+    assert len(buttons) == len(known)
+    for tab, button in zip(known, buttons, strict=True):
+        viewer.page.mouse.click(*button.middle)
+        viewer.page.mouse.move(*SIZE.values())  # nothing under the pointer lights up
+        png = settled(viewer.shoot)
+        (screenshots / f"web-{theme}-{file_name(tab.title)}.png").write_bytes(png)
+        blank += [tab.title] * (colours(decode(png)) < BLANK)
+        shown = {widget.text for widget in viewer.widgets()}
+        titles = {title_of(blueprint, f"view/{view}") for view in tab.views}
+        missing += [f"{tab.title}: {title}" for title in titles - shown]
+    assert (blank, missing, viewer.complaints()) == ([], [], [])
+
+
+def test_dragging_turns_a_field(open_in: Open, blueprint: Blueprint) -> None:
+    viewer = open_in("dark")
+    before = viewer.settle()
+    left, top, right, bottom = box = viewer.pane(first_field(blueprint)[1])
+    assert changed_share(view_of(before, box), view_of(viewer.settle(), box)) == 0.0
+    mouse, grip = viewer.page.mouse, (right - 15.0, bottom - 15.0)
+    mouse.move(*grip)
+    mouse.down()
+    mouse.move(grip[0] - (right - left) / 3.0, grip[1] - (bottom - top) / 6.0, steps=5)
+    mouse.up()
+    mouse.move(*SIZE.values())
+    assert changed_share(view_of(before, box), view_of(viewer.settle(), box)) > 0.05
+    assert viewer.complaints() == []
+
+
+def test_a_click_on_an_arrow_reads_its_millimetres(
+    open_in: Open, blueprint: Blueprint, arrows: dict[str, Any], screenshots: Path
+) -> None:
+    viewer = open_in("light")
+    viewer.page.evaluate("() => window._handle.override_panel_state('selection', 'expanded')")
+    viewer.settle()
+    view, title = first_field(blueprint)
+    eye = blueprint[f"/view/{view}/EyeControls3D"]["EyeControls3D"]
+    middle, tip = (
+        project(points, np.array(eye["position"]), np.array(eye["look_target"]), viewer.pane(title))
+        for points in (arrows["origin"] + arrows["vector"] / 2.0, arrows["origin"] + arrows["vector"])
+    )
+    for arrow in plainest(middle, tip)[:3]:
+        viewer.point_and_click(*middle[arrow])
+        said = viewer.selection()
+        assert said["path"].endswith(f"/{arrows['path']}/[{arrow}]")
+        assert number(said["norm_mm"]) == pytest.approx(np.linalg.norm(arrows["error_mm"][arrow]), rel=1e-5)
+        xyz = [number(part) for part in said["xyz_mm"].strip("[]").split(",")]
+        np.testing.assert_allclose(xyz, arrows["error_mm"][arrow], rtol=1e-4, atol=1e-5)
+    (screenshots / "web-light-arrow-selected.png").write_bytes(viewer.shoot())
+    assert viewer.complaints() == []
+
+
+def plainest(middle: np.ndarray, tip: np.ndarray) -> np.ndarray:
+    """Arrows in the order of how easily the pointer hits each and no other: long ones with no neighbour first."""
+    apart = np.linalg.norm(middle[:, None] - middle, axis=-1)
+    np.fill_diagonal(apart, np.inf)
+    length = 2.0 * np.linalg.norm(tip - middle, axis=-1)
+    return np.argsort(-np.minimum(apart.min(axis=1), length))
+
+
+def first_field(blueprint: Blueprint) -> tuple[str, str]:
+    """Identity and title of the first view of the first tab: the raw arm's error field."""
+    view = tabs(blueprint)[0].views[0]
+    return view, title_of(blueprint, f"view/{view}")

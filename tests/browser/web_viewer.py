@@ -1,0 +1,154 @@
+"""Rerun's web viewer in a page: it draws on a canvas, so what stands on screen is read from its accessibility tree.
+
+The page offers that tree as answers of egui's inspection protocol, MessagePack both ways. Boxes are in CSS pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.browser.pictures import Box, Picture, crop, decode, settled
+from tests.browser.processes import LOCALHOST, free_port, rerun
+
+FIELD_OF_VIEW = np.radians(55.0)
+"""Vertical, of rerun's orbiting eye."""
+PATIENCE_MS = 120_000.0
+STATE = "new TextDecoder().decode(window._handle.viewer_state())"
+
+
+@dataclass(frozen=True)
+class Widget:
+    """Something on screen.
+
+    Attributes:
+        role: As AccessKit names it: pane, button, label.
+        text: What it says; empty for pictures.
+        box: Where it stands.
+        toggled: Whether it can be switched on and off, as tabs can.
+    """
+
+    role: str
+    text: str
+    box: Box
+    toggled: bool
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        left, top, right, bottom = self.box
+        return (left + right) / 2.0, (top + bottom) / 2.0
+
+
+@contextmanager
+def serve(recording: Path, log: Path) -> Iterator[str]:
+    """Serve the web viewer with ``recording``; yields the page's address, to which options can be added."""
+    grpc, web = free_port(), free_port()
+    source = quote(f"rerun+http://{LOCALHOST}:{grpc}/proxy", safe="")
+    with rerun(recording, "--serve-web", "--port", str(grpc), "--web-viewer-port", str(web), log=log):
+        yield f"http://{LOCALHOST}:{web}/?url={source}&persist=0&hide_welcome_screen"
+
+
+@dataclass(frozen=True)
+class WebViewer:
+    """A page with the viewer in it; ``said`` collects what its console says."""
+
+    page: Any
+    said: list[str]
+
+    def open(self, address: str, theme: Literal["light", "dark"], expected: list[str]) -> None:
+        """Load the page and wait until the viewer knows every one of the ``expected`` names."""
+        # The viewer logs some 18 000 debug lines; carrying them out of the browser costs more than drawing.
+        self.page.add_init_script("console.debug = () => {}")
+        self.page.on("console", lambda message: self.said.append(message.text))
+        # The server may still be starting.
+        self.page.goto(f"{address}&theme={theme}", wait_until="commit", timeout=PATIENCE_MS)
+        self.page.wait_for_function(
+            f"names => !!window._handle && names.every(name => {STATE}.includes(name))",
+            arg=expected,
+            timeout=PATIENCE_MS,
+        )
+
+    def complaints(self) -> list[str]:
+        """Panics, and what the viewer itself logged as errors; fetches that fail without a network are not among them."""
+        panic = self.page.evaluate("() => window._handle.has_panicked() ? window._handle.panic_message() : ''")
+        return [panic] * bool(panic) + [text for text in self.said if text.lstrip().startswith("ERROR")]
+
+    def shoot(self) -> bytes:
+        png: bytes = self.page.screenshot()
+        return png
+
+    def settle(self) -> Picture:
+        return decode(settled(self.shoot))
+
+    def widgets(self) -> list[Widget]:
+        import msgpack
+
+        request = list(msgpack.packb("GetTree"))
+        answer = self.page.evaluate(
+            "async request => Array.from(await window._handle.inspect(new Uint8Array(request)))", request
+        )
+        nodes = msgpack.unpackb(bytes(answer), strict_map_key=False)["Tree"][2][0]
+        return [
+            Widget(node[0], text, tuple(has["bounds"]), "toggled" in has)
+            for _, node in nodes
+            for has in node[-1:]
+            if "bounds" in has
+            for text in [str(has.get("label") or has.get("value") or "")]
+        ]
+
+    def pane(self, title: str) -> Box:
+        """Where a view stands, without its title."""
+        return next(w.box for w in self.widgets() if w.role == "pane" and w.text == title)
+
+    def tab_buttons(self) -> list[Widget]:
+        """The uppermost row of tabs, from left to right."""
+        top = self.pane("Viewport")[1]
+        row = [w for w in self.widgets() if w.toggled and top <= w.box[1] and w.box[3] <= top + 30.0]
+        return sorted(row, key=lambda w: w.box[0])
+
+    def point_and_click(self, x: float, y: float) -> None:
+        """Rest on a point, then click: what lies under the pointer is found some frames after it arrives."""
+        self.page.mouse.move(x, y)
+        self.settle()
+        self.page.mouse.click(x, y)
+        self.settle()
+
+    def selection(self) -> dict[str, str]:
+        """What the selection panel says: the value beside each name, and the path of what is selected as `path`."""
+        left, top, _, _ = self.pane("Selection panel")
+        panel = [w for w in self.widgets() if w.text and w.box[0] > left and w.box[1] > top]
+        panel.sort(key=lambda w: (w.box[1], w.box[0]))
+        names, values = ([w for w in panel if w.role == role] for role in ("button", "label"))
+        said = {n.text: v.text for n in names for v in values if n.box[1] <= v.middle[1] <= n.box[3]}
+        head = next((w.box[1] for w in names if w.text == "Instance"), top)
+        return said | {"path": "/".join(w.text for w in names if w.box[3] <= head)}
+
+
+def number(text: str) -> float:
+    """A number as the viewer writes it: a true minus sign, thin spaces between groups of digits."""
+    return float("".join(text.split()).replace("\u2009", "").replace("−", "-"))
+
+
+def project(points: NDArray[Any], eye: NDArray[Any], target: NDArray[Any], box: Box) -> NDArray[np.float64]:
+    """Where ``points`` ``(N, 3)`` appear in a view at ``box`` whose eye looks at ``target``, up being z: ``(N, 2)``."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, forward)
+    seen = points - eye
+    left, top, end, bottom = box
+    scale = (bottom - top) / 2.0 / np.tan(FIELD_OF_VIEW / 2.0) / (seen @ forward)
+    return np.stack([(left + end) / 2.0 + scale * (seen @ right), (top + bottom) / 2.0 - scale * (seen @ up)], axis=-1)
+
+
+def view_of(picture: Picture, box: Box) -> Picture:
+    """The part of a screen that a view covers, without the pixels at its rim."""
+    left, top, right, bottom = box
+    return crop(picture, (left + 2.0, top + 2.0, right - 2.0, bottom - 2.0))
