@@ -49,7 +49,7 @@ def quantiles_of(
 
     Returns:
         One row per setting, column and probability: the setting's columns, ``quantity``, ``arms``, ``probability``,
-        ``value`` and the 95 % band ``low``, ``high``; NaN where no arm of the setting has a result.
+        ``value`` and the 95 % band ``low``, ``high``; null where no arm of the setting has a result.
     """
     exact = rows.count_rows() <= exact_rows
     found: list[dict[str, Any]] = []
@@ -70,7 +70,8 @@ def quantiles_of(
         ):
             low, middle, high = (quantiles[np.searchsorted(wanted, level)] for level in levels[arms])
             for i, probability in enumerate(probabilities):
-                numbers = {"value": float(middle[i]), "low": float(low[i]), "high": float(high[i])}
+                ends = (middle[i], low[i], high[i])
+                numbers = dict(zip(("value", "low", "high"), map(float, ends) if arms else [None] * 3, strict=True))
                 found.append(setting | {"quantity": column, "arms": arms, "probability": probability, **numbers})
     return pa.Table.from_pylist(found)
 

@@ -17,9 +17,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 from pyarrow.dataset import Dataset
 from scipy.stats import qmc, sobol_indices
 
+from calibration.threads import single_threaded
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 from pickenv.study.table import OK, read_rows
@@ -89,8 +91,10 @@ def sensitivities_of(rows: Dataset, setting: int = 0, *, rng: np.random.Generato
     whole = moments.sums.sum(axis=0)
     groups = {name: [i] for i, name in enumerate(moments.names)}
     kinds = {kind: [i for i, n in enumerate(moments.names) if kind_of(n) == kind] for kind in map(kind_of, groups)}
-    found = _shares(whole, [*groups.values(), *kinds.values()])
-    replicates = [_shares(np.tensordot(w, moments.sums, 1), [*groups.values(), *kinds.values()]) for w in weights]
+    places = [*groups.values(), *kinds.values()]
+    with single_threaded():  # small systems: threads would only wait for one another
+        found = _shares(whole, places)
+        replicates = [_shares(np.tensordot(w, moments.sums, 1), places) for w in weights]
     ends = {key: np.percentile([r[key] for r in replicates], [2.5, 97.5], axis=0) for key in ("share", "mean_square")}
     r2 = float(found["r2"])
     about = {"r2": r2, "r2_adjusted": 1.0 - (1.0 - r2) * (moments.arms - 1) / (moments.arms - terms)}
@@ -146,10 +150,18 @@ def _moments(rows: Dataset, setting: int) -> Moments:
     for arm, error, *columns in batches(["arm", "error_rms_mm", *kept]):
         x = (np.stack(columns, axis=1) - mean[varies]) / deviation[varies] if columns else np.zeros((len(arm), 0))
         z = np.column_stack([np.ones(len(arm)), x, x**2, error**2])
-        for block in np.unique(arm % BLOCKS):
-            part = z[arm % BLOCKS == block]
-            sums[block] += part.T @ part
+        sums += _products(z, arm % BLOCKS)
     return Moments(tuple(kept), sums)
+
+
+def _products(z: Array, block: NDArray[np.int64]) -> Array:
+    """Sums of products of the rows ``(n, q)`` of each block ``(BLOCKS, q, q)``."""
+    order = np.argsort(block, kind="stable")
+    count = np.bincount(block, minlength=BLOCKS)
+    place = np.arange(len(block)) - np.repeat(np.cumsum(count) - count, count)
+    padded = np.zeros((BLOCKS, max(int(count.max()), 1), z.shape[1]))  # a row of zeros adds nothing
+    padded[block[order], place] = z[order]
+    return np.asarray(np.swapaxes(padded, 1, 2) @ padded)
 
 
 def _shares(sums: Array, groups: Sequence[Sequence[int]]) -> dict[str, Array]:
@@ -158,7 +170,8 @@ def _shares(sums: Array, groups: Sequence[Sequence[int]]) -> dict[str, Array]:
     mean = sums[0] / count
     covariance = sums / count - np.outer(mean, mean)
     terms, variance = covariance[1:-1, 1:-1], covariance[-1, -1]
-    slopes = np.linalg.lstsq(terms, covariance[1:-1, -1], rcond=1e-10)[0]
+    steadied = terms + np.diag(1e-10 * np.diag(terms))  # two deviations that are one share what they explain
+    slopes = np.linalg.solve(steadied, covariance[1:-1, -1])
     k = len(slopes) // 2
     share = []
     for group in groups:

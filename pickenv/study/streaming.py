@@ -20,23 +20,29 @@ Aggregate = tuple[str, str, Any, str]
 """Column, pyarrow's name of the aggregate, its options, name of the result."""
 
 
-def grouped(rows: Dataset, columns: Mapping[str, pc.Expression], aggregates: Sequence[Aggregate]) -> pa.Table:
+def grouped(
+    rows: Dataset,
+    columns: Mapping[str, pc.Expression],
+    aggregates: Sequence[Aggregate],
+    only: pc.Expression | None = None,
+) -> pa.Table:
     """Aggregate computed columns per setting, in one pass and with memory that does not grow with the rows.
 
     Args:
         rows: A study's rows.
         columns: What is computed of each row, by name.
         aggregates: What is computed of those columns in each setting.
+        only: Which rows count; all when left out.
 
     Returns:
         A table with `SETTING` and the aggregates, one row per setting, by number.
     """
     every = {name: pc.field(name) for name in SETTING} | dict(columns)
-    scan = acero.Declaration("scan", acero.ScanNodeOptions(rows, columns=every, use_threads=False))
-    wanted = acero.ProjectNodeOptions(list(every.values()), list(every))
-    groups = acero.AggregateNodeOptions(list(aggregates), keys=list(SETTING))
-    plan = acero.Declaration.from_sequence(
-        [scan, acero.Declaration("project", wanted), acero.Declaration("aggregate", groups)]
-    )
-    table: pa.Table = plan.to_table(use_threads=False)
+    steps = [
+        acero.Declaration("scan", acero.ScanNodeOptions(rows, filter=only, use_threads=False)),
+        *([] if only is None else [acero.Declaration("filter", acero.FilterNodeOptions(only))]),
+        acero.Declaration("project", acero.ProjectNodeOptions(list(every.values()), list(every))),
+        acero.Declaration("aggregate", acero.AggregateNodeOptions(list(aggregates), keys=list(SETTING))),
+    ]
+    table: pa.Table = acero.Declaration.from_sequence(steps).to_table(use_threads=False)
     return table.sort_by("setting")
