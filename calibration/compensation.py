@@ -164,5 +164,5 @@ def _frame_error(m: ModuleType, reference: Frame, actual: Frame) -> list[Scalar]
         axx * bxx + axy * bxy + axz * bxz + ayx * byx + ayy * byy + ayz * byz + azx * bzx + azy * bzy + azz * bzz - 1.0
     )
     sine = m.sqrt(sx * sx + sy * sy + sz * sz + 1e-40)
-    scale = (math.atan2 if m is math else np.arctan2)(sine, cosine) / sine
+    scale = m.atan2(sine, cosine) / sine
     return [apx - bpx, apy - bpy, apz - bpz, scale * sx, scale * sy, scale * sz]

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pickenv.arm.geometry import Array
 from pickenv.arm.plant import Plant
@@ -82,7 +81,7 @@ def chunk_table(protocol: Protocol, arms: range, populations: Sequence[tuple[Pla
 
 def _columns(protocol: Protocol, arms: range, outcomes: Outcomes) -> dict[str, Any]:
     setting, count = outcomes.setting, len(arms)
-    finite: NDArray[np.bool_] = np.isfinite(outcomes.position + outcomes.attitude).all(axis=1)
+    finite = np.asarray(np.isfinite(outcomes.position + outcomes.attitude).all(axis=1))
     status = [
         NOT_FINITE if text == OK and not sound else text for text, sound in zip(outcomes.status, finite, strict=True)
     ]

@@ -14,7 +14,7 @@ import numpy as np
 
 from calibration.error_model import ErrorModel, link_model
 from calibration.least_squares import identify
-from calibration.measurements import random_joints, simulated_tracker
+from calibration.measurements import Measurements, random_joints, simulated_tracker
 from pickenv.arm.geometry import Array, Geometry, Pose
 from pickenv.arm.kinematics import forward
 from pickenv.arm.plant import MeasurementNoise, Plant
@@ -77,6 +77,14 @@ class Protocol:
         parent = np.random.SeedSequence(self.config.seed, spawn_key=(ARMS,), n_children_spawned=arms.start)
         return draw_plants(self.design, self.config.load_tolerances(setting), len(arms), np.random.default_rng(parent))
 
+    def perfect_measurements(self, poses: int, noise: Noise) -> Measurements:
+        """What a tracker of this noise would see, if it did not err, of an arm that is as its controller believes."""
+        joints = self.poses[:poses]
+        pose, tracker = forward(self.nominal, joints), seen_by(self.design, noise)
+        return replace(
+            simulated_tracker(tracker, joints, np.random.default_rng(0)), position=pose.position, rotation=pose.rotation
+        )
+
     def stream(self, purpose: int, arm: int) -> np.random.Generator:
         """The random numbers of an arm for a purpose: `TRACKER` or `RESIDUAL`."""
         return _stream(self.config, purpose, arm)
@@ -100,8 +108,7 @@ def prepare(config: StudyConfig) -> Protocol:
         residual_poses=random_joints(nominal, config.residual_poses, _stream(config, RESIDUAL)),
     )
     for poses in {setting.poses for setting in protocol.settings if setting.poses}:
-        ideal = seen_by(replace(design, geometry=nominal), Noise(0.0, 0.0))
-        identify(protocol.model, nominal, simulated_tracker(ideal, protocol.poses[:poses], np.random.default_rng(0)))
+        identify(protocol.model, nominal, protocol.perfect_measurements(poses, Noise(0.0, 0.0)))  # refuses too few
     return protocol
 
 

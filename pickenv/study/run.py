@@ -14,7 +14,7 @@ from pickenv import __version__
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.study.config import LS, RAW, StudyConfig
-from pickenv.study.executors import Crew, Work, load_executor, run_serial
+from pickenv.study.executors import Crew, Executor, Work, load_executor, run_serial
 from pickenv.study.protocol import Protocol, prepare
 from pickenv.study.table import missing_chunks, open_folder, table_sha256, write_chunk
 
@@ -52,7 +52,8 @@ def run_study(
     Raises:
         InputError: If the executor is unknown, or the folder holds another study.
     """
-    run = run_serial if executor == BATCHED else load_executor(executor)
+    crew = crew or Crew()
+    run = _batched_run(crew, device) if executor == BATCHED else load_executor(executor)
     protocol = prepare(config)
     work = _work(protocol, executor, device)
     open_folder(folder, config)
@@ -66,11 +67,16 @@ def run_study(
     report(done, config.arms)
     begin = time.perf_counter()
     if missing:
-        for chunk, rows in run(missing, work, crew or Crew()):
+        for chunk, rows in run(missing, work, crew):
             write_chunk(folder, chunk, rows)
             done += len(config.arms_of(chunk))
             report(done, config.arms)
     return _summary(config, folder, executor, time.perf_counter() - begin, reused)
+
+
+def _batched_run(crew: Crew, device: str) -> Executor:
+    """Chunks one after the other; with several workers, each works on batches of its own."""
+    return run_serial if device != "cpu" or (crew.workers or 1) == 1 else load_executor("joblib")
 
 
 def _work(protocol: Protocol, executor: str, device: str) -> Work:
@@ -82,8 +88,9 @@ def _work(protocol: Protocol, executor: str, device: str) -> Work:
     learnt = sorted({setting.method for setting in protocol.settings} - {RAW, LS})
     if learnt:
         raise InputError(f"the batched executor has no {learnt[0]}; give --executor joblib, or leave that method out")
-    from pickenv.study.batched import evaluate_batch
+    from pickenv.study.batched import check_device, evaluate_batch
 
+    check_device(device)
     return partial(evaluate_batch, protocol, device=device)
 
 
