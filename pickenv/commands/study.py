@@ -72,15 +72,14 @@ def _progress() -> Iterator[tuple[Callable[[int, int], None], Callable[[str], No
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=console) as bars:
-        task = bars.add_task("arms", total=None, rate="")
-        before: list[int] = []
+        begun: list[Any] = []
 
         def report(done: int, total: int) -> None:
-            if not before:  # what an earlier run has done says nothing about this one's speed
-                before.append(done)
-                bars.reset(task, total=total, completed=done)
+            if not begun:  # what an earlier run has done says nothing about this one's speed
+                begun.extend((bars.add_task("arms", total=total, completed=done, rate=""), done))
+            task, before = begun
             elapsed = bars.tasks[task].elapsed or 0.0
-            rate = f"{(done - before[0]) / elapsed:.0f} arms/s" if done > before[0] and elapsed else ""
+            rate = f"{(done - before) / elapsed:.0f} arms/s" if done > before and elapsed else ""
             bars.update(task, completed=done, rate=rate)
 
         yield report, lambda text: console.print(f"warning: {text}", highlight=False, soft_wrap=True)

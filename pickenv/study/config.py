@@ -169,14 +169,13 @@ class StudyConfig:
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def toml(self) -> str:
-        """This configuration as a TOML file that `load_study` reads, with its hash."""
+        """This configuration as a TOML file that `load_study` reads."""
         noise = ", ".join(
             f"{{ position_mm = {n.position_mm!r}, attitude_deg = {n.attitude_deg!r} }}" for n in self.noise
         )
         grades = "" if self.it_grades is None else f"it_grades = {list(self.it_grades)}\n"
         return (
-            f"plant = {json.dumps(self.plant)}\nseed = {self.seed}\narms = {self.arms}\nchunk = {self.chunk}\n"
-            f'sha256 = "{self.sha256()}"\n\n'
+            f"plant = {json.dumps(self.plant)}\nseed = {self.seed}\narms = {self.arms}\nchunk = {self.chunk}\n\n"
             f"[picking]\nfruit = {self.fruit}\npayload_kg = {list(self.payload_kg)}\n\n"
             f"[specification]\nradius_mm = {self.radius_mm!r}\nshare = {self.share!r}\n\n"
             f"[tolerances]\nclasses = {json.dumps(self.tolerances)}\n{grades}\n"
@@ -196,7 +195,7 @@ def load_study(path: str | Path) -> StudyConfig:
         raise InputError(f"study {path} does not exist; give a path to a TOML file")
     content, where = read_toml(path), str(path)
     tables = ("picking", "specification", "tolerances", "calibration")
-    top = ("plant", "seed", "arms", "chunk", "sha256")
+    top = ("plant", "seed", "arms", "chunk", "sha256", "arithmetic")  # the last two stand in results folders
     refuse_unknown(content, (*top, *tables), where, "a study")
     study = Table({key: content[key] for key in top if key in content}, "study", where, top)
     picking = Table(content.get("picking", {}), "picking", where, ("fruit", "payload_kg"))

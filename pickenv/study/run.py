@@ -56,7 +56,7 @@ def run_study(
     run = _batched_run(crew, device) if executor == BATCHED else load_executor(executor)
     protocol = prepare(config)
     work = _work(protocol, executor, device)
-    open_folder(folder, config)
+    open_folder(folder, config, f"batched on {device}" if executor == BATCHED else "arm by arm")
     missing, damaged = missing_chunks(folder, config)
     for path in damaged:
         if warn is not None:

@@ -17,6 +17,7 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from pickenv.arm.arm_file import read_toml
 from pickenv.errors import InputError
 from pickenv.files import write_text, write_whole
 from pickenv.study.config import StudyConfig, load_study
@@ -65,24 +66,35 @@ def write_chunk(folder: Path, chunk: int, table: pa.Table) -> Path:
     )
 
 
-def open_folder(folder: Path, config: StudyConfig) -> None:
+def open_folder(folder: Path, config: StudyConfig, arithmetic: str) -> None:
     """Claim a folder for a study: write its configuration, or check that it holds the same one.
+
+    Args:
+        folder: The folder; made if need be.
+        config: The study.
+        arithmetic: How the rows are computed; those of two ways differ in their last digits and are not mixed.
 
     Raises:
         InputError: If the folder holds the results of another configuration, or rows of an unknown one.
     """
     described = folder / "study.toml"
-    if described.is_file():
-        found = _hash_of(described)
-        if found != config.sha256():
-            raise InputError(
-                f"{folder} holds the results of another configuration (hash {found[:12]}, this one has "
-                f"{config.sha256()[:12]}); give another --out, or that configuration to go on"
-            )
-    elif (folder / "rows").exists():
-        raise InputError(f"{folder} holds rows but no study.toml that says of what; give another --out")
-    else:
-        write_text(described, config.toml())
+    if not described.is_file():
+        if (folder / "rows").exists():
+            raise InputError(f"{folder} holds rows but no study.toml that says of what; give another --out")
+        write_text(described, f'sha256 = "{config.sha256()}"\narithmetic = "{arithmetic}"\n{config.toml()}')
+        return
+    content = read_toml(described)
+    found, computed = str(content.get("sha256")), content.get("arithmetic")
+    if found != config.sha256():
+        raise InputError(
+            f"{folder} holds the results of another configuration (hash {found[:12]}, this one has "
+            f"{config.sha256()[:12]}); give another --out, or that configuration to go on"
+        )
+    if computed != arithmetic:
+        raise InputError(
+            f"{folder} holds rows computed {computed}, whose last digits differ from those of rows computed {arithmetic}; "
+            "go on with the executor that began it, or give another --out"
+        )
 
 
 def study_of(folder: str | Path) -> StudyConfig:
@@ -154,12 +166,3 @@ def _bytes(column: pa.ChunkedArray) -> bytes:
         return "".join(f"{text}\n" for text in column.to_pylist()).encode()
     values: NDArray[Any] = column.to_numpy()
     return values.astype(values.dtype.newbyteorder("<")).tobytes()
-
-
-def _hash_of(described: Path) -> str:
-    import tomllib
-
-    try:
-        return str(tomllib.loads(described.read_text(encoding="utf-8")).get("sha256", "none"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{described} cannot be read: {error}; give another --out") from error
