@@ -1,6 +1,7 @@
-"""Pictures of a reach: the nominal arm as a ghost, the true arm, the fruit, and the miss in millimetres.
+"""Pictures of a reach and of a canopy: the nominal arm as a ghost, the true arm, and the fruit.
 
-matplotlib is loaded here and nowhere else among the environments. Units: m in the view of the arm, mm around the fruit.
+matplotlib is loaded here and nowhere else among the environments. Units: m in views of arm and canopy, mm around the
+fruit of a reach.
 """
 
 from __future__ import annotations
@@ -19,18 +20,31 @@ from numpy.typing import NDArray
 from pickenv.arm.geometry import Array
 from pickenv.arm.kinematics import chain_of, frames
 from pickenv.arm.plant import Plant
+from pickenv.envs.pick_scene import PickScene
 from pickenv.envs.simulation import Look
 from pickenv.errors import InputError
 
 GHOST, TRUE, FRUIT = "#9aa5b1", "#1f4e79", "#c0392b"
+LEFT_OUT, MISSED, COLLECTED = "#d5d8dc", "#e59866", "#27ae60"
 SIZE = (9.0, 4.5)
 DPI = 80
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 def reach_pixels(plant: Plant, target: Array, scene: Look, tolerance_mm: float) -> NDArray[np.uint8]:
-    """The picture as an RGB array ``(360, 720, 3)``."""
-    figure = draw_reach(plant, target, scene, tolerance_mm)
+    """The picture of a reach as an RGB array ``(360, 720, 3)``."""
+    return pixels(draw_reach(plant, target, scene, tolerance_mm))
+
+
+def pick_pixels(
+    plant: Plant, target: Array, command: Array, tool: Array, scene: PickScene, number: int
+) -> NDArray[np.uint8]:
+    """The picture of a canopy as an RGB array ``(360, 720, 3)``; see `draw_pick`."""
+    return pixels(draw_pick(plant, target, command, tool, scene, number))
+
+
+def pixels(figure: Figure) -> NDArray[np.uint8]:
+    """A figure as an RGB array."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3].copy()
@@ -46,18 +60,8 @@ def draw_reach(plant: Plant, target: Array, scene: Look, tolerance_mm: float) ->
         tolerance_mm: Radius of the capture region.
     """
     figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
-    view: Any = figure.add_subplot(1, 2, 1, projection="3d")
-    ghost = joint_positions(plant, target, nominal=True)
-    true = np.vstack([joint_positions(plant, np.array(scene.command), nominal=False)[:-1], scene.tool])
-    view.plot(*ghost.T, color=GHOST, linewidth=6, alpha=0.5, label="nominal arm")
-    view.plot(*true.T, color=TRUE, linewidth=2, marker="o", markersize=3, label="true arm")
-    view.scatter(*np.array(scene.fruit)[:, None], color=FRUIT, s=40, label="fruit")
-    points = np.vstack([ghost, true, scene.fruit])
-    middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0).max() / 2
-    for set_limits, centre in zip((view.set_xlim, view.set_ylim, view.set_zlim), middle, strict=True):
-        set_limits(centre - half, centre + half)
-    view.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
-    view.legend(loc="upper left", fontsize=8)
+    fruit = np.array(scene.fruit)[None]
+    draw_arm(figure, plant, target, np.array(scene.command), np.array(scene.tool), fruit, [FRUIT])
     near = figure.add_subplot(1, 2, 2)
     miss = 1e3 * np.array(scene.error[:3])
     across = math.hypot(miss[0], miss[1])
@@ -70,6 +74,65 @@ def draw_reach(plant: Plant, target: Array, scene: Look, tolerance_mm: float) ->
     near.set_title(f"{scene.distance_mm:.2f} mm, {scene.angle_deg:.2f} deg from the fruit")
     near.legend(loc="upper left", fontsize=8)  # the miss is never on the left
     return figure
+
+
+def draw_pick(plant: Plant, target: Array, command: Array, tool: Array, scene: PickScene, number: int) -> Figure:
+    """Draw the arm on the left and the canopy, as the arm faces it, on the right.
+
+    Args:
+        plant: The true arm, on single numbers.
+        target: Nominal joint target ``(n,)``, rad or m.
+        command: What the drives got ``(n,)``.
+        tool: True tool position ``(3,)``, m.
+        scene: The fruit.
+        number: The fruit that the arm is after.
+    """
+    figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
+    fruit = scene.positions
+    colours = np.full(len(fruit), LEFT_OUT, dtype=object)
+    colours[scene.reachable] = FRUIT
+    colours[scene.attempted] = MISSED
+    colours[scene.attached] = COLLECTED
+    draw_arm(figure, plant, target, command, tool, fruit, colours.tolist())
+    canopy = figure.add_subplot(1, 2, 2)
+    for place, diameter, colour, gone in zip(fruit, scene.diameters, colours, scene.collected, strict=True):
+        face = "none" if gone else colour
+        canopy.add_patch(Circle((place[0], place[2]), diameter / 2, facecolor=face, edgecolor=colour))
+    canopy.plot(*scene.seen[number, [0, 2]], "+", color="black", markersize=9, label="where the camera saw it")
+    canopy.plot(tool[0], tool[2], "x", color=TRUE, markersize=9, label="true tool")
+    for colour, meaning in (
+        (FRUIT, "to pick"),
+        (COLLECTED, "taken"),
+        (MISSED, "missed"),
+        (LEFT_OUT, "not seen or not in reach"),
+    ):
+        canopy.plot([], [], "o", color=colour, label=meaning)
+    points = np.vstack([fruit, tool])[:, [0, 2]]
+    middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0).max() / 2 + 0.15
+    canopy.set(xlim=(middle[0] + half, middle[0] - half), ylim=(middle[1] - half, middle[1] + half), aspect="equal")
+    canopy.set(xlabel="x (m), as the arm faces the trees", ylabel="z (m)")
+    funnel = scene.funnel()
+    canopy.set_title(f"{funnel['collected']} collected whole of {funnel['reachable']} in reach")
+    figure.legend(*canopy.get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=7)
+    return figure
+
+
+def draw_arm(
+    figure: Figure, plant: Plant, target: Array, command: Array, tool: Array, fruit: Array, colours: list[str]
+) -> None:
+    """Draw nominal and true arm and the fruit ``(k, 3)``, m, into the figure's left half."""
+    view: Any = figure.add_subplot(1, 2, 1, projection="3d")
+    ghost = joint_positions(plant, target, nominal=True)
+    true = np.vstack([joint_positions(plant, command, nominal=False)[:-1], tool])
+    view.plot(*ghost.T, color=GHOST, linewidth=6, alpha=0.5, label="nominal arm")
+    view.plot(*true.T, color=TRUE, linewidth=2, marker="o", markersize=3, label="true arm")
+    view.scatter(*fruit.T, color=colours, s=40)
+    points = np.vstack([ghost, true, fruit])
+    middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0).max() / 2
+    for set_limits, centre in zip((view.set_xlim, view.set_ylim, view.set_zlim), middle, strict=True):
+        set_limits(centre - half, centre + half)
+    view.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
+    view.legend(loc="upper left", fontsize=8)
 
 
 def joint_positions(plant: Plant, joints: Array, *, nominal: bool) -> Array:

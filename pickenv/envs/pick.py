@@ -10,14 +10,18 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pickenv.arm.batch import plant_at
 from pickenv.arm.dynamics import PlantState
 from pickenv.arm.geometry import Array
 from pickenv.arm.kinematics import Frame
+from pickenv.arm.plant import Plant
+from pickenv.envs.arms import population_size
 from pickenv.envs.executors import FLOATS
 from pickenv.envs.pick_scene import COLLECTED_BELOW, UP, Orchard, PickScene, draw_scene, make_orchard, reach_of
+from pickenv.envs.reach import RENDER_MODES
 from pickenv.envs.simulation import move, nominal_frames
 from pickenv.envs.spaces import box, check_options
-from pickenv.envs.task import CONTROL_PERIOD, Task, check_count, check_number, make_task
+from pickenv.envs.task import CONTROL_PERIOD, Task, check_choice, check_count, check_number, make_task
 from pickenv.errors import InputError
 
 Compensate = Callable[[Array], Array]
@@ -95,8 +99,9 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     All joints at mid-range, the arm at rest, cold and not yet sunk. Fruit is drawn until at least one is in reach: seen
     by the camera, reachable with the tool upright there and 100 mm below, with no fruit in the way from below.
-    `reset(options=...)` takes `"fruit"`, positions (n, 3) in the base frame in m, and `"start_joints"` (rad and m).
-    Every draw comes from `np_random` in `reset`: what happens then depends on the actions alone.
+    `reset(options=...)` takes `"fruit"`, positions (n, 3) in the base frame in m, `"start_joints"` (rad and m) and,
+    where `arms` is not "fixed", `"arm"`, the number of the arm in the population. Every draw comes from `np_random` in
+    `reset`: what happens then depends on the actions alone, and one seed gives the same fruit to every arm.
 
     ## Episode End
 
@@ -150,13 +155,19 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
       presets of `pickenv.orchard.shipped` or paths of TOML files. False detections are left out.
     - `fruit` (float, default 10): mean number of fruit in the section.
     - `looks` (int, default 16): images that the camera averages; noise falls, bias and occlusion's pull stay.
+    - `arms` ("fixed", "per_env" or "per_episode"), `tolerances`, `population` and `population_seed`: the plant's own
+      true arm, or one of a population, as in `pickenv/Reach-v0`.
+    - `render_mode` (None, "human" or "rgb_array").
+
+    There is no native vector version: canopies differ in their number of fruit. `gym.make_vec("pickenv/Pick-v0",
+    num_envs=8)` makes a `SyncVectorEnv`; environment i is seeded with `seed + i` and gives there what it gives alone.
 
     ## Version History
 
     * v0: First version.
     """
 
-    metadata = {"render_modes": [], "render_fps": 10}  # noqa: RUF012
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
 
     def __init__(
         self,
@@ -170,15 +181,26 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         fruit_size: str = "li2016",
         fruit: float = 10.0,
         looks: int = 16,
+        arms: str = "fixed",
+        tolerances: str = "medium",
+        population: int = 256,
+        population_seed: int = 0,
         render_mode: str | None = None,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         if render_mode is not None:
-            raise InputError("Pick-v0 has no render modes; leave render_mode out")
+            check_choice("render_mode", render_mode, RENDER_MODES)
         check_number("fruit", fruit, positive=True)
         check_count("looks", looks)
-        self.task: Task = make_task(plant=plant, without=without)
-        self.plant = self.task.plant
+        self.task: Task = make_task(
+            plant=plant,
+            without=without,
+            arms=arms,
+            tolerances=tolerances,
+            population=population,
+            population_seed=population_seed,
+        )
+        self.plant: Plant = self.task.plant if arms == "fixed" else plant_at(self.task.plant, 0)
         self.orchard: Orchard = make_orchard(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks)
         self.render_mode = render_mode
         self.compensator: Compensate | None = None
@@ -196,6 +218,8 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._state = PlantState()
         self._tool: Frame = ()
         self._detached_at = 0.0
+        self._arm: int | None = None
+        self._window: Any = None
 
     @property
     def increment(self) -> Array:
@@ -206,6 +230,11 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def joint_target(self) -> Array:
         """The nominal joint target that the actions have built up, rad or m."""
         return np.array(self._target)
+
+    @property
+    def arm(self) -> int:
+        """Number of the true arm in its population; 0 for a fixed one."""
+        return self._arm or 0
 
     @property
     def longest(self) -> int:
@@ -219,10 +248,11 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Start before another section of canopy; see the class for `options`."""
         super().reset(seed=seed)
         options = options or {}
-        check_options(options, ("fruit", "start_joints"))
+        check_options(options, ("fruit", "start_joints", "arm"))
         start = options.get("start_joints")
         self._target = self.task.middle if start is None else self.task.given_joints("start_joints", start).tolist()
         self.scene = draw_scene(self.orchard, self._reach, self.np_random, options.get("fruit"))
+        self._take_arm(options.get("arm"), again=seed is not None)
         self._step, self._still = 0, STILL
         command = self._command()
         self._state = self.plant.initial_state(math, command)
@@ -230,6 +260,8 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         shown = self._shown(command)
         believed = nominal_frames(FLOATS, self.task, shown)[1]
         self._number = self._next(believed)
+        if self.render_mode == "human":
+            self.render()
         return self._observation(shown, believed), self._information(command)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:
@@ -261,7 +293,47 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         funnel = scene.funnel()
         reward = COLLECTED * (funnel["collected"] - collected) + DAMAGED * (int(scene.damaged.sum()) - damaged) + STEP
         terminated = scene.held is None and not scene.waiting.any()
+        if self.render_mode == "human":
+            self.render()
         return self._observation(shown, believed), reward, terminated, False, self._information(command)
+
+    def render(self) -> Any:
+        """Draw the nominal ghost, the true arm and the canopy: an RGB array, or a window for "human"."""
+        if self.render_mode is None:
+            gym.logger.warn(
+                "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
+            )
+            return None
+        from pickenv.envs.drawing import Window, pick_pixels
+
+        if self.scene is None:
+            raise InputError("render was called before reset; call reset first")
+        command, tool = np.array(self._command()), np.array(self._tool[9:12])
+        picture = pick_pixels(self.plant, self.joint_target, command, tool, self.scene, self._number)
+        if self.render_mode == "rgb_array":
+            return picture
+        self._window = self._window or Window(self.metadata["render_fps"])
+        self._window.show(picture)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def _take_arm(self, asked: int | None, *, again: bool) -> None:
+        """Choose the true arm: anew in every episode, or once per environment and seed."""
+        task = self.task
+        if task.arms == "fixed":
+            if asked is not None:
+                raise InputError("option arm needs a population; make the environment with arms='per_episode'")
+            return
+        if again or self._arm is None or task.arms == "per_episode":
+            self._arm = int(self.np_random.integers(population_size(task)))
+        if asked is not None:
+            self._arm = task.given_arm(asked)
+        self.plant = plant_at(task.plant, self._arm)
 
     def _grip(self, share: float, believed: Frame) -> None:
         """Close, twist, open or empty the gripper."""
