@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pickenv.commands import agents, calibrations, plants
+from pickenv.commands import agents, calibrations, plants, reports
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.study import study
 from pickenv.errors import InputError
@@ -131,6 +131,8 @@ app.command()(plants.effects)
 app.command()(plants.iso9283)
 app.command()(agents.train)
 app.command()(agents.evaluate)
+app.command()(reports.figures)
+app.command()(reports.report)
 app.command()(study)
 
 

@@ -46,7 +46,7 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         raise InputError("there is no error field to draw; give at least one policy and one field point")
     if gain is not None and not gain > 0.0:
         raise InputError(f"the gain is {gain}; give a number above zero")
-    shown, spacing = _thinned(comparison)
+    shown, spacing = thinned(comparison)
     top = colour_scale_mm(comparison)
     gain = gain or round_down(1.1 * spacing / (top * 1e-3))
     with style(**{"axes.grid": False, "axes.titlelocation": "center"}):
@@ -69,11 +69,11 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
     return figure
 
 
-def _thinned(comparison: Comparison) -> tuple[NDArray[np.intp], float]:
-    """Which field points to draw, and how far apart they are, m."""
+def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np.intp], float]:
+    """Which field points to draw, about ``most`` of them, and how far apart they are, m."""
     for stride in itertools.count(1):
         shown = np.flatnonzero(np.all(comparison.field_index % stride == (stride - 1) // 2, axis=-1))
-        if 0 < len(shown) <= MOST_ARROWS:
+        if 0 < len(shown) <= most:
             return shown, stride * comparison.grid_step
         if not len(shown):
             break

@@ -2,10 +2,11 @@
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2024; --soft: #5b6470; --paper: #ffffff; --card: #f5f6f8; --rule: #dde1e6;
-  --before: #c98500; --after: #0072b2; --best: #009e73; --good: #0b7a4b; --care: #a15c00; --bad: #c02026; }
+  --before: #c98500; --after: #0072b2; --best: #009e73; --good: #0b7a4b; --care: #a15c00; --bad: #c02026;
+  --link: #005a8c; }
 @media (prefers-color-scheme: dark) { :root { --ink: #e8eaed; --soft: #a4adb8; --paper: #14171a; --card: #1e2226;
   --rule: #343a41; --before: #f0b429; --after: #56b4e9; --best: #35c99b; --good: #4fd19a; --care: #f5b04c;
-  --bad: #ff7b7f; } }
+  --bad: #ff7b7f; --link: #7cc4f2; } }
 html { font-size: 15px; }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink);
@@ -24,7 +25,8 @@ p { margin: 4px 0 8px; }
 .tile { background: var(--card); border-radius: 4px; padding: 10px 14px; }
 .tile b { display: block; font-size: 1.18rem; white-space: nowrap; font-variant-numeric: tabular-nums; }
 .tile span { color: var(--soft); font-size: .86rem; }
-.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(26rem, 1fr)); gap: 20px; align-items: start; }
+.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(26rem, 100%), 1fr)); gap: 20px;
+  align-items: start; }
 ul { padding-left: 1.2em; margin: 4px 0; } ul.columns { columns: 2 24rem; font-size: .9rem; }
 li.fail::marker { color: var(--bad); content: "\\2716  "; }
 li.caution::marker { color: var(--care); content: "\\25B2  "; }
@@ -42,12 +44,27 @@ svg .grid { stroke: var(--rule); stroke-width: 1; } svg .line { fill: none; stro
 svg .before { stroke: var(--before); } svg .after { stroke: var(--after); } svg .best { stroke: var(--best); }
 svg .mark { stroke: var(--after); stroke-width: 1; opacity: .55; } svg .fill { fill: var(--after); opacity: .75; }
 svg .whisker { stroke: var(--ink); stroke-width: 1; fill: none; }
+nav { display: flex; flex-wrap: wrap; gap: 4px 18px; margin: 14px 0 0; font-size: .9rem; }
+a { color: var(--link); } section { scroll-margin-top: 8px; }
+caption { text-align: left; padding: 2px 0 6px; } thead th { white-space: normal; vertical-align: bottom; }
+tbody th, tbody th.words { color: var(--ink); white-space: nowrap; }
+figure { margin: 18px 0 6px; } figcaption { color: var(--soft); font-size: .86rem; margin-top: 4px; }
+svg.drawn { display: block; width: 100%; height: auto; margin: 0 auto; overflow: visible;
+  stroke-linejoin: round; stroke-linecap: butt; }
+svg.drawn text { font-family: inherit !important; }
+figure img { max-width: 100%; height: auto; display: block; border-radius: 4px; }
+.interactive, .hint { display: none; } .live .interactive { display: block; } .live .hint { display: inline; }
+.live .still { display: none; }
+dl { display: grid; grid-template-columns: max-content 1fr; gap: 3px 18px; font-size: .9rem; overflow-wrap: anywhere; }
+dt { color: var(--soft); } dd { margin: 0; }
 footer { margin-top: 28px; color: var(--soft); font-size: .83rem; overflow-wrap: anywhere; }
 @media print { :root { color-scheme: light; --ink: #000; --soft: #444; --paper: #fff; --card: #f3f3f3;
   --rule: #ccc;
   --before: #b37700; --after: #0072b2; --best: #009e73; --good: #0b7a4b; --care: #8a4f00; --bad: #b01c22; }
   @page { size: A4; margin: 11mm; }
   html { font-size: 9px; } .explain { max-width: none; } main { max-width: none; padding: 0; }
+  nav, .live .interactive, .live .hint { display: none; } .live .still { display: block; }
+  figure { break-inside: avoid; margin: 8px 0 4px; }
   .scroll { overflow: visible; } .wide td.words { min-width: 0; } .wide td:nth-child(2) { min-width: 20rem; }
   * { -webkit-print-color-adjust: exact; print-color-adjust: exact; }
   h2 { margin-top: 12px; break-after: avoid; } th, td { padding: 1px 5px; }

@@ -1,0 +1,69 @@
+"""Commands about finished runs: `pickenv figures` and `pickenv report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from pickenv.inspect.drawings import Drawings
+    from pickenv.inspect.run_folder import Run
+
+RUN = typer.Argument(help="Run folder.", show_default=False)
+
+
+def figures(
+    run: Annotated[Path, RUN],
+    out: Annotated[Path | None, typer.Option(help="Folder for the figures; RUN/figures if left out.")] = None,
+    formats: Annotated[str, typer.Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
+) -> None:
+    """Draw every figure that a run's numbers allow, for papers and reports; say which are left out, and why."""
+    from pickenv.inspect.drawings import LeftOut, write_drawings
+    from pickenv.inspect.run_folder import read_run
+
+    found = read_run(run)
+    drawings = drawings_of(found)
+    for path in write_drawings(drawings, out or run / "figures", formats.split(",")):
+        print(f"wrote {path}")
+    for drawing in drawings:
+        if isinstance(drawing, LeftOut):
+            print(f"left out {drawing.name}: {drawing.reason}")
+
+
+def report(
+    run: Annotated[Path, RUN],
+    out: Annotated[Path | None, typer.Option(help="File to write (.html); RUN/report.html if left out.")] = None,
+    picture: Annotated[
+        bool, typer.Option("--picture/--no-picture", help="Show the recording as its viewer draws it.")
+    ] = True,
+) -> None:
+    """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
+    from pickenv.files import write_text
+    from pickenv.inspect.run_folder import read_run
+
+    found = read_run(run)
+    path = out or run / "report.html"
+    if found.kind == "study":
+        from pickenv.study.report import study_report
+
+        print(f"wrote {study_report(run, path)}")
+        return
+    print(f"wrote {write_text(path, page_of(found, picture))}")
+
+
+def drawings_of(run: Run) -> Drawings:
+    """Every figure of a run, drawable or left out."""
+    from pickenv.inspect.drawings import comparison_drawings, trace_drawings
+    from pickenv.inspect.run_folder import load_comparison, load_trace
+
+    return [*comparison_drawings(load_comparison(run.folder)), *trace_drawings(load_trace(run))]
+
+
+def page_of(run: Run, picture: bool) -> str:
+    """A run's report as HTML."""
+    from pickenv.inspect.demo_report import demo_report
+    from pickenv.inspect.viewer_picture import viewer_picture
+
+    return demo_report(run, viewer_picture(run.folder / "errors.rrd") if picture else None)

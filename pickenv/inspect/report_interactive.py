@@ -1,0 +1,149 @@
+"""Interactive figures of a report: an error field to be turned, errors to be read by hovering; plotly, in the page.
+
+Plotly's library is packed into the page and unpacked by the reader's browser, so the page needs no network and stays
+small enough to send. Each interactive figure has a still twin for print and for browsers that cannot draw it.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from collections.abc import Mapping
+from functools import cache
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm.geometry import Array
+from pickenv.inspect.colours import Rgb, policy_colours, viridis
+from pickenv.inspect.comparison import Comparison
+from pickenv.inspect.drawings import Drawing
+from pickenv.inspect.field_figure import round_down, thinned
+from pickenv.inspect.report_svg import inline_svg
+from pickenv.inspect.summary import colour_scale_mm, field_mm, spread
+from pickenv.inspect.view import eye_direction
+
+MOST_ARROWS = 3000
+EYE_DISTANCE = 2.4
+"""In units of the scene's size, as plotly counts."""
+
+
+def interactive(drawing: Drawing, spec: Mapping[str, Any], hint: str) -> str:
+    """A figure that comes alive in a browser, with its still twin.
+
+    Args:
+        drawing: The still twin.
+        spec: Plotly's data and layout.
+        hint: What a reader can do with it.
+    """
+    name = drawing.name
+    still = inline_svg(drawing.draw(), name, drawing.caption)
+    content = json.dumps(spec, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return (
+        f'<figure><div class="interactive" data-spec="{name}-spec" role="img" aria-label="{escape(drawing.caption)}">'
+        f'</div><div class="still">{still}</div><figcaption>{escape(drawing.caption)} '
+        f'<span class="hint">{escape(hint)}</span></figcaption>'
+        f'<script type="application/json" id="{name}-spec">{content}</script></figure>'
+    )
+
+
+@cache
+def library() -> str:
+    """The scripts that go last on a page with interactive figures."""
+    plotly = (files("plotly") / "package_data" / "plotly.min.js").read_bytes()
+    packed = base64.b64encode(gzip.compress(plotly, 9, mtime=0)).decode()
+    ours = (files("pickenv.inspect") / "report.js").read_text(encoding="utf-8")
+    return f'<script type="text/plain" id="plotly">{packed}</script>\n<script>\n{ours}</script>\n'
+
+
+def field_spec(comparison: Comparison) -> dict[str, Any]:
+    """The error fields side by side in 3-D: an arrow's shaft per wanted position, and its end to hover over."""
+    shown, spacing = thinned(comparison, MOST_ARROWS)
+    top = colour_scale_mm(comparison)
+    gain = round_down(1.1 * spacing / (top * 1e-3))
+    points = comparison.field_points[shown]
+    low, high = points.min(axis=0), points.max(axis=0)
+    eye = EYE_DISTANCE * eye_direction(comparison)
+    colour_scale = [[i / 16, "rgb({},{},{})".format(*viridis(i / 16))] for i in range(17)]
+    data: list[dict[str, Any]] = []
+    layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 70}, "showlegend": False}
+    for i, policy in enumerate(comparison.policies, start=1):
+        scene = "scene" if i == 1 else f"scene{i}"
+        errors = policy.field_errors[shown]
+        tips = points + gain * errors
+        length = np.linalg.norm(errors, axis=1) * 1e3
+        coloured = {"colorscale": colour_scale, "cmin": 0.0, "cmax": round(top, 4)}
+        shafts = np.stack([points, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
+        shades = np.repeat(length, 3)
+        data.append(
+            _coordinates(shafts)
+            | {"type": "scatter3d", "mode": "lines", "scene": scene, "hoverinfo": "skip"}
+            | {"line": coloured | {"color": _numbers(shades), "width": 4}}
+        )
+        bar = {"title": {"text": "position error (mm)", "side": "bottom"}, "orientation": "h", "y": -0.02, "len": 0.7}
+        data.append(
+            _coordinates(tips)
+            | {"type": "scatter3d", "mode": "markers", "scene": scene, "name": policy.label}
+            | {"marker": coloured | {"color": _numbers(length), "size": 2.6, "showscale": i == 1}}
+            | {"customdata": np.round(np.column_stack([length, errors * 1e3, points]), 4).tolist()}
+            | {
+                "hovertemplate": "<b>%{customdata[0]:.3f} mm</b><br>x %{customdata[1]:+.3f}, y %{customdata[2]:+.3f}, "
+                "z %{customdata[3]:+.3f} mm<br>at x %{customdata[4]:.3f}, y %{customdata[5]:.3f}, "
+                "z %{customdata[6]:.3f} m<extra>%{fullData.name}</extra>"
+            }
+        )
+        if i == 1:
+            data[-1]["marker"]["colorbar"] = bar | {"yanchor": "top", "thickness": 12, "x": 0.5, "xanchor": "center"}
+        small = {"tickfont": {"size": 10}, "nticks": 5}
+        axes = {
+            f"{axis}axis": small | {"title": {"text": f"{axis} (m)", "font": {"size": 11}}, "range": ends}
+            for axis, ends in zip("xyz", np.column_stack([low - spacing, high + spacing]).tolist(), strict=True)
+        }
+        camera = {"eye": dict(zip("xyz", np.round(eye, 4).tolist(), strict=True))}
+        layout[scene] = axes | {"aspectmode": "data", "camera": camera}
+        numbers = spread(field_mm(policy))
+        title = f"<b>{escape(policy.label)}</b>, ×{gain:g}: mean {numbers.mean:.2f}, max {numbers.largest:.2f} mm"
+        layout["annotations"].append({"text": title})
+    return {"data": data, "layout": layout}
+
+
+def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
+    """Position error at each test pose, one line per stage."""
+    data = [
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "name": f"{label}: mean {values.mean():.2f} mm",
+            "x": list(range(1, len(values) + 1)),
+            "y": _numbers(values),
+            "line": {"color": _css(colour), "width": 1.5},
+            "marker": {"size": 5},
+            "hovertemplate": "pose %{x}: <b>%{y:.3f} mm</b><extra>" + escape(label) + "</extra>",
+        }
+        for (label, values), colour in zip(errors_mm.items(), policy_colours(list(errors_mm)), strict=True)
+    ]
+    layout = {
+        "xaxis": {"title": {"text": "test pose (number)"}},
+        "yaxis": {"title": {"text": "position error (mm)"}, "rangemode": "tozero"},
+        "legend": {"orientation": "h", "y": 1.12},
+        "margin": {"l": 55, "r": 10, "t": 10, "b": 45},
+        "height": 340,
+        "hovermode": "closest",
+    }
+    return {"data": data, "layout": layout}
+
+
+def _coordinates(points: Array) -> dict[str, Any]:
+    return {axis: _numbers(points[:, i]) for i, axis in enumerate("xyz")}
+
+
+def _numbers(values: Array) -> list[float | None]:
+    """Numbers to four decimals, and gaps where they are NaN."""
+    return [None if np.isnan(value) else round(float(value), 4) for value in values]
+
+
+def _css(colour: Rgb) -> str:
+    return "rgb({},{},{})".format(*colour)
