@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.geometry import Array
+from pickenv.errors import InputError
 from pickenv.files import write_whole
 from pickenv.inspect.colours import STEEL, Rgb, viridis
 from pickenv.inspect.links import capsules
@@ -42,20 +43,27 @@ def write_recording(
     Raises:
         InputError: If the file cannot be written.
     """
-    return write_whole(path, lambda temporary: _write(temporary, recording_id, blueprint, send))
+    content = recording_bytes(recording_id, blueprint, send)
+    return write_whole(path, lambda temporary: temporary.write_bytes(content))
 
 
-def _write(path: Path, recording_id: str, blueprint: rrb.Blueprint, send: Callable[[rr.RecordingStream], None]) -> None:
+def recording_bytes(recording_id: str, blueprint: rrb.Blueprint, send: Callable[[rr.RecordingStream], None]) -> bytes:
+    """A recording as the content of a file, with the footer that ends a finished one.
+
+    It is made in memory, because rerun's own writer waits for ever when the disk fills up.
+
+    Raises:
+        InputError: If the variable RERUN switches rerun off.
+    """
     import rerun as rr
-    from rerun.chunk import RrdReader
 
-    try:
-        with rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False) as stream:
-            stream.save(path, default_blueprint=blueprint)
-            send(stream)
-        RrdReader(path).store()  # refuses a file without the footer that ends a finished recording
-    except RuntimeError as error:  # a full disk ends rerun's writer thread, and its reader meets half a file
-        raise OSError(f"{error}; is the disk full, or the variable RERUN set to off?") from error
+    stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
+    memory = stream.memory_recording()
+    if not rr.is_enabled(stream):
+        raise InputError("the variable RERUN switches recording off; unset it")
+    stream.send_blueprint(blueprint, make_active=False, make_default=True)
+    send(stream)
+    return memory.drain_as_bytes()
 
 
 class Scribe:

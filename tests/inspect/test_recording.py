@@ -220,17 +220,24 @@ def test_a_folder_that_cannot_be_written_is_named(comparison: Comparison, tmp_pa
         record_comparison(comparison, tmp_path / "file" / "errors.rrd")
 
 
-def test_a_full_disk_is_reported_and_leaves_nothing(
-    comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import rerun as rr
-
-    def save(stream: object, path: Path, **_: object) -> None:
-        raise RuntimeError("File-writer thread shut down prematurely")
-
-    monkeypatch.setattr(rr.RecordingStream, "save", save)
-    with pytest.raises(InputError, match="disk full"):
-        record_comparison(comparison, tmp_path / "errors.rrd")
+@pytest.mark.parametrize("room", [20_000, 60_000])
+def test_a_full_disk_is_one_sentence_and_leaves_nothing(room: int, tmp_path: Path) -> None:
+    script = f"""
+import resource, runpy, sys
+from pickenv.errors import InputError
+from pickenv.inspect import record_comparison
+comparison = runpy.run_path(sys.argv[1])["synthetic_comparison"](reaches=5, cells_per_axis=3)
+resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))
+try:
+    record_comparison(comparison, sys.argv[2])
+except InputError as error:
+    sys.exit(f"error: {{error}}")
+"""
+    conftest, path = Path(__file__).with_name("conftest.py"), tmp_path / "errors.rrd"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    command = [sys.executable, "-c", script, str(conftest), str(path)]
+    done = subprocess.run(command, env=environment, check=False, capture_output=True, text=True, timeout=60)
+    assert done.stderr == f"error: cannot write {path}: File too large\n"
     assert list(tmp_path.iterdir()) == []
 
 
