@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from pickenv.arm import Geometry, Plant, Pose, displace_pose, forward, inverse, pose_error
 from pickenv.arm.dynamics import PlantState
 from pickenv.arm.geometry import Array
+from pickenv.arm.hysteresis import one_stop
 from pickenv.arm.kinematics import Frame, pose_of
 from pickenv.arm.motion import Pace, moved
 from pickenv.arm.workspace import Cube, largest_cube
@@ -29,6 +30,9 @@ ORDER = (4, 3, 2, 1, 0)
 
 VARIATION_POSES = (0, 1, 3)
 """vAP is taken at P1, P2 and P4."""
+
+NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / math.pi)
+"""RP_l of normal noise of standard deviation 1 in three axes: its norm has Maxwell's distribution."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,7 @@ class Iso9283Result:
         plant: Name of the plant.
         cube: The cube that the poses lie in.
         settings: How the test was run.
+        instrument_mm: RP_l that the noise of the measuring instrument would show on an arm that repeats exactly.
         raw: The arm as its controller believes it to be.
         calibrated: The same arm with compensated commands, or None.
     """
@@ -131,6 +136,7 @@ class Iso9283Result:
     plant: str
     cube: Cube
     settings: Iso9283Settings
+    instrument_mm: float
     raw: Performance
     calibrated: Performance | None
 
@@ -154,7 +160,8 @@ class Iso9283Result:
                 "worst_accuracy_mm": performance.worst_accuracy_mm,
                 "worst_repeatability_mm": performance.worst_repeatability_mm,
             }
-        return {"standard": "ISO 9283:1998", "plant": self.plant, "settings": settings, "cube": cube, **found}
+        head = {"standard": "ISO 9283:1998", "plant": self.plant, "settings": settings, "cube": cube}
+        return head | {"instrument_repeatability_mm": self.instrument_mm} | found
 
     def report(self) -> str:
         """The test report, for people."""
@@ -163,6 +170,7 @@ class Iso9283Result:
             f"ISO 9283 on the simulated arm {self.plant}: {s.cycles} cycles at {100 * s.pace.speed:.0f} % speed, "
             f"measured {s.pace.dwell:g} s after arrival, on for {s.warm_up / 3600:g} h",
             f"cube of {1e3 * self.cube.edge:.0f} mm about ({centre}) mm",
+            f"the instrument's noise alone would show RP {self.instrument_mm:.3f} mm",
         ]
         for name, performance in self.performances().items():
             lines += [
@@ -196,7 +204,7 @@ def iso9283(
         plant: The arm, on single numbers.
         compensate: Maps joint targets to joint commands, such as a calibration's compensator; None tests the raw arm
             only.
-        rng: Draws the measuring instrument's noise; raw and calibrated arm see the same.
+        rng: Draws the friction of each stop and the measuring instrument's noise; raw and calibrated arm meet the same.
         settings: How the test is run.
         cube: Where; the largest cube in the workspace when left out.
         reference: What joint targets mean in the world: the arm's nominal geometry when left out. A calibration that
@@ -217,6 +225,7 @@ def iso9283(
         plant=plant.name,
         cube=cube,
         settings=settings,
+        instrument_mm=NORM_OF_NOISE * 1e3 * (plant.measurement_noise.position_std if plant.measurement_noise else 0.0),
         raw=tests[0].performance(),
         calibrated=None if compensate is None else tests[1].performance(),
     )
@@ -332,7 +341,11 @@ class _Test:
         return state, start
 
     def _move(self, state: PlantState, start: list[float], target: list[float]) -> tuple[PlantState, Frame]:
-        return moved(self.plant, math, state, start, target, self.settings.pace)
+        """A move whose friction is that of this one stop: without scatter, an arm would repeat exactly."""
+        plant, band = self.plant, self.plant.stick_band
+        if band is not None and band.scatter:
+            plant = replace(plant, stick_band=one_stop(band, self.rng))
+        return moved(plant, math, state, start, target, self.settings.pace)
 
     def _error(self, i: int, frame: Frame) -> Array:
         """Measured pose error (6,) against the commanded pose, m and rad."""

@@ -87,13 +87,14 @@ def backlash(table: Table, arm: Arm) -> Backlash:
 
 
 def stick_band(table: Table, arm: Arm) -> StickBand:
-    """Friction bands: arcmin or mm; joints left out have none."""
+    """Friction bands: arcmin or mm; joints left out have none. Their scatter from stop to stop is a share of them."""
     bands = {"forward": [0.0] * arm.nominal.joints, "backward": [0.0] * arm.nominal.joints}
     keys = [f"{side}_{unit}" for side in bands for unit in ("arcmin", "mm")]
     for joint, entry in table.by_joint(arm, keys).items():
         for side, band in bands.items():
             band[joint] = _travel(entry, side, arm, joint)
-    return StickBand(tuple(bands["forward"]), tuple(bands["backward"]))
+    scatter = table.number("scatter", default=0.0)
+    return StickBand(tuple(bands["forward"]), tuple(bands["backward"]), scatter)
 
 
 def thermal_growth(table: Table, arm: Arm) -> ThermalGrowth:
@@ -178,7 +179,7 @@ READERS: Mapping[str, tuple[Callable[[Table, Arm], Any], tuple[str, ...]]] = {
     "transmission_error": (transmission_error, ("lead", "harmonics")),
     "roller_play": (roller_play, ("joint", "length_mm", "clearance_mm", "overlap_mm")),
     "backlash": (backlash, ("joints",)),
-    "stick_band": (stick_band, ("joints",)),
+    "stick_band": (stick_band, ("joints", "scatter")),
     "thermal_growth": (
         thermal_growth,
         ("expansion_um_per_m_K", "initial_rise_K", "final_rise_K", "time_constant_h"),

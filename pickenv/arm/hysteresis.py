@@ -8,8 +8,10 @@ it cannot. Units: rad or m on the joint side, N*m or N.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
+
+import numpy as np
 
 from pickenv.arm.executor import chosen, clipped
 from pickenv.arm.kinematics import Scalar
@@ -36,10 +38,23 @@ class StickBand:
     Attributes:
         forward: How far each joint lags when it moves in the positive direction, rad or m (friction / stiffness).
         backward: The same for the negative direction.
+        scatter: Standard deviation of the friction from one stop to the next, as a share of it. Time steps do not draw
+            it: whoever asks how well the arm repeats does (`one_stop`).
     """
 
     forward: tuple[Scalar, ...]
     backward: tuple[Scalar, ...]
+    scatter: Scalar = 0.0
+
+
+def one_stop(band: StickBand, rng: np.random.Generator) -> StickBand:
+    """The friction of a single stop: each joint's bands, normally scattered and never below zero."""
+    factors = np.maximum(1.0 + band.scatter * rng.normal(size=(2, len(band.forward))), 0.0).tolist()
+    forward, backward = (
+        tuple(width * factor for width, factor in zip(widths, row, strict=True))
+        for widths, row in zip((band.forward, band.backward), factors, strict=True)
+    )
+    return replace(band, forward=forward, backward=backward)
 
 
 def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar) -> Scalar:

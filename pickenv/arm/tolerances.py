@@ -241,7 +241,8 @@ def _backlash(draws: _Draws) -> Backlash:
 def _stick_band(draws: _Draws) -> StickBand:
     effect = _given(draws.plant.stick_band)
     n = len(effect.forward)
-    return StickBand(draws.scaled(effect.forward, "friction"), draws.scaled(effect.backward, "friction", n))
+    forward, backward = draws.scaled(effect.forward, "friction"), draws.scaled(effect.backward, "friction", n)
+    return replace(effect, forward=forward, backward=backward)
 
 
 def _thermal_growth(draws: _Draws) -> ThermalGrowth:

@@ -41,7 +41,7 @@ def iso9283(
     cycles: Annotated[int, typer.Option(help="Measurements per pose; 30 by the standard.", min=2)] = 30,
     speed: Annotated[float, typer.Option(help="Share of the largest speed.", min=0.01, max=1.0)] = 1.0,
     dwell: Annotated[float, typer.Option(help="Waiting time before each measurement, s.", min=0.0)] = 2.0,
-    seed: Annotated[int, typer.Option(help="Seed of the instrument's noise.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of friction and instrument noise.", min=0)] = 0,
     json_file: JsonFile = None,
 ) -> None:
     """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated."""

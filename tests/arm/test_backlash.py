@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pickenv.arm import forward, load_plant
 from pickenv.arm.drives import Encoder, Servo, followed, quantised
 from pickenv.arm.effects import Load
-from pickenv.arm.hysteresis import Backlash, StickBand, joints_behind_backlash, play
+from pickenv.arm.hysteresis import Backlash, StickBand, joints_behind_backlash, one_stop, play
 
 WAYS = st.lists(st.floats(-1, 1), min_size=1, max_size=30)
 GAPS = st.floats(0, 0.3)
@@ -127,6 +127,17 @@ def test_friction_stops_a_joint_short_by_another_distance_in_each_direction():
     np.testing.assert_allclose((approached(plant, START, below) - true) @ rail, -3e-4, atol=1e-12)
     np.testing.assert_allclose((approached(plant, START, above) - true) @ rail, 1e-4, atol=1e-12)
     np.testing.assert_allclose((settled - true) @ rail, -1e-4, atol=1e-12)
+
+
+def test_friction_scatters_from_stop_to_stop_by_its_share_and_never_pulls():
+    band = StickBand((3e-4, 0.0), (1e-4, 2e-4), scatter=0.2)
+    rng = np.random.default_rng(0)
+    stops = np.array([[stop.forward, stop.backward] for stop in (one_stop(band, rng) for _ in range(4000))])
+    mean = np.array([band.forward, band.backward])
+    np.testing.assert_allclose(stops.mean(axis=0), mean, rtol=0.02)
+    np.testing.assert_allclose(stops.std(axis=0), 0.2 * mean, rtol=0.05)
+    assert min(min(one_stop(replace(band, scatter=3.0), rng).forward) for _ in range(100)) == 0.0
+    assert one_stop(replace(band, scatter=0.0), rng) == replace(band, scatter=0.0)
 
 
 @given(st.lists(st.floats(-3, 3), min_size=2, max_size=2))

@@ -222,6 +222,7 @@ MISTAKES = {
     "backlash in the wrong unit": ("width_mm = 0.10", "width_arcmin = 0.10", ["width_mm", "missing"]),
     "preload missing": (", preload_N_m = 4.0", "", ["preload_N_m", "missing"]),
     "joint named twice": ("joint = 2, width_mm", "joint = 3, width_mm", ["joint", "each joint once"]),
+    "negative scatter": ("scatter = 0.2", "scatter = -0.2", ["scatter", "[stick_band]"]),
     "negative friction": ("forward_mm = 0.06", "forward_mm = -0.06", ["forward_mm", "[stick_band.joints]"]),
     "five expansions": ("[23.0, 23.0, 23.0, 23.0, 23.0, 23.0]", "[23.0]", ["expansion_um_per_m_K", "6 numbers"]),
     "no warm-up time": ("time_constant_h = 1.2", "time_constant_h = 0", ["time_constant_h", "[thermal_growth]"]),
