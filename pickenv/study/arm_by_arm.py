@@ -27,7 +27,7 @@ from pickenv.arm.plant import Plant
 from pickenv.arm.pose_error import pose_error
 from pickenv.errors import InputError
 from pickenv.study.config import LS, RAW, Setting
-from pickenv.study.outcomes import Outcomes, chunk_table, out_of_reach
+from pickenv.study.outcomes import Outcomes, chunk_table, reach_status
 from pickenv.study.protocol import RESIDUAL, TRACKER, Protocol, carrying, seen_by
 from pickenv.study.table import OK
 
@@ -96,8 +96,9 @@ def commands(protocol: Protocol, setting: Setting, arm: Plant, number: int) -> C
         return Commands(protocol.fruit, f"the identification broke down: {error}")
     joints = compensator(protocol.fruit)
     miss = np.linalg.norm(compensator.predict(joints).position - protocol.wanted.position, axis=1)
-    missed = int(np.sum(miss > 1e-3 * protocol.config.radius_mm))
-    return Commands(joints, out_of_reach(missed, protocol) if missed else OK, iterations)
+    limited = ((joints <= protocol.nominal.lower) | (joints >= protocol.nominal.upper)).any(axis=1)
+    missed = int(np.sum(limited & (miss > 1e-3 * protocol.config.radius_mm)))
+    return Commands(joints, reach_status(missed, protocol.config), iterations)
 
 
 def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, number: int) -> tuple[Compensator, int]:

@@ -28,9 +28,8 @@ from pickenv.errors import InputError
 from pickenv.study.arm_by_arm import evaluate_arm
 from pickenv.study.batched_identification import Place, identify_batch
 from pickenv.study.config import RAW, Setting
-from pickenv.study.outcomes import Outcomes, chunk_table, out_of_reach
+from pickenv.study.outcomes import Outcomes, chunk_table, reach_status
 from pickenv.study.protocol import TRACKER, Protocol, carrying
-from pickenv.study.table import OK
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
 """Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""
@@ -42,7 +41,7 @@ class _Commands:
 
     Attributes:
         joints: Components ``(M, N)`` or, without calibration, ``(M, 1)``, rad or m.
-        missed: Fruit that the calibrated model itself misses ``(N,)``.
+        missed: Fruit out of each arm's reach ``(N,)``, as far as its calibration can say.
         steps: Least-squares steps ``(N,)``.
         converged: Whether the arm was calibrated here ``(N,)``; the others are handed over.
     """
@@ -111,7 +110,7 @@ def _outcomes(
         given = known[key]
         error = _frame_error(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, given.joints))
         position, attitude = (_norms(part, len(arms)) for part in (error[:3], error[3:]))
-        status = [out_of_reach(int(missed), protocol) if missed else OK for missed in given.missed]
+        status = [reach_status(int(missed), protocol.config) for missed in given.missed]
         steps = given.steps.tolist()
         for i in np.flatnonzero(~given.converged).tolist():
             (alone,) = evaluate_arm(protocol, [setting], plant_at(plants, i), arms[i])
@@ -135,7 +134,7 @@ def _commands(
     chain = placed_chain(chain_of(found.geometry, np), place)
     joints = _corrected(protocol, chain, targets, wanted)
     gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], wanted[9:], strict=True)]
-    missed = np.sum(_norms(gap, count) > 1e-3 * protocol.config.radius_mm, axis=1)
+    missed = np.sum(_limited(protocol, joints, count) & (_norms(gap, count) > 1e-3 * protocol.config.radius_mm), axis=1)
     return _Commands(joints, missed, found.steps, found.converged)
 
 
@@ -153,6 +152,13 @@ def _corrected(protocol: Protocol, chain: Chain, targets: Sequence[Tensor], want
             (value + step).clip(low, high) for value, step, (low, high) in zip(command, correction, limits, strict=True)
         ]
     return command
+
+
+def _limited(protocol: Protocol, command: Sequence[Tensor], count: int) -> NDArray[np.bool_]:
+    """Whether any joint of a command stands at its limit, ``(N, M)``."""
+    lower, upper = protocol.nominal.lower.tolist(), protocol.nominal.upper.tolist()
+    each = [(q <= low) | (q >= high) for q, low, high in zip(command, lower, upper, strict=True)]
+    return np.asarray(torch.stack(each).any(0).expand(-1, count).cpu().numpy().T)
 
 
 def _wanted(protocol: Protocol, place: Place) -> Frame:

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from pickenv.arm.geometry import Array
 from pickenv.arm.plant import Plant
-from pickenv.study.config import Setting
+from pickenv.study.config import Setting, StudyConfig
 from pickenv.study.deviations import deviations
 from pickenv.study.protocol import Protocol
 from pickenv.study.table import FIGURES, OK, make_table
@@ -36,11 +36,13 @@ class Outcomes:
     attitude: Array
 
 
-def out_of_reach(missed: int, protocol: Protocol) -> str:
-    """Why an arm is not judged: the calibration itself says that its commands end far from some fruit."""
+def reach_status(missed: int, config: StudyConfig) -> str:
+    """Status of an arm whose commands end at a joint limit, far from this many fruit by the calibration's own word."""
+    if (config.fruit - missed) / config.fruit >= config.share:
+        return OK
     return (
-        f"{missed} of {protocol.config.fruit} fruit are out of this arm's reach: even by its calibration the commands "
-        f"miss them by more than {protocol.config.radius_mm:g} mm"
+        f"{missed} of {config.fruit} fruit are out of this arm's reach: its commands end at joint limits, and by its "
+        f"calibration more than {config.radius_mm:g} mm away"
     )
 
 

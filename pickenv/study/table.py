@@ -84,7 +84,9 @@ def open_folder(folder: Path, config: StudyConfig, arithmetic: str) -> None:
         write_text(described, f'sha256 = "{config.sha256()}"\narithmetic = "{arithmetic}"\n{config.toml()}')
         return
     content = read_toml(described)
-    found, computed = str(content.get("sha256")), content.get("arithmetic")
+    found, computed = str(content.get("sha256", "")), content.get("arithmetic")
+    if not found:
+        raise InputError(f"{described} is not the record of a results folder; give another --out")
     if found != config.sha256():
         raise InputError(
             f"{folder} holds the results of another configuration (hash {found[:12]}, this one has "
@@ -92,8 +94,8 @@ def open_folder(folder: Path, config: StudyConfig, arithmetic: str) -> None:
         )
     if computed != arithmetic:
         raise InputError(
-            f"{folder} holds rows computed {computed}, whose last digits differ from those of rows computed {arithmetic}; "
-            "go on with the executor that began it, or give another --out"
+            f"{folder} holds rows computed {computed}, and rows computed {arithmetic} differ from them in the last "
+            "digits; go on with the executor that began it, or give another --out"
         )
 
 

@@ -1,6 +1,7 @@
 """Made-up results of a study, with the columns of real ones: what is computed from them is known."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -65,5 +66,46 @@ def written(tmp_path) -> Callable[..., ds.Dataset]:
         for chunk in range(chunks):
             pq.write_table(made_up(arms, first=chunk * arms, **options), folder / f"chunk-{chunk:05}.parquet")
         return ds.dataset(folder)
+
+    return write
+
+
+SMALL = """\
+plant = "qiao2026"
+seed = 3
+arms = 12
+chunk = 5
+
+[picking]
+fruit = 8
+payload_kg = [0.0, 0.5]
+
+[specification]
+radius_mm = 1.0
+share = 0.75
+
+[tolerances]
+classes = ["medium"]
+it_grades = [8, 14]
+
+[calibration]
+methods = ["raw", "ls"]
+poses = [12, 20]
+noise = [{ position_mm = 0.015, attitude_deg = 0.012 }]
+"""
+
+
+@pytest.fixture
+def study_file(tmp_path) -> Callable[..., Path]:
+    """Writes a small study, with some of its text replaced."""
+
+    def write(*changes: tuple[str, str]) -> Path:
+        text = SMALL
+        for old, new in changes:
+            assert old in text, old
+            text = text.replace(old, new, 1)
+        path = tmp_path / "study.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
 
     return write

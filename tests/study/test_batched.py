@@ -1,0 +1,120 @@
+"""The batched executor does what the reference does arm by arm: the same rows, to rounding."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pickenv.arm.tolerances import TOLERANCES
+from pickenv.errors import InputError
+from pickenv.study import batched, batched_identification
+from pickenv.study.arm_by_arm import evaluate_chunk
+from pickenv.study.batched import evaluate_batch
+from pickenv.study.config import Noise, load_study
+from pickenv.study.protocol import prepare
+from pickenv.study.run import run_study
+from pickenv.study.table import OK
+
+AGREEMENT = 1e-9
+"""Relative; what rounding leaves is about 1e-12."""
+
+
+def compare(config):
+    """Both executors' rows; they must agree. Returns the reference's."""
+    protocol = prepare(config)
+    for chunk in config.chunks():
+        one, other = evaluate_chunk(protocol, chunk), evaluate_batch(protocol, chunk)
+        assert one.schema == other.schema and one.num_rows == other.num_rows
+        for name in one.column_names:
+            expected, found = one[name].to_numpy(), other[name].to_numpy()
+            if expected.dtype.kind == "f":
+                np.testing.assert_allclose(found, expected, rtol=AGREEMENT, err_msg=name)
+            else:
+                np.testing.assert_array_equal(found, expected, err_msg=name)
+    return one
+
+
+def test_batches_agree_with_arms_one_by_one(study_file):
+    config = load_study(
+        study_file(("arms = 12", "arms = 30"), ("chunk = 5", "chunk = 17"), ("fruit = 8", "fruit = 15"))
+    )
+    trackers = (Noise(0.015, 0.012), Noise(0.0, 0.0), Noise(0.2, 0.0))
+    compare(replace(config, noise=trackers, it_grades=(12,), poses=(12, 25)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", ["qiao2026", "orchard"])
+def test_hundreds_of_batched_arms_agree_in_many_settings(study_file, plant):
+    config = load_study(
+        study_file(('"qiao2026"', f'"{plant}"'), ('["medium"]', '["medium", "coarse"]'), ("arms = 12", "arms = 200"))
+    )
+    table = compare(replace(config, chunk=200, fruit=30, poses=(10, 30)))
+    assert set(table["status"].to_pylist()) == {OK}
+
+
+@pytest.mark.parametrize("plant", ["orchard", "geometry_only", "li2016_slave"])
+def test_batches_agree_for_other_plants(study_file, plant):
+    config = load_study(study_file(('"qiao2026"', f'"{plant}"'), ("[0.0, 0.5]", "[0.0]"), ("[8, 14]", "[12]")))
+    compare(replace(config, arms=5, fruit=5, poses=(20,)))
+
+
+@pytest.mark.parametrize("degrees", [2.0, 90.0])
+def test_arms_far_from_their_design_have_the_same_status(study_file, tmp_path, degrees):
+    """At two degrees some fruit are out of reach; at ninety most arms need more than plain steps, or are not found."""
+    path = tmp_path / "hopeless.toml"
+    text = (TOLERANCES / "medium.toml").read_text(encoding="utf-8")
+    path.write_text(text.replace("half_width_deg = 0.03", f"half_width_deg = {degrees}"), encoding="utf-8")
+    config = load_study(study_file(('"medium"', f'"{path}"'), ("[8, 14]", "[12]"), ("[12, 20]", "[20]")))
+    table = compare(replace(config, arms=12, chunk=12, payload_kg=(0.0,), methods=("ls",)))
+    assert len(set(table["status"].to_pylist())) > 1
+
+
+def test_an_arm_is_handed_over_rather_than_left_unconverged(study_file, monkeypatch):
+    """With two steps allowed no arm is finished in the batch, and all rows still agree."""
+    monkeypatch.setattr(batched_identification, "STEPS", 2)
+    compare(replace(load_study(study_file()), arms=4, it_grades=(12,), poses=(20,), methods=("ls",)))
+
+
+def test_blocks_change_nothing_but_rounding(study_file, monkeypatch):
+    protocol = prepare(replace(load_study(study_file()), chunk=12, it_grades=(12,)))
+    whole = evaluate_batch(protocol, 0)
+    monkeypatch.setitem(batched.BLOCKS, "cpu", 50)  # two arms at a time
+    parts = evaluate_batch(protocol, 0)
+    assert parts.column_names == whole.column_names
+    np.testing.assert_array_equal(parts["arm"], whole["arm"])
+    np.testing.assert_allclose(parts["error_mean_mm"], whole["error_mean_mm"], rtol=AGREEMENT)
+
+
+def test_what_the_batch_cannot_do_is_refused(study_file, tmp_path):
+    learnt = load_study(study_file(('"raw", "ls"', '"ls", "ls+rbf"')))
+    with pytest.raises(InputError, match=r"batched executor has no ls\+rbf.*joblib"):
+        run_study(learnt, tmp_path / "out", executor="batched")
+    with pytest.raises(InputError, match="unknown device 'tpu'"):
+        run_study(load_study(study_file()), tmp_path / "out", executor="batched", device="tpu")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_number_of_arms(study_file, tmp_path):
+    peaks = [peak_memory(study_file, tmp_path / f"{arms}", arms) for arms in (20_000, 80_000)]
+    assert abs(peaks[1] - peaks[0]) < 100.0, peaks
+
+
+def peak_memory(study_file, out: Path, arms: int) -> float:
+    """Largest memory of a study without calibration, MB, in a process of its own."""
+    import subprocess
+    import sys
+
+    changes = [("arms = 12", f"arms = {arms}"), ("chunk = 5", "chunk = 5000"), ('"raw", "ls"', '"raw"')]
+    path = study_file(*changes, ("[0.0, 0.5]", "[0.0]"), ("[8, 14]", "[12]"))
+    code = f"""
+import resource, sys
+from pathlib import Path
+from pickenv.study.config import load_study
+from pickenv.study.run import run_study
+run_study(load_study({str(path)!r}), Path({str(out)!r}), executor="batched")
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    return float(ran.stdout)

@@ -1,0 +1,51 @@
+"""`pickenv study`: one command from a configuration to a summary that people and programs read."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def study(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from pickenv.cli import main; main()", "study", *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env={"PYTHONPATH": str(ROOT)})
+
+
+def test_a_study_prints_writes_and_sums_up(study_file, tmp_path):
+    ran = study(study_file(), "--executor", "serial", "--out", "run", "--json", "summary.json", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert summary == json.loads((tmp_path / "run" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["arms"] == 12 and summary["executor"] == "serial" and summary["simulated"] is True
+    assert re.fullmatch("[0-9a-f]{64}", summary["table_sha256"]) and summary["seconds"] > 0
+    assert len(summary["yield"]) == 12
+    for row in summary["yield"]:
+        assert row["arms"] == 12 and 0 <= row["yield_low"] <= row["yield"] <= row["yield_high"] <= 1
+    assert {row["quantity"] for row in summary["quantiles_mm"]} >= {"error_mean_mm", "error_p95_mm"}
+    for word in ("yield [%]", "IT", "Wilson 95 % interval", "within 1 mm", "simulated"):
+        assert word in ran.stdout
+    assert summary["table_sha256"] in ran.stdout
+    assert "12/12" in ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["nowhere.toml"], r"nowhere\.toml does not exist"),
+        (["study.toml", "--executor", "dask"], r"unknown executor 'dask'; give one of serial, joblib, ray or batched"),
+        (["study.toml", "--executor", "batched", "--device", "tpu"], r"unknown device 'tpu'"),
+        (["study.toml", "--out", "study.toml/run"], r"cannot write"),
+    ],
+)
+def test_bad_input_ends_with_one_sentence(study_file, tmp_path, arguments, sentence):
+    study_file()
+    ran = study(*arguments, cwd=tmp_path)
+    assert ran.returncode == 2
+    (said,) = [line for line in ran.stderr.splitlines() if line.strip()]
+    assert said.startswith("error: ") and re.search(sentence, said)
+    assert not (tmp_path / "runs").exists()

@@ -1,0 +1,216 @@
+"""Rows of a study: what an arm's figures are, and what they do not depend on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.arm import forward, load_plant, pose_error
+from pickenv.arm.batch import plant_at
+from pickenv.arm.tolerances import TOLERANCES, it_tolerance
+from pickenv.errors import InputError
+from pickenv.study.arm_by_arm import evaluate_arm, evaluate_chunk
+from pickenv.study.config import Noise, load_study
+from pickenv.study.protocol import carrying, prepare
+from pickenv.study.table import FIGURES, OK
+
+
+def rows(config):
+    """All rows of a study, as columns."""
+    protocol = prepare(config)
+    tables = [evaluate_chunk(protocol, chunk) for chunk in config.chunks()]
+    return {name: np.concatenate([table[name].to_numpy() for table in tables]) for name in tables[0].column_names}
+
+
+@pytest.fixture
+def config(study_file):
+    return load_study(study_file())
+
+
+def test_there_is_a_row_for_every_arm_and_setting(config):
+    config = replace(config, arms=4, chunk=3)
+    found = rows(config)
+    settings = config.settings()
+    assert len(found["arm"]) == config.arms * len(settings)
+    np.testing.assert_array_equal(found["arm"], np.repeat(np.arange(config.arms), len(settings)))
+    np.testing.assert_array_equal(found["setting"], np.tile(np.arange(len(settings)), config.arms))
+    assert set(found["status"]) == {OK}
+    for setting in settings:
+        here = found["setting"] == setting.number
+        assert set(found["it_grade"][here]) == {setting.it_grade} and set(found["method"][here]) == {setting.method}
+        assert set(found["payload_kg"][here]) == {setting.payload_kg} and set(found["poses"][here]) == {setting.poses}
+
+
+def test_a_row_is_what_the_arm_does_at_the_fruit(config):
+    config = replace(config, methods=("raw",))
+    protocol = prepare(config)
+    found = rows(config)
+    for setting in protocol.settings:
+        plants = protocol.draw(setting, range(config.arms))
+        for arm in (0, 7):
+            tool = carrying(plant_at(plants, arm), setting.payload_kg).tool_pose(protocol.fruit)
+            error = pose_error(forward(protocol.nominal, protocol.fruit), tool)
+            position = 1e3 * np.linalg.norm(error[:, :3], axis=1)
+            row = (found["arm"] == arm) & (found["setting"] == setting.number)
+            expected = (
+                position.mean(),
+                np.sqrt(np.mean(position**2)),
+                np.median(position),
+                np.quantile(position, 0.95),
+                position.max(),
+                np.degrees(np.linalg.norm(error[:, 3:], axis=1)).mean(),
+            )
+            np.testing.assert_allclose([found[name][row][0] for name in FIGURES], expected, rtol=1e-12)
+            assert found["share_within"][row][0] == np.mean(position <= config.radius_mm)
+
+
+def test_the_tool_is_upright_at_the_fruit_and_joints_keep_off_their_limits(config):
+    protocol = prepare(replace(config, fruit=200))
+    nominal = protocol.nominal
+    assert protocol.fruit.shape == (200, 6)
+    assert np.all(protocol.wanted.rotation[:, 2, 2] >= np.cos(np.radians(30.0)))
+    share = (protocol.fruit - nominal.lower) / (nominal.upper - nominal.lower)
+    assert share.min() >= 0.05 and share.max() <= 0.95
+
+
+def test_rows_depend_neither_on_chunks_nor_on_the_number_of_arms(config):
+    config = replace(config, arms=5, chunk=2, it_grades=(12,), poses=(20,))
+    whole = rows(config)
+    for other in (replace(config, chunk=5), replace(config, chunk=1), replace(config, arms=3)):
+        found = rows(other)
+        for name, values in found.items():
+            np.testing.assert_array_equal(values, whole[name][: len(values)], err_msg=name)
+
+
+def test_rows_do_not_depend_on_the_other_settings(config):
+    config = replace(config, arms=3, chunk=3)
+    whole = rows(config)
+    for part in (
+        replace(config, it_grades=(14,)),
+        replace(config, methods=("ls",)),
+        replace(config, payload_kg=(0.5,)),
+    ):
+        found = rows(part)
+        for number, setting in enumerate(part.settings()):
+            (same,) = [s.number for s in config.settings() if replace(s, number=0) == replace(setting, number=0)]
+            for name in (*FIGURES, "delta_a2_mm", "iterations"):
+                np.testing.assert_array_equal(
+                    found[name][found["setting"] == number], whole[name][whole["setting"] == same]
+                )
+
+
+def test_an_arm_deviates_in_the_same_direction_in_every_grade(config):
+    found = rows(replace(config, methods=("raw",), payload_kg=(0.0,)))
+    fine, coarse = (found["it_grade"] == grade for grade in (8, 14))
+    for name in ("delta_a2_mm", "delta_d4_mm"):
+        ratio = it_tolerance(14, 0.1) / it_tolerance(8, 0.1)
+        np.testing.assert_allclose(found[name][coarse], ratio * found[name][fine], rtol=1e-9)
+    np.testing.assert_array_equal(found["delta_alpha1_deg"][coarse], found["delta_alpha1_deg"][fine])
+    np.testing.assert_array_equal(found["size_joint_stiffness_1"][coarse], found["size_joint_stiffness_1"][fine])
+
+
+def test_deviations_are_those_of_the_drawn_arms(config):
+    config = replace(config, methods=("raw",))
+    found = rows(config)
+    protocol = prepare(config)
+    setting = protocol.settings[0]
+    plants = protocol.draw(setting, range(config.arms))
+    here = found["setting"] == setting.number
+    design = load_plant("qiao2026")
+    names = design.arm.nominal.parameter_names
+    for name in names[: 4 * 6]:
+        kind, joint = name.rstrip("0123456789"), names.index(name) % 6
+        angle = kind in ("alpha", "theta")
+        delta = getattr(plants.geometry, kind)[:, joint] - getattr(design.arm.nominal, kind)[joint]
+        column = found[f"delta_{name}_{'deg' if angle else 'mm'}"][here]
+        np.testing.assert_allclose(column, np.degrees(delta) if angle else 1e3 * delta, rtol=1e-12)
+    stiffness = design.joint_compliance.stiffness
+    np.testing.assert_allclose(
+        found["size_joint_stiffness_4"][here] * stiffness[3], plants.joint_compliance.stiffness[3]
+    )
+    assert "size_lead_1" not in found and "size_lead_2" in found  # the design's first joint has no lead error
+    for name, values in found.items():
+        if name.startswith(("delta", "size", "phase")):
+            assert np.ptp(values) > 0, name
+
+
+def test_every_effect_of_the_orchard_plant_has_its_columns(study_file):
+    config = load_study(study_file(('"qiao2026"', '"orchard"'), ('"raw", "ls"', '"raw"'), ("arms = 12", "arms = 3")))
+    found = rows(config)
+    for name in (
+        "size_backlash_1",
+        "size_friction_forward_1",
+        "size_roller_clearance",
+        "size_ground_stiffness_2",
+        "rise_K",
+    ):
+        assert np.ptp(found[name]) > 0, name
+
+
+def test_calibration_helps_more_poses_help_more_and_a_payload_costs_accuracy(study_file):
+    config = load_study(study_file(("[12, 20]", "[10, 60]"), ("arms = 12", "arms = 15"), ("fruit = 8", "fruit = 40")))
+    found = rows(replace(config, it_grades=(12,)))
+
+    def mean(method, poses, payload):
+        here = (found["method"] == method) & (found["poses"] == poses) & (found["payload_kg"] == payload)
+        return found["error_mean_mm"][here].mean()
+
+    assert mean("ls", 60, 0.0) < mean("ls", 10, 0.0) < mean("raw", 0, 0.0)
+    assert mean("ls", 60, 0.0) < mean("ls", 60, 0.5)
+
+
+def test_without_dynamic_errors_and_noise_calibration_leaves_nothing(study_file):
+    config = load_study(study_file(('"qiao2026"', '"geometry_only"'), ("[0.0, 0.5]", "[0.0]"), ("[12, 20]", "[20]")))
+    found = rows(replace(config, noise=(Noise(0.0, 0.0),)))
+    calibrated = found["method"] == "ls"
+    assert found["error_max_mm"][calibrated].max() < 1e-3 < found["error_mean_mm"][~calibrated].min()
+
+
+def test_noise_is_the_same_draw_in_every_setting(study_file):
+    """Ten times the noise moves the identified arm ten times as far, to first order: nothing else differs."""
+    config = load_study(study_file(('"qiao2026"', '"geometry_only"'), ("[0.0, 0.5]", "[0.0]"), ("[12, 20]", "[20]")))
+    found = rows(replace(config, methods=("ls",), noise=(Noise(0.01, 0.01), Noise(0.1, 0.1))))
+    small, large = (found["error_mean_mm"][found["noise_mm"] == noise] for noise in (0.01, 0.1))
+    np.testing.assert_allclose(large / small, 10.0, rtol=0.05)
+
+
+@pytest.mark.parametrize("kind", ["rbf", "gp"])
+def test_a_learnt_residual_is_a_method_too(study_file, kind):
+    config = load_study(
+        study_file(
+            ("[8, 14]", "[12]"), ("[12, 20]", "[20]"), ('"raw", "ls"', f'"ls", "ls+{kind}"'), ("[0.0, 0.5]", "[0.0]")
+        )
+    )
+    found = rows(replace(config, arms=4, residual_poses=60))
+    plain, learnt = (found["error_mean_mm"][found["method"] == method] for method in ("ls", f"ls+{kind}"))
+    assert np.all(found["status"] == OK) and learnt.mean() < 0.8 * plain.mean()
+
+
+@pytest.mark.parametrize(("degrees", "reason"), [(2.0, "out of this arm's reach"), (90.0, "did not converge")])
+def test_an_arm_that_cannot_reach_or_be_calibrated_is_a_row_with_its_reason(study_file, tmp_path, degrees, reason):
+    path = tmp_path / "crooked.toml"
+    text = (TOLERANCES / "medium.toml").read_text(encoding="utf-8")
+    path.write_text(text.replace("half_width_deg = 0.03", f"half_width_deg = {degrees}"), encoding="utf-8")
+    config = load_study(study_file(('"medium"', f'"{path}"'), ("[8, 14]", "[12]"), ("[12, 20]", "[20]")))
+    found = rows(config)
+    assert len(found["arm"]) == config.arms * len(config.settings())
+    raw, judged = found["method"] == "raw", found["status"] == OK
+    assert judged[raw].all() and not judged[~raw].all()
+    assert any(reason in status for status in found["status"][~judged])
+    for name in (*FIGURES, "share_within"):
+        np.testing.assert_array_equal(np.isfinite(found[name]), judged, err_msg=name)
+    assert all(np.isfinite(values).all() for name, values in found.items() if name.startswith(("delta", "size")))
+
+
+def test_too_few_poses_are_refused_before_anything_is_computed(study_file):
+    with pytest.raises(InputError, match=r"2 poses give 12 equations, too few"):
+        prepare(load_study(study_file(("[12, 20]", "[2, 20]"))))
+
+
+def test_the_design_itself_can_be_judged_by_the_same_protocol(config):
+    """The paper's arm, Table 1, against its population: its own geometry, the settings' calibration and fruit."""
+    protocol = prepare(config)
+    outcomes = evaluate_arm(protocol, protocol.settings, protocol.design, config.arms)
+    assert [outcome.setting for outcome in outcomes] == list(protocol.settings)
+    raw, calibrated = outcomes[0].position.mean(), outcomes[4].position.mean()
+    assert outcomes[4].setting.method == "ls" and calibrated < raw < 5e-3
