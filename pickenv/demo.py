@@ -266,13 +266,14 @@ def _figures(error: Array, impossible: Array) -> dict[str, Any]:
 
 def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -> list[Path]:
     """Write the run folder: data, calibration, summary, figures and the Rerun recording; returns what was written."""
+    from pickenv.inspect.demo_report import demo_report
     from pickenv.inspect.drawings import comparison_drawings, trace_drawings, write_drawings
     from pickenv.inspect.recording import record_comparison
     from pickenv.inspect.run_folder import recorded_run, save_comparison, save_trace
 
     report = progress or (lambda stage, done, total: None)
     found = trace(result)
-    with recorded_run(out, "demo", result.settings.command(), result.settings.seed):
+    with recorded_run(out, "demo", result.settings.command(), result.settings.seed) as run:
         written = [
             result.identification.write_csv(out / "measurements.csv"),
             result.network.write_csv(out / "network_measurements.csv"),
@@ -285,6 +286,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
         written += write_drawings(drawings, out / "figures", ("png",), report)
         written.append(record_comparison(result.comparison, out / "errors.rrd"))
         report("recording", 1, 1)
+        written.append(write_text(out / "report.html", demo_report(run)))
         written.append(write_text(out / "summary.json", json.dumps(summarise(result), indent=2) + "\n"))
     return written
 

@@ -128,9 +128,9 @@ def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
     layout = {
         "xaxis": {"title": {"text": "test pose (number)"}},
         "yaxis": {"title": {"text": "position error (mm)"}, "rangemode": "tozero"},
-        "legend": {"orientation": "h", "y": 1.12},
-        "margin": {"l": 55, "r": 10, "t": 10, "b": 45},
-        "height": 340,
+        "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.02},
+        "margin": {"l": 55, "r": 10, "t": 70, "b": 45},
+        "height": 380,
         "hovermode": "closest",
     }
     return {"data": data, "layout": layout}

@@ -48,7 +48,7 @@ nav { display: flex; flex-wrap: wrap; gap: 4px 18px; margin: 14px 0 0; font-size
 a { color: var(--link); } section { scroll-margin-top: 8px; }
 caption { text-align: left; padding: 2px 0 6px; } thead th { white-space: normal; vertical-align: bottom; }
 tbody th, tbody th.words { color: var(--ink); white-space: nowrap; }
-figure { margin: 18px 0 6px; } figcaption { color: var(--soft); font-size: .86rem; margin-top: 4px; }
+figure { margin: 18px 0 6px; overflow-x: auto; } figcaption { color: var(--soft); font-size: .86rem; margin-top: 4px; }
 svg.drawn { display: block; width: 100%; height: auto; margin: 0 auto; overflow: visible;
   stroke-linejoin: round; stroke-linecap: butt; }
 svg.drawn text { font-family: inherit !important; }
@@ -64,10 +64,10 @@ footer { margin-top: 28px; color: var(--soft); font-size: .83rem; overflow-wrap:
   @page { size: A4; margin: 11mm; }
   html { font-size: 9px; } .explain { max-width: none; } main { max-width: none; padding: 0; }
   nav, .live .interactive, .live .hint { display: none; } .live .still { display: block; }
-  figure { break-inside: avoid; margin: 8px 0 4px; }
+  figure { break-inside: avoid; margin: 8px 0 4px; overflow: visible; } svg.drawn { min-width: 0 !important; }
   .scroll { overflow: visible; } .wide td.words { min-width: 0; } .wide td:nth-child(2) { min-width: 20rem; }
   * { -webkit-print-color-adjust: exact; print-color-adjust: exact; }
-  h2 { margin-top: 12px; break-after: avoid; } th, td { padding: 1px 5px; }
+  h2 { margin-top: 12px; } h2, .explain { break-after: avoid; } th, td { padding: 1px 5px; }
   .pair { grid-template-columns: 1fr 1fr; }
   .tiles { grid-template-columns: repeat(4, 1fr); } svg, tr, .tile, .verdict { break-inside: avoid; } }
 """

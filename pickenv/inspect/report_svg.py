@@ -19,8 +19,8 @@ THEME = {INK: "--ink", SOFT: "--soft", RULE: "--rule", PAPER: "--paper"} | {
 }
 """Colours of figures that the page's style sheet replaces; all others are legible on both backgrounds."""
 
-PIXELS_PER_POINT = 1.75
-"""Width at which a figure's text is as large as the page's small print."""
+PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
+"""Sizes at which a figure's text is as large as the page's, and still legible: a small screen scrolls then."""
 
 
 def inline_svg(figure: Figure, name: str, label: str) -> str:
@@ -45,8 +45,6 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     text = re.sub(r"\s*\n\s*", "\n", text)
     width = float(re.search(r'viewBox="0 0 ([\d.]+)', text)[1])  # type: ignore[index]
     viewbox = re.search(r'viewBox="[^"]+"', text)[0]  # type: ignore[index]
-    content = text[text.index(">") + 1 :]
-    return (
-        f'<svg class="drawn" role="img" aria-label="{escape(label)}" {viewbox} '
-        f'style="max-width:{width * PIXELS_PER_POINT:.0f}px">{content.strip()}'
-    )
+    content = text[text.index(">") + 1 :].strip()
+    sizes = f"max-width:{width * PIXELS_PER_POINT:.0f}px;min-width:{width * LEAST_PIXELS_PER_POINT:.0f}px"
+    return f'<svg class="drawn" role="img" aria-label="{escape(label)}" {viewbox} style="{sizes}">{content}'

@@ -1,0 +1,238 @@
+"""The report of a run stands alone, says its verdict first, and every number in it comes from the run's data."""
+
+import base64
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calibration import fit, random_joints, simulated_tracker
+from pickenv.inspect.calibration_trace import CalibrationTrace, trace_of
+from pickenv.inspect.comparison import Comparison
+from pickenv.inspect.demo_report import Share, demo_report, verdict
+from pickenv.inspect.drawings import LeftOut, trace_drawings
+from pickenv.inspect.report_interactive import field_spec, library, pose_spec
+from pickenv.inspect.run_folder import Run, recorded_run, save_comparison, save_trace
+
+VOID = {"meta", "link", "img", "br"}
+
+
+class Page(HTMLParser):
+    """Balanced tags, attributes and text of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.scripts: dict[str | None, str] = {}
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag, tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open[-1:] == ["script"]:
+            self.scripts[self.tags[-1][1].get("id")] = data
+        elif "style" not in self.open:
+            self.words.append(data)
+
+    def values(self, name: str) -> list[str]:
+        return [value for _, attributes in self.tags if (value := attributes.get(name)) is not None]
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def trace(comparison: Comparison) -> CalibrationTrace:
+    return made_trace(comparison)[0]
+
+
+def made_trace(comparison: Comparison) -> tuple[CalibrationTrace, Any]:
+    plant, rng = comparison.plant, np.random.default_rng(0)
+    sets = {
+        name: simulated_tracker(plant, random_joints(plant.arm.nominal, n, rng), rng)
+        for name, n in {"identification": 40, "test": 12}.items()
+    }
+    found = fit(plant.arm, sets["identification"], known_frames=True)
+    errors = {"raw": 1e-3 * rng.normal(size=(12, 6)), "LS": 1e-4 * rng.normal(size=(12, 6))}
+    return trace_of(found, sets, errors), found.calibration
+
+
+def write_run(folder: Path, comparison: Comparison) -> Run:
+    with recorded_run(folder, "demo", "pickenv demo --seed 7", comparison.seed) as run:
+        trace, calibration = made_trace(comparison)
+        save_comparison(folder, comparison)
+        save_trace(folder, trace, comparison.seed)
+        calibration.save(folder / "calibration")
+    return run
+
+
+@pytest.fixture(scope="module")
+def run(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return write_run(tmp_path_factory.mktemp("run"), comparison)
+
+
+@pytest.fixture(scope="module")
+def html(run: Run) -> str:
+    return demo_report(run)
+
+
+@pytest.fixture(scope="module")
+def page(html: str) -> Page:
+    return Page(html)
+
+
+def test_it_is_balanced_and_needs_nothing_from_outside(html: str, page: Page) -> None:
+    assert html.startswith("<!DOCTYPE html>")
+    for name in ("src", "href", "xlink:href", "data", "action", "poster", "srcset"):
+        assert [value[:60] for value in page.values(name) if not value.startswith(("#", "data:"))] == []
+    shown = re.sub(r"<script.*?</script>", "", html, flags=re.S)
+    outside = set(re.findall(r"\w+://[^\s\"'<>)]+", shown)) - {"http://www.w3.org/2000/svg"}
+    assert {url for url in outside if not url.startswith("http://www.w3.org/")} == set()
+    assert "@import" not in shown
+    assert re.findall(r"url\((?!#)", shown) == []
+
+
+def test_ids_are_unique_and_every_reference_resolves(page: Page) -> None:
+    ids = page.values("id")
+    assert len(ids) == len(set(ids)) > 20
+    references = [v[1:] for name in ("href", "xlink:href") for v in page.values(name) if v.startswith("#")]
+    styles = " ".join(page.values("style") + page.values("clip-path"))
+    references += re.findall(r"url\(#([^)]+)\)", styles) + page.values("data-spec")
+    assert set(references) - set(ids) == set()
+    assert len(references) > 20
+
+
+def test_every_picture_has_words_and_every_table_has_heads(page: Page) -> None:
+    for tag, attributes in page.tags:
+        if tag == "img":
+            assert attributes["alt"]
+        if attributes.get("role") == "img":
+            assert attributes["aria-label"]
+        if tag == "th":
+            assert attributes["scope"] in ("col", "row")
+    tags = [tag for tag, _ in page.tags]
+    assert tags.count("caption") == tags.count("table") == 2
+    assert page.tags[0] == ("html", {"lang": "en"})
+    assert "viewport" in page.values("name")
+
+
+def test_the_verdict_comes_first_and_its_numbers_are_the_datas(page: Page, comparison: Comparison) -> None:
+    raw, last = (policy.position_error_mm for policy in (comparison.policies[0], comparison.policies[-1]))
+    words = page.text
+    assert words.index("tolerance of 1 mm") < words.index("Reaches, by policy")
+    assert f"removes {(raw - last).mean():.2f} mm" in words
+    assert f"of a mean position error of {raw.mean():.2f} mm" in words
+    assert f"at most {last.max():.2f} mm" in words
+    assert f"{int(comparison.policies[-1].success.sum())} of {len(last)} simulated reaches" in words
+
+
+@pytest.fixture(scope="module")
+def other(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Page:
+    """The page of other data, with a picture of the recording."""
+    policies = tuple(replace(p, position_error_mm=1.37 * p.position_error_mm) for p in comparison.policies)
+    changed = replace(comparison, policies=policies, tolerance_mm=2.0)
+    return Page(demo_report(write_run(tmp_path_factory.mktemp("other"), changed), screenshot=b"picture"))
+
+
+def test_other_data_give_other_numbers(comparison: Comparison, page: Page, other: Page) -> None:
+    raw = comparison.policies[0].position_error_mm
+    for found, scale in ((page, 1.0), (other, 1.37)):
+        assert f"error of {scale * raw.mean():.2f} mm" in found.text
+        assert f"{scale * raw.max():.2f}" in found.text
+    assert "tolerance of 2 mm" in other.text
+    assert "tolerance of 1 mm" not in other.text
+
+
+@pytest.mark.parametrize(
+    ("successes", "tone", "words"),
+    [(100, "good", "suffices"), (97, "care", "may suffice"), (80, "bad", "does not suffice")],
+)
+def test_the_verdict_follows_the_share_and_its_interval(
+    comparison: Comparison, successes: int, tone: str, words: str
+) -> None:
+    last = comparison.policies[-1]
+    picked = np.arange(len(last.success)) < round(successes / 100 * len(last.success))
+    found = verdict(replace(comparison, policies=(comparison.policies[0], replace(last, success=picked))))
+    assert found.tone == tone
+    assert words in found.headline
+
+
+def test_a_calibration_that_does_not_help_is_said_not_to(comparison: Comparison) -> None:
+    raw, *_, last = comparison.policies
+    same = replace(last, position_error_mm=raw.position_error_mm + 0.1)
+    found = verdict(replace(comparison, policies=(raw, same)))
+    assert "does not lower the mean position error" in found.text
+    assert "+0.10 mm" in found.text
+
+
+def test_wilsons_interval_is_the_published_one() -> None:
+    low, high = Share(46, 56).interval  # Li et al. 2016; Newcombe 1998, method 3
+    assert (round(low, 3), round(high, 3)) == (0.702, 0.900)
+    assert Share(0, 20).interval[0] == 0.0
+
+
+def test_arrows_and_their_hover_texts_are_the_errors(comparison: Comparison) -> None:
+    spec = field_spec(comparison)
+    for policy, (shafts, ends) in zip(comparison.policies, zip(*[iter(spec["data"])] * 2, strict=True), strict=True):
+        told = np.array(ends["customdata"])
+        np.testing.assert_allclose(told[:, 0], 1e3 * np.linalg.norm(policy.field_errors, axis=1), atol=1e-4)
+        np.testing.assert_allclose(told[:, 1:4], 1e3 * policy.field_errors, atol=1e-4)
+        np.testing.assert_allclose(told[:, 4:], comparison.field_points, atol=1e-4)
+        assert shafts["x"][2::3] == [None] * len(told)
+        drawn = np.array(shafts["x"][1::3], dtype=float) - np.array(shafts["x"][0::3], dtype=float)
+        gain = float(spec["layout"]["annotations"][0]["text"].split("×")[1].split(":")[0])
+        np.testing.assert_allclose(drawn, gain * policy.field_errors[:, 0], atol=2e-4)
+
+
+def test_interactive_figures_carry_their_data_and_a_still_twin(page: Page, trace: CalibrationTrace) -> None:
+    specs = page.values("data-spec")
+    assert specs == ["error_fields-spec", "error_per_test_pose-spec"]
+    content = json.loads(page.scripts["error_per_test_pose-spec"])
+    assert content == json.loads(
+        json.dumps(pose_spec({k: 1e3 * np.linalg.norm(e[:, :3], axis=1) for k, e in trace.errors.items()}))
+    )
+    assert page.values("class").count("still") == 2
+
+
+def test_equal_runs_give_equal_pages_and_the_library_is_packed(run: Run, html: str) -> None:
+    assert demo_report(run) == html
+    assert 1e6 < len(library()) < 2.5e6
+    assert len(html) < 4e6
+
+
+def test_the_recordings_picture_is_shown_or_its_lack_is_said(page: Page, other: Page) -> None:
+    assert "No picture of the recording" in page.text
+    assert "No picture of the recording" not in other.text
+    (picture,) = other.values("src")
+    assert base64.b64decode(picture.removeprefix("data:image/webp;base64,")) == b"picture"
+
+
+def test_figures_that_the_data_do_not_allow_are_left_out_with_a_reason(trace: CalibrationTrace) -> None:
+    def left(found: CalibrationTrace) -> dict[str, str]:
+        return {d.name: d.reason for d in trace_drawings(found) if isinstance(d, LeftOut)}
+
+    reasons = left(trace)
+    assert set(reasons) == {"error_against_payload", "error_against_temperature", "network_convergence"}
+    assert "no payload was recorded" in reasons["error_against_payload"]
+    same = left(replace(trace, payload=np.full(12, 0.25)))
+    assert "every held-out pose had the same payload, 0.25 kg; vary it" in same["error_against_payload"]
+    assert "error_against_payload" not in left(replace(trace, payload=np.linspace(0, 1, 12)))
