@@ -1,27 +1,28 @@
 """From a wanted nominal pose to corrected joints: Qiao 2026 eqs (13)-(16) and Fig. 3 through the rank-aware inverse.
 
-q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated once or twice at the corrected joints, J+
-truncated to the task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. One pose runs on Python
-floats, many on NumPy in blocks: a compensator stands in a control loop and in vector environments.
+q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints, J+ truncated to the
+task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. One pose runs on Python floats, many on
+NumPy in blocks: a compensator stands in a control loop and in vector environments. The residual's network is most of
+the cost, so it is evaluated once, at the joints that geometry alone corrects.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dgesdd
+from scipy.linalg.lapack import dgelss
 
 from calibration.truncated_solve import TruncatedSolver
 from pickenv.arm import Geometry, displace_pose, forward
 from pickenv.arm.geometry import Array, Pose
-from pickenv.arm.kinematics import Chain, Frame, Scalar, attach, chain_of, frames, split_joints
+from pickenv.arm.kinematics import Chain, Frame, Scalar, attach, chain_of, frames, split_joints, tool_frame
 from pickenv.arm.task import RANK_TOLERANCE
 
 BLOCK = 2048
@@ -44,22 +45,27 @@ class Compensator:
         nominal: What the controller believes.
         identified: The calibrated geometry.
         residual: Learnt residual, or None.
-        iterations: Corrections applied, each from the joints of the one before.
+        iterations: Corrections applied, each from the joints of the one before. On the picking arm with the paper's
+            network one leaves 1.5 um of the predicted error on average, two 1 um: how much the residual changes by its
+            own correction. Without a residual one leaves 1 um, two nothing.
+        single_from: Poses in a batch from which single precision does, or None for never; it leaves another 0.1 um.
     """
 
     nominal: Geometry
     identified: Geometry
     residual: ResidualModel | None = None
     iterations: int = 2
+    single_from: int | None = None
 
     def __call__(self, joints: ArrayLike) -> Array:
         """Joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m, within the joint limits."""
         joints = np.asarray(joints, dtype=float)
         split_joints(self.nominal.joints, joints)  # checks the number of joints
         if joints.ndim == 1:
-            return np.array(self._one(joints))
+            return np.array(self._corrected(math, joints.tolist()))
         rows = joints.reshape(-1, self.nominal.joints)
-        blocks = [self._many(rows[a : a + BLOCK]) for a in range(0, len(rows), BLOCK)]
+        single = self.single_from is not None and len(rows) >= self.single_from
+        blocks = [self._block(rows[a : a + BLOCK], single) for a in range(0, len(rows), BLOCK)]
         return np.concatenate(blocks).reshape(joints.shape) if blocks else joints.copy()
 
     def predict(self, joints: ArrayLike) -> Pose:
@@ -75,42 +81,43 @@ class Compensator:
     def _limits(self) -> list[tuple[float, float]]:
         return list(zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True))
 
-    def _one(self, joints: Array) -> list[float]:
-        """The command for one target ``(n,)``."""
+    def _block(self, rows: Array, single: bool) -> Array:
+        """Commands for targets ``(N, n)``; only the corrections, which are small, are ever in single precision."""
+        target = np.ascontiguousarray(rows.T, dtype=np.float32 if single else np.float64)
+        correction = np.stack(self._corrected(np, list(target)), axis=-1) - target.T
+        return np.asarray(np.clip(rows + correction, self.nominal.lower, self.nominal.upper))
+
+    def _corrected(self, m: ModuleType, target: Sequence[Scalar]) -> Sequence[Scalar]:
+        """Commands for targets, joint by joint: floats with ``m`` = math, arrays ``(N,)`` with ``m`` = numpy."""
         nominal, identified = self._chains
-        command: list[float] = joints.tolist()
-        wanted = attach(frames(math, nominal, command)[-1], nominal.tool)
+        command, wanted, learnt = target, tool_frame(m, nominal, target), None
         for _ in range(self.iterations):
-            links = frames(math, identified, command)
+            links = frames(m, identified, command)
             tool = attach(links[-1], identified.tool)
-            columns = _jacobian_columns(self.identified, links, tool)
+            solve = _solver(m, _jacobian_columns(self.identified, links, tool))
             if self.residual is not None:
-                tool = _displaced(math, tool, self.residual.predict(np.array(command)).tolist())
-            correction = _truncated_step(columns, _frame_error(math, tool, wanted))
-            command = [
-                min(max(value + step, low), high)
-                for value, step, (low, high) in zip(command, correction, self._limits, strict=True)
-            ]
+                if learnt is None:
+                    learnt = self._learnt(m, self._moved(m, command, solve(_frame_error(m, tool, wanted))))
+                tool = _displaced(m, tool, learnt)
+            command = self._moved(m, command, solve(_frame_error(m, tool, wanted)))
         return command
 
-    def _many(self, joints: Array) -> Array:
-        """Commands for targets ``(N, n)``."""
-        nominal, identified = self._chains
-        command = [np.ascontiguousarray(column) for column in joints.T]
-        wanted = attach(frames(np, nominal, command)[-1], nominal.tool)
-        for _ in range(self.iterations):
-            links = frames(np, identified, command)
-            tool = attach(links[-1], identified.tool)
-            solver = TruncatedSolver(_jacobian_columns(self.identified, links, tool))
-            if self.residual is not None:
-                residual = self.residual.predict(np.stack(command, axis=-1))
-                tool = _displaced(np, tool, list(np.ascontiguousarray(residual.T)))
-            correction = solver.solve(_frame_error(np, tool, wanted))
-            command = [
-                np.minimum(np.maximum(value + step, low), high)
-                for value, step, (low, high) in zip(command, correction, self._limits, strict=True)
-            ]
-        return np.stack(command, axis=-1)
+    def _learnt(self, m: ModuleType, joints: Sequence[Scalar]) -> list[Scalar]:
+        """The residual at joints, component by component."""
+        assert self.residual is not None
+        if m is math:
+            return list(self.residual.predict(np.array(joints)).tolist())
+        return list(np.ascontiguousarray(self.residual.predict(np.stack(joints, -1)).T, dtype=joints[0].dtype))
+
+    def _moved(self, m: ModuleType, joints: Sequence[Scalar], step: Sequence[Scalar]) -> list[Scalar]:
+        """Joints after a step, within their limits."""
+        moved = [(q + dq, *limits) for q, dq, limits in zip(joints, step, self._limits, strict=True)]
+        return [min(max(q, low), high) if m is math else np.clip(q, low, high) for q, low, high in moved]
+
+
+def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Callable[[Sequence[Scalar]], list[Scalar]]:
+    """What turns pose errors into the joint steps that remove them, for the Jacobian with these columns."""
+    return partial(_truncated_step, columns) if m is math else TruncatedSolver(columns).solve
 
 
 def _jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[list[Scalar]]:
@@ -129,10 +136,9 @@ def _jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -
 
 def _truncated_step(columns: Sequence[Sequence[float]], error: Sequence[float]) -> list[float]:
     """`pickenv.arm.task.truncated_inverse` of one Jacobian times an error, without the overhead of many poses."""
-    u, singular, v, _ = dgesdd(np.array(columns).T, full_matrices=0)
-    values = singular.tolist()
-    rank = sum(value > RANK_TOLERANCE * values[0] for value in values)
-    step: list[float] = ((np.array(error) @ u[:, :rank] / singular[:rank]) @ v[:rank]).tolist()
+    room = [0.0] * (len(columns) - len(error))  # where there are more joints than errors, LAPACK writes on behind them
+    _, solution, *_ = dgelss(np.array(columns).T, np.array([*error, *room]), cond=RANK_TOLERANCE)
+    step: list[float] = solution[: len(columns)].tolist()
     return step
 
 

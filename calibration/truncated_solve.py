@@ -16,13 +16,8 @@ import numpy as np
 from pickenv.arm.kinematics import Scalar
 from pickenv.arm.task import RANK_TOLERANCE
 
-RIDGE = 1e-13
-"""Added to the diagonal of J^T J, relative to its trace, so that it can be factorised where it is singular."""
-
-DOUBT = 4.0
-"""Singular values within this factor of the tolerance are left to the singular value decomposition."""
-
-INVERSE_ITERATIONS = 2
+RIDGE = 16.0
+"""Added to the diagonal of J^T J so that it can be factorised where it is singular: roundings of its trace."""
 
 SETTLED = 1e-4
 """How much the direction that may be cut off can still turn in the last iteration, as 1 - cosine."""
@@ -48,28 +43,26 @@ class TruncatedSolver:
         n = len(columns)
         gram = [[_dot(columns[i], columns[j]) for j in range(i + 1)] for i in range(n)]
         trace = sum((gram[i][i] for i in range(1, n)), gram[0][0])
+        ridge = RIDGE * float(m.finfo(trace.dtype).eps) * trace
         for i in range(n):
-            gram[i][i] = gram[i][i] + RIDGE * trace
+            gram[i][i] = gram[i][i] + ridge
         self._factors = _factorised(gram)
-        smallest = [START[i % len(START)] + 0.0 * trace for i in range(n)]
-        settled: Scalar = False
-        for _ in range(INVERSE_ITERATIONS):
-            grown = self._solve(smallest)
-            shrinkage = 1.0 / m.sqrt(_dot(grown, grown))
-            grown = [value * shrinkage for value in grown]
-            settled, smallest = m.abs(_dot(grown, smallest)) > 1.0 - SETTLED, grown
-        # Eigenvalues of J^T J: the least, and a bound of the next (the others' geometric mean is below their mean).
-        determinant: Scalar = 1.0
+        before = self._solve([START[i % len(START)] + 0.0 * trace for i in range(n)])
+        smallest = self._solve(before)
+        along, length = _dot(before, smallest), m.sqrt(_dot(smallest, smallest))
+        settled = m.abs(along) > (1.0 - SETTLED) * length * m.sqrt(_dot(before, before))
+        # Squares of singular values are eigenvalues of J^T J. Its trace is between the largest and n times the largest.
+        least, cut = along / length / length, tolerance**2 * trace
+        self.lost = settled & (least - ridge < 0.5 * cut / n)
+        inverse_determinant = least
         for inverse in self._factors[1]:
-            determinant = determinant / inverse
-        next_least = determinant / shrinkage / (trace / (n - 2)) ** (n - 2)
-        largest = m.sqrt(trace)  # at least the largest singular value, and at most root n times it
-        least = m.sqrt(m.clip(shrinkage - RIDGE * trace, 0.0, None))
-        self.lost = least < tolerance * largest / DOUBT / n**0.5
-        kept = least > tolerance * largest * DOUBT
-        clear = m.sqrt(next_least) > tolerance * largest * DOUBT
-        self.doubtful = m.where(~(((self.lost & clear) | kept) & settled))
-        self._direction = [m.where(self.lost, value, 0.0) for value in smallest]
+            inverse_determinant = inverse_determinant * inverse
+        # The other eigenvalues' product is known, and the geometric mean of those above the second below their mean.
+        clear = self.lost & (inverse_determinant * cut * (trace / max(n - 2, 1)) ** (n - 2) < 1.0)
+        if not clear.all():  # no eigenvalue is less than the inverse of the inverse's trace
+            clear = clear | (_inverse_trace(*self._factors) * cut < 1.0)
+        self.doubtful = m.where(~clear)
+        self._direction = [m.where(self.lost, value / length, 0.0) for value in smallest]
         self._inverses: Scalar = None
         if len(self.doubtful[0]):
             whole = 0.0 * trace
@@ -130,6 +123,16 @@ def _factorised(gram: list[list[Scalar]]) -> tuple[list[list[Scalar]], list[Scal
             diagonal = diagonal - value * factor
         inverse.append(1.0 / diagonal)
     return lower, inverse
+
+
+def _inverse_trace(lower: list[list[Scalar]], inverse_diagonal: list[Scalar]) -> Scalar:
+    """Trace of the inverse of L D L^T: the squares of L^-1, weighed by D^-1."""
+    total: Scalar = 0.0
+    inverse: list[list[Scalar]] = []  # of L, below its diagonal
+    for i, row in enumerate(lower):
+        inverse.append([-sum((row[k] * inverse[k][j] for k in range(j + 1, i)), row[j]) for j in range(i)])
+        total = total + inverse_diagonal[i] * sum((value * value for value in inverse[i]), 1.0)
+    return total
 
 
 def _without(direction: Sequence[Scalar], vector: Sequence[Scalar]) -> list[Scalar]:

@@ -1,5 +1,7 @@
 """Compensation (Qiao 2026 eqs (13)-(16), Fig. 3): the true tool goes where the nominal one was meant to go."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -100,3 +102,67 @@ def test_the_joints_asked_for_are_not_written_over(qiao):
     before = joints.copy()
     Compensator(qiao.nominal, qiao.true)(joints)
     assert np.array_equal(joints, before)
+
+
+def moved(compensator, one, other):
+    """How far apart the tool is expected at two sets of commands, m."""
+    return np.linalg.norm(compensator.predict(one).position - compensator.predict(other).position, axis=1)
+
+
+def test_many_poses_in_single_precision_are_where_double_puts_them(protocol):
+    compensator = protocol[0].calibration.compensator()
+    joints = interior(compensator.nominal, 3000)
+    double = replace(compensator, single_from=None)(joints)
+    apart = moved(compensator, compensator(joints), double)
+    assert 0 < apart.max() < 1e-6 and apart.mean() < 2e-7
+    assert np.array_equal(protocol[0].calibration.compensate(joints), double)
+
+
+def test_an_environment_gets_the_same_whatever_shares_its_batch(protocol):
+    """Blocks are cut at fixed places, and within them each pose is on its own, up to roundings of the network."""
+    compensator = replace(protocol[0].calibration.compensator(), single_from=None)
+    joints = interior(compensator.nominal, 2500)
+    np.testing.assert_allclose(compensator(joints)[::7], compensator(joints[::7]), atol=1e-8)
+
+
+def converged(compensator, joints):
+    """Commands at which the expected tool is where it is wanted, the residual evaluated at each iteration."""
+    commands = joints
+    for _ in range(4):
+        frozen = Frozen(compensator.residual.predict(commands))
+        commands = replace(compensator, residual=frozen, iterations=4, single_from=None)(joints)
+    return commands
+
+
+class Frozen:
+    """A residual evaluated beforehand."""
+
+    def __init__(self, values):
+        self.values = values
+
+    def predict(self, joints):
+        return self.values
+
+
+@pytest.mark.parametrize("iterations, mean, most", [(1, 3e-6, 20e-6), (2, 2e-6, 15e-6)])
+def test_a_network_evaluated_once_is_enough(protocol, iterations, mean, most):
+    """Of hundreds of micrometres that the network predicts, its change on the way leaves one or two."""
+    compensator = replace(protocol[0].calibration.compensator(), iterations=iterations)
+    joints = interior(compensator.nominal, 900)
+    apart = moved(compensator, compensator(joints), converged(compensator, joints))
+    assert apart.mean() < mean and apart.max() < most
+
+
+def test_the_residual_is_asked_once(qiao):
+    class Counted(Drift):
+        asked = 0
+
+        def predict(self, joints):
+            self.asked += 1
+            return super().predict(joints)
+
+    joints = interior(qiao.nominal, 4)
+    for targets in (joints, joints[0]):
+        residual = Counted()
+        Compensator(qiao.nominal, qiao.true, residual)(targets)
+        assert residual.asked == 1
