@@ -210,8 +210,7 @@ def load_study(path: str | Path) -> StudyConfig:
     plant = content.get("plant")
     if not isinstance(plant, str):
         raise study.fail("plant", "the name of a plant preset or a path to a plant file (.toml)")
-    whole_numbers = lambda low, high: lambda value: _is_whole(value) and low <= value <= high  # noqa: E731
-    grades, methods = whole_numbers(min(GRADES), max(GRADES)), METHODS.__contains__
+    least, most = min(GRADES), max(GRADES)
     config = StudyConfig(
         plant=plant,
         seed=_whole(study, "seed", 0, 0),
@@ -222,13 +221,11 @@ def load_study(path: str | Path) -> StudyConfig:
         radius_mm=specification.number("radius_mm", positive=True),
         share=share,
         tolerances=_several(tolerances, "classes", lambda value: isinstance(value, str), "names of tolerance classes"),
-        it_grades=_several(
-            tolerances, "it_grades", grades, f"IT grades, whole numbers from {min(GRADES)} to {max(GRADES)}"
-        )
+        it_grades=_several(tolerances, "it_grades", _between(least, most), f"whole numbers from {least} to {most}")
         if "it_grades" in tolerances.table
         else None,
-        methods=_several(calibration, "methods", methods, f"some of {', '.join(METHODS)}", [LS]),
-        poses=_several(calibration, "poses", whole_numbers(1, 10**6), "whole numbers above zero", [30]),
+        methods=_several(calibration, "methods", METHODS.__contains__, f"some of {', '.join(METHODS)}", [LS]),
+        poses=_several(calibration, "poses", _between(1, 10**6), "whole numbers above zero", [30]),
         noise=_noise(calibration),
         residual_poses=_whole(calibration, "residual_poses", 1, 100),
     )
@@ -240,6 +237,10 @@ def load_study(path: str | Path) -> StudyConfig:
 
 def _is_whole(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _between(low: int, high: int) -> Callable[[Any], bool]:
+    return lambda value: _is_whole(value) and low <= value <= high
 
 
 def _is_size(value: Any) -> bool:
