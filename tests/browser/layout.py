@@ -44,7 +44,7 @@ def showing(blueprint: Blueprint, tab: Tab) -> Blueprint:
 
 def include_rules(blueprint: Blueprint, view: str) -> list[str]:
     """What a view includes; entities that an override hides are left out."""
-    rules = blueprint[f"/view/{view}/ViewContents"]["ViewContents"]["query"]
+    rules = _listed(blueprint[f"/view/{view}/ViewContents"]["ViewContents"]["query"])
     return [rule for rule in rules if rule.startswith("+") and not _hidden(blueprint, view, rule.removeprefix("+ "))]
 
 
@@ -54,13 +54,19 @@ def without_rule(blueprint: Blueprint, number: int) -> Blueprint:
     for part, content in changed.items():
         if part.endswith("/ViewContents"):
             lost = include_rules(blueprint, part.split("/")[2])[number : number + 1]
-            content["ViewContents"]["query"] = [r for r in content["ViewContents"]["query"] if r not in lost]
+            query = _listed(content["ViewContents"]["query"])
+            content["ViewContents"]["query"] = [rule for rule in query if rule not in lost] or ["- /**"]
     return changed
 
 
 def title_of(blueprint: Blueprint, part: str) -> str:
     kind = "ViewBlueprint" if part.startswith("view/") else "ContainerBlueprint"
     return str(blueprint[f"/{part}"][kind].get("display_name", ""))
+
+
+def _listed(value: str | list[str]) -> list[str]:
+    """A list, which the viewer writes without brackets where it has one element."""
+    return [value] if isinstance(value, str) else value
 
 
 def _hidden(blueprint: Blueprint, view: str, entity: str) -> bool:
@@ -70,7 +76,7 @@ def _hidden(blueprint: Blueprint, view: str, entity: str) -> bool:
 
 def _container(blueprint: Blueprint, part: str) -> tuple[str, list[str]]:
     content = blueprint[f"/{part}"]["ContainerBlueprint"]
-    return content["container_kind"], content.get("contents", [])
+    return content["container_kind"], _listed(content.get("contents", []))
 
 
 def _fronts(blueprint: Blueprint, part: str, title: str) -> Iterator[tuple[str, dict[str, str]]]:

@@ -6,6 +6,7 @@ import io
 import re
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,10 @@ Box = tuple[float, float, float, float]
 
 def decode(png: bytes) -> Picture:
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+
+
+def save(picture: Picture, path: Path) -> None:
+    Image.fromarray(picture).save(path)
 
 
 def crop(picture: Picture, box: Box) -> Picture:

@@ -15,6 +15,7 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.browser.chromium import SIZE
 from tests.browser.pictures import Box, Picture, crop, decode, settled
 from tests.browser.processes import LOCALHOST, free_port, rerun
 
@@ -76,7 +77,7 @@ class WebViewer:
         )
 
     def complaints(self) -> list[str]:
-        """Panics, and what the viewer itself logged as errors; fetches that fail without a network are not among them."""
+        """Panics, and what the viewer itself logged as an error; a fetch that fails without a network is none."""
         panic = self.page.evaluate("() => window._handle.has_panicked() ? window._handle.panic_message() : ''")
         return [panic] * bool(panic) + [text for text in self.said if text.lstrip().startswith("ERROR")]
 
@@ -113,12 +114,28 @@ class WebViewer:
         row = [w for w in self.widgets() if w.toggled and top <= w.box[1] and w.box[3] <= top + 30.0]
         return sorted(row, key=lambda w: w.box[0])
 
-    def point_and_click(self, x: float, y: float) -> None:
-        """Rest on a point, then click: what lies under the pointer is found some frames after it arrives."""
-        self.page.mouse.move(x, y)
-        self.settle()
-        self.page.mouse.click(x, y)
-        self.settle()
+    def front(self, tab: int) -> Picture:
+        """Click a tab of the uppermost row and wait until the screen has come to rest."""
+        self.page.mouse.click(*self.tab_buttons()[tab].middle)
+        self.page.mouse.move(*SIZE.values())  # nothing under the pointer lights up
+        return self.settle()
+
+    def select(self, x: float, y: float, path: str) -> dict[str, str]:
+        """Click on a point until the selection panel names ``path``: what lies under a pointer is known frames later.
+
+        Returns:
+            What the panel says then, or at last.
+        """
+        for _ in range(5):
+            self.page.mouse.move(x, y)
+            self.page.wait_for_timeout(1000.0)
+            self.page.mouse.click(x, y)
+            for _ in range(5):
+                self.page.wait_for_timeout(500.0)
+                said = self.selection()
+                if said["path"].endswith(path):
+                    return said
+        return said
 
     def selection(self) -> dict[str, str]:
         """What the selection panel says: the value beside each name, and the path of what is selected as `path`."""
