@@ -77,10 +77,6 @@ class Compensator:
     def _chains(self) -> tuple[Chain, Chain]:
         return chain_of(self.nominal), chain_of(self.identified)
 
-    @cached_property
-    def _limits(self) -> list[tuple[float, float]]:
-        return list(zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True))
-
     def _block(self, rows: Array, single: bool) -> Array:
         """Commands for targets ``(N, n)``; only the corrections, which are small, are ever in single precision."""
         target = np.ascontiguousarray(rows.T, dtype=np.float32 if single else np.float64)
@@ -89,18 +85,8 @@ class Compensator:
 
     def _corrected(self, m: ModuleType, target: Sequence[Scalar]) -> Sequence[Scalar]:
         """Commands for targets, joint by joint: floats with ``m`` = math, arrays ``(N,)`` with ``m`` = numpy."""
-        nominal, identified = self._chains
-        command, wanted, learnt = target, tool_frame(m, nominal, target), None
-        for _ in range(self.iterations):
-            links = frames(m, identified, command)
-            tool = attach(links[-1], identified.tool)
-            solve = _solver(m, _jacobian_columns(self.identified, links, tool))
-            if self.residual is not None:
-                if learnt is None:
-                    learnt = self._learnt(m, self._moved(m, command, solve(_frame_error(m, tool, wanted))))
-                tool = _displaced(m, tool, learnt)
-            command = self._moved(m, command, solve(_frame_error(m, tool, wanted)))
-        return command
+        learnt = None if self.residual is None else partial(self._learnt, m)
+        return corrected(m, self.nominal, self._chains, target, self.iterations, learnt)
 
     def _learnt(self, m: ModuleType, joints: Sequence[Scalar]) -> list[Scalar]:
         """The residual at joints, component by component."""
@@ -109,15 +95,51 @@ class Compensator:
             return list(self.residual.predict(np.array(joints)).tolist())
         return list(np.ascontiguousarray(self.residual.predict(np.stack(joints, -1)).T, dtype=joints[0].dtype))
 
-    def _moved(self, m: ModuleType, joints: Sequence[Scalar], step: Sequence[Scalar]) -> list[Scalar]:
-        """Joints after a step, within their limits."""
-        moved = [(q + dq, *limits) for q, dq, limits in zip(joints, step, self._limits, strict=True)]
-        return [min(max(q, low), high) if m is math else np.clip(q, low, high) for q, low, high in moved]
+
+def corrected(
+    m: ModuleType,
+    nominal: Geometry,
+    chains: tuple[Chain, Chain],
+    target: Sequence[Scalar],
+    iterations: int,
+    residual: Callable[[Sequence[Scalar]], Sequence[Scalar]] | None = None,
+) -> Sequence[Scalar]:
+    """Commands for targets, joint by joint: what `Compensator` does, on any executor and for any number of arms.
+
+    Args:
+        m: ``math``, ``numpy`` or ``torch``.
+        nominal: What the controller believes, for joint types and limits.
+        chains: The nominal chain and the identified one, which may be that of many arms.
+        target: Joint targets, n components, rad or m.
+        iterations: See `Compensator`.
+        residual: Learnt residual of joints, six components (m, rad), or None.
+    """
+    believed, identified = chains
+    limits = list(zip(nominal.lower.tolist(), nominal.upper.tolist(), strict=True))
+    command, wanted, learnt = target, tool_frame(m, believed, target), None
+    for _ in range(iterations):
+        links = frames(m, identified, command)
+        tool = attach(links[-1], identified.tool)
+        solve = _solver(m, _jacobian_columns(nominal, links, tool))
+        if residual is not None:
+            if learnt is None:
+                learnt = residual(_moved(m, command, solve(error_components(m, tool, wanted)), limits))
+            tool = displaced_frame(m, tool, learnt)
+        command = _moved(m, command, solve(error_components(m, tool, wanted)), limits)
+    return command
+
+
+def _moved(
+    m: ModuleType, joints: Sequence[Scalar], step: Sequence[Scalar], limits: Sequence[tuple[float, float]]
+) -> list[Scalar]:
+    """Joints after a step, within their limits."""
+    moved = [(q + dq, low, high) for q, dq, (low, high) in zip(joints, step, limits, strict=True)]
+    return [min(max(q, low), high) if m is math else m.clip(q, low, high) for q, low, high in moved]
 
 
 def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Callable[[Sequence[Scalar]], list[Scalar]]:
     """What turns pose errors into the joint steps that remove them, for the Jacobian with these columns."""
-    return partial(_truncated_step, columns) if m is math else TruncatedSolver(columns).solve
+    return partial(_truncated_step, columns) if m is math else TruncatedSolver(columns, m=m).solve
 
 
 def _jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[list[Scalar]]:
@@ -142,7 +164,7 @@ def _truncated_step(columns: Sequence[Sequence[float]], error: Sequence[float]) 
     return step
 
 
-def _displaced(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
+def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
     """A frame moved by a pose error of six components: `pickenv.arm.displace_pose`, by Rodrigues' formula."""
     dx, dy, dz, wx, wy, wz = error
     square = wx * wx + wy * wy + wz * wz + 1e-40
@@ -159,7 +181,7 @@ def _displaced(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
     return (*turned, frame[9] + dx, frame[10] + dy, frame[11] + dz)
 
 
-def _frame_error(m: ModuleType, reference: Frame, actual: Frame) -> list[Scalar]:
+def error_components(m: ModuleType, reference: Frame, actual: Frame) -> list[Scalar]:
     """`pickenv.arm.pose_error` on components; errors of half a turn do not occur in a calibration."""
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz, apx, apy, apz = actual
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz, bpx, bpy, bpz = reference

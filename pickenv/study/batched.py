@@ -18,11 +18,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from calibration.compensation import Compensator, _frame_error, _jacobian_columns
-from calibration.truncated_solve import TruncatedSolver
+from calibration.compensation import Compensator, corrected, error_components
 from pickenv.arm.batch import plant_at, plants_on
 from pickenv.arm.geometry import Array
-from pickenv.arm.kinematics import Chain, Frame, attach, chain_of, frames, tool_frame
+from pickenv.arm.kinematics import Frame, chain_of, tool_frame
 from pickenv.arm.plant import Plant, placed_chain
 from pickenv.errors import InputError
 from pickenv.study.arm_by_arm import evaluate_arm
@@ -46,7 +45,7 @@ class _Commands:
         converged: Whether the arm was calibrated here ``(N,)``; the others are handed over.
     """
 
-    joints: list[Tensor]
+    joints: Sequence[Tensor]
     missed: NDArray[np.int64]
     steps: NDArray[np.int64]
     converged: NDArray[np.bool_]
@@ -108,7 +107,7 @@ def _outcomes(
         if key not in known:
             known[key] = _commands(protocol, setting, placed, noise, wanted, place)
         given = known[key]
-        error = _frame_error(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, given.joints))
+        error = error_components(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, given.joints))
         position, attitude = (_norms(part, len(arms)) for part in (error[:3], error[3:]))
         status = [reach_status(int(missed), protocol.config) for missed in given.missed]
         steps = given.steps.tolist()
@@ -132,26 +131,11 @@ def _commands(
     assert noise is not None, "a calibrated setting has poses"
     found = identify_batch(protocol, setting, plants, noise[:, : setting.poses], place)
     chain = placed_chain(chain_of(found.geometry, np), place)
-    joints = _corrected(protocol, chain, targets, wanted)
+    chains = (chain_of(protocol.nominal), chain)
+    joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)
     gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], wanted[9:], strict=True)]
     missed = np.sum(_limited(protocol, joints, count) & (_norms(gap, count) > 1e-3 * protocol.config.radius_mm), axis=1)
     return _Commands(joints, missed, found.steps, found.converged)
-
-
-def _corrected(protocol: Protocol, chain: Chain, targets: Sequence[Tensor], wanted: Frame) -> list[Tensor]:
-    """Commands that bring the tools to where the nominal arm's would be: what `Compensator` does for one arm."""
-    nominal = protocol.nominal
-    limits = list(zip(nominal.lower.tolist(), nominal.upper.tolist(), strict=True))
-    command = list(targets)
-    for _ in range(Compensator.iterations):
-        links = frames(torch, chain, command)
-        tool = attach(links[-1], chain.tool)
-        solver = TruncatedSolver(_jacobian_columns(nominal, links, tool), m=torch)
-        correction = solver.solve(_frame_error(torch, tool, wanted))
-        command = [
-            (value + step).clip(low, high) for value, step, (low, high) in zip(command, correction, limits, strict=True)
-        ]
-    return command
 
 
 def _limited(protocol: Protocol, command: Sequence[Tensor], count: int) -> NDArray[np.bool_]:

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from calibration.compensation import _displaced, _frame_error
+from calibration.compensation import displaced_frame, error_components
 from calibration.error_model import ErrorModel, row_weights
 from calibration.least_squares import OFFSET, identify
 from pickenv.arm.geometry import LINK_PARAMETERS, Array, Geometry
@@ -78,7 +78,7 @@ def identify_batch(
     std = seen_by(protocol.design, setting.noise).measurement_noise
     assert std is not None, "seen_by gives every plant a tracker"
     error = place(np.moveaxis(noise * np.repeat([std.position_std, std.attitude_std], 3), -1, 0).swapaxes(1, 2).copy())
-    measured = _displaced(torch, plants.tool_frame(torch, tracker.joints), list(error))
+    measured = displaced_frame(torch, plants.tool_frame(torch, tracker.joints), list(error))
     count, nominal = noise.shape[0], protocol.nominal
     geometry = _displaced_links(nominal, tracker.model, np.zeros((count, len(tracker.model.columns))))
     links, tool = _links(chain_of(nominal), tracker)
@@ -129,7 +129,7 @@ def _links(chain: Chain, tracker: _Tracker) -> tuple[list[Frame], Frame]:
 
 def _residual(tracker: _Tracker, tool: Frame, measured: Frame) -> Tensor:
     """Whitened differences ``(N, 6P)`` of measured and predicted poses."""
-    error = torch.stack(_frame_error(torch, tool, measured))
+    error = torch.stack(error_components(torch, tool, measured))
     return (error * tracker.weights[:, None, None]).permute(2, 0, 1).flatten(1)
 
 
