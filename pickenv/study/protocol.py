@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.stats import qmc
 
 from calibration.error_model import ErrorModel, link_model
 from calibration.least_squares import identify
@@ -43,7 +44,7 @@ class Protocol:
         design: The plant that arms are drawn from.
         model: What least squares identifies.
         fruit: Nominal joints that bring the tool to each fruit ``(M, n)``, rad or m.
-        poses: Calibration poses ``(P, n)``; a setting with fewer uses the first ones.
+        poses: Calibration poses ``(P, n)``, spread evenly; a setting with fewer uses the first ones.
         residual_poses: Poses for learnt residuals ``(R, n)``.
     """
 
@@ -104,8 +105,8 @@ def prepare(config: StudyConfig) -> Protocol:
         design=design,
         model=link_model(nominal),
         fruit=_upright_joints(nominal, config.fruit, _stream(config, FRUIT)),
-        poses=random_joints(nominal, max(config.poses), _stream(config, POSES)),
-        residual_poses=random_joints(nominal, config.residual_poses, _stream(config, RESIDUAL)),
+        poses=_spread_joints(nominal, max(config.poses), _stream(config, POSES)),
+        residual_poses=_spread_joints(nominal, config.residual_poses, _stream(config, RESIDUAL)),
     )
     for poses in {setting.poses for setting in protocol.settings if setting.poses}:
         identify(protocol.model, nominal, protocol.perfect_measurements(poses, Noise(0.0, 0.0)))  # refuses too few
@@ -126,6 +127,15 @@ def carrying(plant: Plant, payload_kg: float) -> Plant:
 
 def _stream(config: StudyConfig, *key: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=key))
+
+
+def _spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
+    """Joints ``(count, n)`` spread evenly over the joint ranges: so is every first part of them.
+
+    All arms share them. Drawn at random, a few poses would bend all results of a study by their luck: what dynamic
+    errors leave behind least squares depends on the poses more than what a tracker's noise leaves.
+    """
+    return np.asarray(qmc.scale(qmc.Halton(nominal.joints, rng=rng).random(count), nominal.lower, nominal.upper))
 
 
 def _upright_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:

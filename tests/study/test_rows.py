@@ -181,7 +181,7 @@ def test_a_learnt_residual_is_a_method_too(study_file, kind):
             ("[8, 14]", "[12]"), ("[12, 20]", "[20]"), ('"raw", "ls"', f'"ls", "ls+{kind}"'), ("[0.0, 0.5]", "[0.0]")
         )
     )
-    found = rows(replace(config, arms=4, residual_poses=60))
+    found = rows(replace(config, arms=4, residual_poses=150))
     plain, learnt = (found["error_mean_mm"][found["method"] == method] for method in ("ls", f"ls+{kind}"))
     assert np.all(found["status"] == OK) and learnt.mean() < 0.8 * plain.mean()
 
