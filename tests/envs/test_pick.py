@@ -129,8 +129,8 @@ def test_haste_costs_fruit_waiting_pays_and_so_does_calibration(calibrated):
     patient = harvests(seeds, calibrated)
     fruit, reward = (interval(a, b) for a, b in zip(patient, harvests(seeds, calibrated, **HASTY), strict=True))
     assert fruit[0] > 0 and reward[0] > 0
-    fruit, _ = (interval(a, b) for a, b in zip(patient, harvests(seeds, calibrated, settle=0.0), strict=True))
-    assert fruit[0] > 0
+    fruit, reward = (interval(a, b) for a, b in zip(patient, harvests(seeds, calibrated, settle=0.0), strict=True))
+    assert fruit[0] > 0 and reward[0] > 0
     fruit, reward = (interval(a, b) for a, b in zip(patient, harvests(seeds), strict=True))
     assert fruit[0] > 0 and reward[0] > 0
 
