@@ -1,17 +1,22 @@
-"""The comparison on screens and in files: tables, CSV, Parquet, figures."""
+"""The comparison on screens and in files: tables, CSV, Parquet, JSON, run folders."""
 
 from __future__ import annotations
 
 import csv
 import importlib
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.grid import Grid
-from pickenv.envs.task import CONTROL_PERIOD
+from agents.grid import Grid, GridSettings
 from pickenv.errors import InputError
-from pickenv.files import write_whole
+from pickenv.files import write_text, write_whole
+from pickenv.inspect.run_folder import Run, recorded_run
+from pickenv.inspect.saved import load, save
+
+GRID = "grid.npz"
+"""A comparison's file in its run folder."""
 
 SHOWN = ("policy", "compensation", "feedback", "plant", "gripper")
 
@@ -89,17 +94,34 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
     return write_whole(path, lambda temporary: parquet.write_table(pyarrow.Table.from_pylist(flat), temporary))
 
 
-def write_figures(grid: Grid, folder: Path) -> list[Path]:
-    """Draw the aggregates, the success curves and accuracy against cycle time."""
-    from agents.figures import aggregate_figure, cycle_figure, success_curves
-    from pickenv.inspect.figures import save_figure
+def command_of(settings: GridSettings) -> str:
+    """The command line that makes the same comparison."""
+    words = ["pickenv evaluate"]
+    for option, values in (
+        ("policy", settings.policies),
+        ("compensation", settings.compensations),
+        ("feedback", settings.feedback),
+        ("plant", settings.plants),
+        ("gripper", settings.grippers),
+    ):
+        words += [f"--{option} {value}" for value in values]
+    words += [f"--arms {settings.arms} --episodes {settings.episodes} --tolerances {settings.tolerances}"]
+    words += [f"--camera-noise {settings.camera_noise_mm:g} --fruit-noise {settings.fruit_noise_mm:g}"]
+    return " ".join([*words, f"--epochs {settings.protocol.epochs} --seed {settings.seed}"])
 
-    written = [
-        save_figure(aggregate_figure(grid), folder / "aggregates.png"),
-        save_figure(success_curves(grid.grippers, grid), folder / "success-against-error.png"),
-    ]
-    for plant in grid.settings.plants:
-        if any(cell.plant == plant for cell in grid.cells):
-            name = f"accuracy-against-cycle-time-{Path(plant).stem}.png"
-            written.append(save_figure(cycle_figure(grid, CONTROL_PERIOD, plant), folder / name))
-    return written
+
+def write_grid(grid: Grid, folder: Path) -> list[Path]:
+    """Write a comparison's run folder: every episode, for `read_grid`, and the rows as JSON."""
+    with recorded_run(folder, "evaluation", command_of(grid.settings), grid.settings.seed) as run:
+        return [save(run.folder / GRID, grid, seed=grid.settings.seed), write_json(folder / "rows.json", grid)]
+
+
+def read_grid(run: Run) -> Grid:
+    """The comparison of a run folder, to the bit; raises `InputError` as `pickenv.inspect.saved.load`."""
+    return load(run.folder / GRID, Grid, run.made_by)
+
+
+def write_json(path: Path, grid: Grid) -> Path:
+    """Write the rows and what each compensation is worth as JSON."""
+    content = {"rows": grid.rows(), "comparisons": grid.comparisons()}
+    return write_text(path, json.dumps(content, indent=2) + "\n")

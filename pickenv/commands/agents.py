@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -97,12 +96,12 @@ def evaluate(
     table: Annotated[Path | None, typer.Option(help="Write the rows as .csv or .parquet as well.")] = None,
     figures: Annotated[Path | None, typer.Option(help="Folder for the figures.")] = None,
     cache: Annotated[Path | None, typer.Option(help="Folder that keeps the arms' calibrations.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit."""
     from agents.calibrated import Protocol
     from agents.grid import GridSettings, run_grid
-    from agents.tables import print_grid, write_figures, write_rows
-    from pickenv.files import write_text
+    from agents.tables import print_grid, write_grid, write_json, write_rows
 
     given: dict[str, Any] = {"policies": policy, "compensations": compensation, "feedback": feedback, "plants": plant}
     given["grippers"] = gripper
@@ -127,10 +126,15 @@ def evaluate(
     rows, comparisons = grid.rows(), grid.comparisons()
     print_grid(rows, comparisons)
     if json_file is not None:
-        content = json.dumps({"rows": rows, "comparisons": comparisons}, indent=2)
-        print(f"wrote {write_text(json_file, content + chr(10))}")
+        print(f"wrote {write_json(json_file, grid)}")
     if table is not None:
         print(f"wrote {write_rows(table, rows)}")
     if figures is not None:
-        for path in write_figures(grid, figures):
+        from agents.figures import grid_drawings
+        from pickenv.inspect.drawings import write_drawings
+
+        for path in write_drawings(grid_drawings(grid), figures):
+            print(f"wrote {path}")
+    if out is not None:
+        for path in write_grid(grid, out):
             print(f"wrote {path}")

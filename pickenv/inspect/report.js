@@ -27,7 +27,7 @@
         xanchor: "center", yanchor: "bottom", showarrow: false,
       });
     });
-    if (names.length) layout.height = stacked ? 330 * names.length + 90 : 460;
+    if (names.length) layout.height = stacked ? 330 * names.length + 90 : 430;
     return layout;
   }
 

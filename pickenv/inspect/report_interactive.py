@@ -27,7 +27,7 @@ from pickenv.inspect.summary import colour_scale_mm, field_mm, spread
 from pickenv.inspect.view import eye_direction
 
 MOST_ARROWS = 3000
-EYE_DISTANCE = 2.4
+EYE_DISTANCE = 2.8
 """In units of the scene's size, as plotly counts."""
 
 
@@ -97,7 +97,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
         )
         if i == 1:
             data[-1]["marker"]["colorbar"] = bar | {"yanchor": "top", "thickness": 12, "x": 0.5, "xanchor": "center"}
-        small = {"tickfont": {"size": 10}, "nticks": 5}
+        small = {"tickfont": {"size": 10}}
         axes = {
             f"{axis}axis": small | {"title": {"text": f"{axis} (m)", "font": {"size": 11}}, "range": ends}
             for axis, ends in zip("xyz", np.column_stack([low - spacing, high + spacing]).tolist(), strict=True)

@@ -9,11 +9,14 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from agents.calibrated import Protocol
+from agents.figures import grid_drawings
 from agents.grid import GridSettings, run_grid
 from agents.statistics import interquartile_mean, interval, paired
-from agents.tables import write_figures, write_rows
+from agents.tables import command_of, read_grid, write_grid, write_rows
 from pickenv.commands import agents as commands
 from pickenv.errors import InputError
+from pickenv.inspect.drawings import write_drawings
+from pickenv.inspect.run_folder import read_run
 
 KEYS = {"policy", "compensation", "feedback", "plant", "gripper", "mean_mm", "p95_mm", "success_rate", "ci95"}
 SMALL = GridSettings(
@@ -112,8 +115,16 @@ def test_rows_are_written_and_read(grid, tmp_path):
         write_rows(tmp_path / "rows.xls", rows)
 
 
-def test_figures_are_drawn(grid, tmp_path):
-    assert [path.stat().st_size > 10_000 for path in write_figures(grid, tmp_path)] == [True] * 3
+def test_figures_are_drawn_from_the_run_folder_to_the_bit(grid, tmp_path):
+    assert {path.name for path in write_grid(grid, tmp_path)} == {"grid.npz", "rows.json"}
+    run = read_run(tmp_path)
+    assert run.kind == "evaluation"
+    again = read_grid(run)
+    assert again.rows() == grid.rows() == json.loads((tmp_path / "rows.json").read_text())["rows"]
+    assert command_of(again.settings) == run.command
+    drawings = grid_drawings(again)
+    written = write_drawings(drawings[:3], tmp_path / "figures", ["svg"])
+    assert [path.stat().st_size > 10_000 for path in written] == [True] * 3
 
 
 @pytest.mark.parametrize(
