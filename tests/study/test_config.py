@@ -15,8 +15,9 @@ from pickenv.study.config import Noise, load_study
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_example_study_loads_and_a_quick_one_keeps_its_settings():
-    config = load_study(ROOT / "scripts" / "tolerance_study.toml")
+@pytest.mark.parametrize("name", ["tolerance_study", "tolerance_grades"])
+def test_an_example_study_loads_and_a_quick_one_keeps_its_settings(name):
+    config = load_study(ROOT / "scripts" / f"{name}.toml")
     quick = config.quick()
     assert quick.arms <= 40 and quick.fruit <= 20
     assert quick.settings() == config.settings()
