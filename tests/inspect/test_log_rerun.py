@@ -1,0 +1,350 @@
+"""Logged episodes: what is in the file is what `info` said, and logging changes nothing else."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import pickenv  # noqa: F401  (registers the environments)
+from pickenv.arm import forward
+from pickenv.envs.harvest import HarvestEnv
+from pickenv.envs.vector import ReachVectorEnv
+from pickenv.errors import InputError
+from pickenv.inspect import LogRerun, LogRerunVector
+from pickenv.inspect.episodes import capped_cubic
+from pickenv.inspect.live import Live, check_answers
+
+RERUN = Path(sys.executable).with_name("rerun")
+ROOT = Path(__file__).parents[2]
+
+
+def always(_: int) -> bool:
+    return True
+
+
+def run(env: gym.Env[Any, Any], episodes: int, steps: int, seed: int = 3) -> list[list[dict[str, Any]]]:
+    """Random actions; all infos, by episode."""
+    env.action_space.seed(seed)
+    infos = []
+    for episode in range(episodes):
+        _, info = env.reset(seed=seed if episode == 0 else None)
+        infos.append([info])
+        for _ in range(steps):
+            _, reward, terminated, truncated, info = env.step(env.action_space.sample())
+            infos[-1].append({**info, "reward": reward})
+            if terminated or truncated:
+                break
+    env.close()
+    return infos
+
+
+def reach(tmp_path: Path, steps: int = 8, **arguments: Any) -> LogRerun[Any, Any]:
+    env = gym.make("pickenv/Reach-v0", max_episode_steps=steps, tolerance_mm=5.0)
+    return LogRerun(env, tmp_path, **{"episode_trigger": always, "policy": "raw", **arguments})
+
+
+def test_every_value_is_read_back(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
+    episodes = run(reach(tmp_path), 3, 8)
+    reading = reader(tmp_path / "episodes-raw.rrd")
+    infos = [info for episode in episodes for info in episode]
+    assert len(infos) == 27
+    np.testing.assert_array_equal(reading.times("/outcome/raw", "step"), np.arange(27))
+    np.testing.assert_array_equal(reading.times("/outcome/raw", "episode"), np.repeat([0, 1, 2], 9))
+    np.testing.assert_allclose(reading.times("/outcome/raw", "sim_time"), 1e8 * np.arange(27))
+    fruit, tool, q = (np.array([i[key] for i in infos]) for key in ("fruit_position", "tool_position", "joint_command"))
+    np.testing.assert_allclose(reading.values("/world/fruit/raw", "Points3D:positions"), fruit, atol=1e-6)
+    np.testing.assert_allclose(reading.values("/world/miss/raw", "Arrows3D:vectors"), tool - fruit, atol=1e-6)
+    np.testing.assert_allclose(reading.values("/world/miss/raw", "PickError:xyz_mm"), 1e3 * (tool - fruit), atol=1e-3)
+    np.testing.assert_allclose(reading.values("/target/raw", "Points3D:positions"), 1e3 * (tool - fruit), atol=1e-3)
+    numbers = reading.values("/metrics/mm/raw", "Scalars:scalars")
+    np.testing.assert_array_equal(numbers, [info["position_error_mm"] for info in infos])
+    degrees = reading.values("/metrics/deg/raw", "Scalars:scalars").reshape(27, 3)
+    names = reading.values("/metrics/deg/raw", "SeriesLines:names").tolist()
+    for name, column in zip(names, degrees.T, strict=True):
+        np.testing.assert_array_equal(column, [info[name.replace(" ", "_")] for info in infos])
+    rewards = reading.values("/metrics/other/raw", "Scalars:scalars")
+    np.testing.assert_array_equal(rewards, [info.get("reward", 0.0) for info in infos])
+    states = reading.values("/outcome/raw", "StateChange:state")
+    assert states.tolist() == ["yes" if info["is_success"] else "no" for info in infos]
+    nominal = forward(gym.make("pickenv/Reach-v0").unwrapped.plant.arm.nominal, q).position
+    np.testing.assert_allclose(rod_ends(reading, "/world/arm/nominal/raw", 27), nominal, atol=2e-6)
+    np.testing.assert_allclose(rod_ends(reading, "/world/arm/true/raw", 27), tool, atol=2e-6)
+    assert reading.unmatched_rules() == []
+    assert len(reading.rules()) >= 8
+
+
+def rod_ends(reading: Any, entity: str, moments: int) -> np.ndarray:
+    start, (x, y, z, w), length = (
+        reading.values(entity, "Capsules3D:translations"),
+        reading.values(entity, "Capsules3D:quaternions").T,
+        reading.values(entity, "Capsules3D:lengths"),
+    )
+    direction = np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)], axis=-1)
+    return (start + length[:, None] * direction).reshape(moments, -1, 3)[:, -1]
+
+
+def test_logging_changes_nothing(tmp_path: Path) -> None:
+    logged = run(reach(tmp_path), 2, 8)
+    plain = run(gym.make("pickenv/Reach-v0", max_episode_steps=8, tolerance_mm=5.0), 2, 8)
+    for ours, theirs in zip(chain(*logged), chain(*plain), strict=True):
+        for key in theirs:
+            np.testing.assert_array_equal(ours[key], theirs[key])
+
+
+def test_the_wrapper_is_part_of_the_environments_specification(tmp_path: Path) -> None:
+    env = reach(tmp_path, name_prefix="again")
+    assert env.spec is not None
+    run(gym.make(env.spec), 1, 8)
+    assert (tmp_path / "again-raw.rrd").is_file()
+
+
+def test_the_schedule_is_that_of_record_video(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
+    wanted = [k for k in range(3001) if (k < 1000 and round(k ** (1 / 3)) ** 3 == k) or (k >= 1000 and k % 1000 == 0)]
+    assert [k for k in range(3001) if capped_cubic(k)] == wanted
+    run(reach(tmp_path, steps=2, episode_trigger=None), 10, 2)
+    reading = reader(tmp_path / "episodes-raw.rrd")
+    assert reading.times("/outcome/raw", "episode").tolist() == [0] * 3 + [1] * 3 + [8] * 3
+
+
+def test_a_step_trigger_records_a_length(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
+    env = reach(tmp_path, episode_trigger=None, step_trigger=lambda k: k in (2, 12), recording_length=4)
+    run(env, 3, 8)
+    times = reader(tmp_path / "episodes-raw.rrd").times("/outcome/raw", "step")
+    assert times.tolist() == [3, 4, 5, 6, 14, 15, 16, 17]
+
+
+def test_nothing_recorded_writes_nothing(tmp_path: Path) -> None:
+    run(reach(tmp_path, episode_trigger=lambda _: False), 2, 8)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("make", [lambda: gym.make("pickenv/Pick-v0", max_episode_steps=5), HarvestEnv])
+def test_other_environments_are_logged_as_far_as_info_allows(
+    make: Callable[[], gym.Env[Any, Any]], tmp_path: Path, reader: Callable[[Path], Any]
+) -> None:
+    infos = run(LogRerun(make(), tmp_path, episode_trigger=always), 1, 5)[0]
+    reading = reader(tmp_path / "episodes-policy.rrd")
+    assert reading.unmatched_rules() == []
+    assert ("/world/arm/true/policy" in reading.entities()) == ("tool_position" in infos[0])
+    names = reading.values("/metrics/other/policy", "SeriesLines:names").tolist()
+    values = reading.values("/metrics/other/policy", "Scalars:scalars").reshape(6, -1)
+    assert "collected" in names
+    np.testing.assert_array_equal(values[:, names.index("collected")], [info["collected"] for info in infos])
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_chosen_environments_of_a_vector_are_logged_as_if_alone(
+    mode: str, tmp_path: Path, reader: Callable[[Path], Any]
+) -> None:
+    envs = ReachVectorEnv(4, max_episode_steps=3, autoreset_mode=mode)
+    logged = LogRerunVector(envs, tmp_path, always, indices=(1, 3), policy="raw")
+    logged.reset(seed=5)
+    logged.action_space.seed(1)
+    actions = [logged.action_space.sample() for _ in range(9)]
+    for action in actions:
+        logged.step(action)
+    logged.close()
+    reading = reader(tmp_path / "episodes-raw.rrd")
+    assert reading.unmatched_rules() == []
+    for i in (1, 3):
+        alone = ReachVectorEnv(1, max_episode_steps=3, autoreset_mode=mode)
+        _, infos = alone.reset(seed=5 + i)
+        wanted, episodes = [infos["position_error_mm"][0]], [0]
+        for action in actions:
+            _, _, _, over, infos = alone.step(action[i : i + 1])
+            if mode == "SameStep" and over[0]:
+                wanted.append(infos["final_info"]["position_error_mm"][0])
+                episodes += [episodes[-1], episodes[-1] + 1]
+            else:
+                episodes.append(episodes[-1] + (mode == "NextStep" and len(wanted) % 4 == 0))
+            wanted.append(infos["position_error_mm"][0])
+        entity = f"/metrics/mm/raw/env_{i}"
+        np.testing.assert_array_equal(reading.values(entity, "Scalars:scalars"), wanted)
+        assert reading.times(entity, "episode").tolist() == episodes
+
+
+def test_a_vector_of_single_environments_is_logged_too(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
+    envs = gym.make_vec("pickenv/Reach-v0", 2, "sync", max_episode_steps=3)
+    logged = LogRerunVector(envs, tmp_path, always, indices=(1,))
+    logged.reset(seed=5)
+    wanted = []
+    for _ in range(3):
+        *_, infos = logged.step(logged.action_space.sample())
+        wanted.append(infos["position_error_mm"][1])
+    logged.close()
+    reading = reader(tmp_path / "episodes-policy.rrd")
+    np.testing.assert_array_equal(reading.values("/metrics/mm/policy/env_1", "Scalars:scalars")[1:], wanted)
+
+
+def test_files_of_several_policies_are_one_recording(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
+    for policy in ("raw", "ls"):
+        run(reach(tmp_path, policy=policy), 1, 8)
+    both = tmp_path / "both.rrd"
+    files = [tmp_path / f"episodes-{policy}.rrd" for policy in ("raw", "ls")]
+    subprocess.run([RERUN, "rrd", "merge", *files, "-o", both], check=True, capture_output=True)
+    from rerun.chunk import RrdReader
+
+    (entry,) = RrdReader(both).recordings()
+    assert (entry.application_id, entry.recording_id) == ("pickenv", "Reach-v0:qiao2026:seed3")
+    store = RrdReader(both).stream().collect()
+    entities = {column.entity_path for column in store.schema().component_columns()}
+    assert {"/world/miss/raw", "/world/miss/ls", "/metrics/mm/raw", "/metrics/mm/ls"} <= entities
+
+
+def test_equal_seeds_give_equal_files_and_other_seeds_others(tmp_path: Path) -> None:
+    paths = []
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        run(reach(tmp_path / name), 2, 8, seed)
+        paths.append(tmp_path / name / "episodes-raw.rrd")
+
+    def compare(first: Path, second: Path) -> int:
+        return subprocess.run([RERUN, "rrd", "compare", first, second], capture_output=True, check=False).returncode
+
+    assert (compare(paths[0], paths[1]), compare(paths[0], paths[2])) == (0, 1)
+
+
+KILLED = """
+import sys, time
+import gymnasium as gym
+import pickenv  # noqa: F401  (registers the environments)
+from pickenv.inspect import LogRerun
+env = LogRerun(gym.make("pickenv/Reach-v0", max_episode_steps=4), sys.argv[1], lambda _: True)
+while True:
+    env.reset(seed=0)
+    for _ in range(4):
+        env.step(env.action_space.sample())
+"""
+
+
+def test_a_killed_writer_leaves_a_recording_that_reads(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], env=environment)
+    path, deadline = tmp_path / "episodes-policy.rrd", time.monotonic() + 60.0
+    while not path.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    times = reader(path).times("/outcome/policy", "step")
+    assert len(times) >= 5
+    np.testing.assert_array_equal(times, np.arange(len(times)))
+    assert subprocess.run([RERUN, "rrd", "verify", path], capture_output=True, check=False).returncode == 0
+
+
+FULL = """
+import resource, sys
+import gymnasium as gym
+import pickenv  # noqa: F401  (registers the environments)
+from pickenv.errors import InputError
+from pickenv.inspect import LogRerun
+env = LogRerun(gym.make("pickenv/Reach-v0", max_episode_steps=4), sys.argv[1], lambda _: True)
+resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+try:
+    for _ in range(3):
+        env.reset(seed=0)
+        for _ in range(4):
+            env.step(env.action_space.sample())
+except InputError as error:
+    sys.exit(f"error: {error}")
+"""
+
+
+def test_a_full_disk_is_one_sentence(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", FULL, str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, check=False, capture_output=True, text=True, timeout=60)
+    assert done.stderr == f"error: cannot write {tmp_path / 'episodes-policy.rrd'}: File too large\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(InputError, match=r"file/episodes-raw\.rrd"):
+        run(reach(tmp_path / "file"), 1, 8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ({"policy": "LS/raw"}, "'LS/raw' cannot name an entity"),
+        ({"recording_length": -1}, "recording_length is -1"),
+        ({"save_path": None}, "nothing would be logged"),
+    ],
+)
+def test_impossible_arguments_are_refused(arguments: dict[str, Any], complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=complaint):
+        LogRerun(gym.make("pickenv/Reach-v0"), **{"save_path": tmp_path, **arguments})
+
+
+@pytest.mark.parametrize("indices", [(), (4,), (1, 1), (-1,)])
+def test_impossible_indices_are_refused(indices: tuple[int, ...], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="different numbers from 0 to 3"):
+        LogRerunVector(ReachVectorEnv(4), tmp_path, indices=indices)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def test_a_server_and_a_file_get_the_same(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
+    """A second process reads what is served, through rerun's own program."""
+    port = free_port()
+    env = reach(tmp_path, serve=port)
+    env.action_space.seed(3)
+    env.reset(seed=3)
+    for _ in range(8):
+        env.step(env.action_space.sample())
+    check_answers(f"rerun+http://127.0.0.1:{port}/proxy")
+    copy = tmp_path / "copy.rrd"
+    command = [RERUN, f"rerun+http://127.0.0.1:{port}/proxy", "--save", copy, "--port", str(free_port())]
+    taker = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    deadline = time.monotonic() + 30.0
+    while time.monotonic() < deadline and not (copy.exists() and copy.stat().st_size > 40_000):
+        time.sleep(0.2)
+    env.close()
+    os.killpg(taker.pid, signal.SIGTERM)
+    taker.wait()
+    written = reader(tmp_path / "episodes-raw.rrd").values("/metrics/mm/raw", "Scalars:scalars")
+    from rerun.chunk import RrdReader
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="RRD file has no footer")  # the taker was ended while it listened
+        chunks = RrdReader(copy).stream().filter(content="/metrics/mm/raw", components=["Scalars:scalars"])
+    (served,) = [chunk.to_record_batch().column("Scalars:scalars").flatten().to_numpy() for chunk in chunks]
+    np.testing.assert_array_equal(served, written)
+
+
+def test_a_viewer_that_does_not_answer_is_named(tmp_path: Path) -> None:
+    url = f"rerun+http://127.0.0.1:{free_port()}/proxy"
+    with pytest.raises(InputError, match="no viewer answers at rerun"):
+        run(reach(tmp_path, connect=url), 1, 8)
+    with pytest.raises(InputError, match="it looks like rerun"):
+        check_answers("http://somewhere")
+
+
+def test_without_a_screen_no_viewer_is_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(InputError, match="no screen"):
+        run(reach(tmp_path, spawn=True), 1, 8)
+
+
+def test_live_is_nobody_unless_asked_for() -> None:
+    assert not Live()
+    assert Live(spawn=True) and Live(connect="x") and Live(serve=1)
