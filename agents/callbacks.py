@@ -10,8 +10,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.checkpoints import save_checkpoint
 from agents.learned import LearnedPolicy
-from agents.native import NativeVecEnv
 from agents.training import Training, actor_of, judge, write_evaluations
+from pickenv.wrappers.sb3 import Sb3Vec
 
 
 def following(steps: int, every: int) -> int:
@@ -22,7 +22,7 @@ def following(steps: int, every: int) -> int:
 class Checkpoints(BaseCallback):
     """Write a checkpoint every so many steps, between an update and the next rollout, when nothing is half done."""
 
-    def __init__(self, training: Training, path: Path, env: NativeVecEnv) -> None:
+    def __init__(self, training: Training, path: Path, env: Sb3Vec) -> None:
         super().__init__()
         self.what, self.path, self.env = training, path, env
         self._next = 0

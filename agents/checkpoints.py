@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from agents.native import NativeVecEnv
 from pickenv.errors import InputError
 from pickenv.files import write_whole
+from pickenv.wrappers.sb3 import Sb3Vec
 
 FORMAT = 1
 
@@ -24,7 +24,7 @@ BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", "_
 """Arrays of a replay buffer, where it has them; observations come in one or two more."""
 
 
-def save_checkpoint(path: Path, model: Any, env: NativeVecEnv, settings: dict[str, Any]) -> Path:
+def save_checkpoint(path: Path, model: Any, env: Sb3Vec, settings: dict[str, Any]) -> Path:
     """Write everything that the rest of a training depends on.
 
     Args:
@@ -72,7 +72,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return content
 
 
-def take_checkpoint(content: dict[str, Any], model: Any, env: NativeVecEnv) -> None:
+def take_checkpoint(content: dict[str, Any], model: Any, env: Sb3Vec) -> None:
     """Bring a freshly made training to where the checkpoint was written."""
     model.set_parameters(content["parameters"], exact_match=True)
     for key, value in content["variables"].items():

@@ -188,7 +188,7 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
         raise InputError("algorithm tqc needs sb3-contrib; install it with pip install sb3-contrib")
     from stable_baselines3 import PPO, SAC, HerReplayBuffer
 
-    from agents.native import NativeVecEnv
+    from pickenv.wrappers.sb3 import Sb3Vec
 
     chosen = training.chosen
     for key in ("n_timesteps", "env_kwargs", "env_wrapper", "policy"):
@@ -200,11 +200,11 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     if training.algorithm == "ppo":
         if inner.goal_dict:
             raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
-        env = NativeVecEnv(inner, scaling)
+        env = Sb3Vec(inner, scaling)
         return PPO("MlpPolicy", env, **chosen, **common), env
     from agents import off_policy
 
-    env = NativeVecEnv(inner)
+    env = Sb3Vec(inner)
     chosen["policy_kwargs"] = chosen.get("policy_kwargs", {}) | {
         "features_extractor_class": off_policy.ScaledFeatures,
         "features_extractor_kwargs": {"scaling": scaling},
@@ -226,12 +226,13 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy:
     hidden = model.policy.mlp_extractor.policy_net if on_policy else model.actor.latent_pi
     last = model.policy.action_net if on_policy else model.actor.mu
     layers = [layer for layer in (*hidden, last) if isinstance(layer, torch.nn.Linear)]
-    arm = env.env.task.plant.arm
+    inner = env.envs.unwrapped
+    arm = inner.task.plant.arm
     return LearnedPolicy(
         algorithm=training.algorithm,
         arm=arm.name,
         arm_fingerprint=arm.fingerprint(),
-        scaling=scaling_of(training, env.env),
+        scaling=scaling_of(training, inner),
         activation="tanh" if on_policy else "relu",
         squashed=not on_policy,
         weights=tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),

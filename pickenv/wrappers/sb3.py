@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
@@ -16,6 +17,23 @@ from pickenv.errors import InputError
 from pickenv.wrappers.compensation import CompensationVectorWrapper, Compensator
 
 NUMBERS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
+
+
+class Scaling(Protocol):
+    """How a policy wants to see flat observations, and what its actions mean there; `agents.scaling` has one."""
+
+    @property
+    def features(self) -> int:
+        """Numbers that the policy sees."""
+        ...
+
+    def observe(self, values: Any, xp: Any) -> Any:
+        """What the policy sees ``(..., features)`` of observations; ``xp`` is numpy."""
+        ...
+
+    def share(self, values: Any, xp: Any) -> Any:
+        """What its actions are multiplied by ``(..., 1)``."""
+        ...
 
 
 def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensator | None = None, **arguments: Any) -> Sb3Vec:
@@ -42,31 +60,45 @@ def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensator | None = No
 class Sb3Vec(VecEnv):
     """A vector environment that begins episodes in the step that ends them, or when told to, as a `VecEnv`.
 
-    `infos` of an episode's last step hold `terminal_observation`, `TimeLimit.truncated`, `is_success` and the errors in
-    mm and degrees; those of other steps hold `TimeLimit.truncated` alone.
+    `infos` of an episode's last step hold `terminal_observation`, `TimeLimit.truncated`, `is_success`, the errors in mm
+    and degrees, and `episode` with the sum of rewards "r" and the length "l", so that no monitor is needed; those of
+    other steps are empty.
+
+    Args:
+        envs: The environments.
+        scaling: Where given, flat observations and actions are scaled. Goal observations never are, as hindsight needs
+            them as they were measured.
 
     Raises:
         InputError: If the environment's autoreset mode is "NextStep": Stable-Baselines3 would learn from the step that
             never was.
     """
 
-    def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
-        self.envs = envs
+    def __init__(self, envs: VectorEnv[Any, Any, Any], scaling: Scaling | None = None) -> None:
+        self.envs, self.scaling = envs, scaling
         self.mode: AutoresetMode = envs.metadata["autoreset_mode"]
         if self.mode is AutoresetMode.NEXT_STEP:
             raise InputError("Stable-Baselines3 needs autoreset_mode 'SameStep' or 'Disabled', not 'NextStep'")
+        self.seen: Any = None
+        """Observations as the environments gave them."""
         self._actions: Any = None
-        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+        self._returns = np.zeros(envs.num_envs)
+        self._lengths = np.zeros(envs.num_envs, dtype=np.int64)
+        space = envs.single_observation_space
+        if scaling is not None:
+            space = spaces.Box(-np.inf, np.inf, (scaling.features,), dtype=np.float32)
+        super().__init__(envs.num_envs, space, envs.single_action_space)
 
     def reset(self) -> Any:
         """Begin episodes in all environments, with the seeds and options that were set."""
         options = [entry for entry in self._options if entry]
         if options and any(entry != options[0] for entry in self._options):
             raise InputError("options differ between environments; give all the same")
-        observations, _ = self.envs.reset(seed=self._seeds, options=options[0] if options else None)  # type: ignore[arg-type]
+        self.seen, _ = self.envs.reset(seed=self._seeds, options=options[0] if options else None)  # type: ignore[arg-type]
         self._reset_seeds()
         self._reset_options()
-        return observations
+        self._returns[:], self._lengths[:] = 0.0, 0
+        return self._shown(self.seen)
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions for `step_wait`."""
@@ -74,25 +106,66 @@ class Sb3Vec(VecEnv):
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Act in all environments."""
-        observations, rewards, terminations, truncations, given = self.envs.step(self._actions)
+        actions = self._actions
+        if self.scaling is not None:
+            actions = np.clip(actions, -1.0, 1.0) * self.scaling.share(self.seen, np)
+        self.seen, rewards, terminations, truncations, given = self.envs.step(actions)
+        self._returns += rewards
+        self._lengths += 1
         dones = terminations | truncations
-        infos: list[dict[str, Any]] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
-            last, final = observations, given
+            last, final = self.seen, given
             if self.mode is AutoresetMode.DISABLED:
-                observations, _ = self.envs.reset(options={"reset_mask": dones})
+                self.seen, _ = self.envs.reset(options={"reset_mask": dones})
             else:
                 last, final = given["final_obs"], given["final_info"]
-            for i in np.flatnonzero(dones):
-                if self.mode is AutoresetMode.DISABLED and isinstance(last, dict):
-                    terminal = {key: value[i].copy() for key, value in last.items()}
-                else:
-                    terminal = last[i] if isinstance(last[i], dict) else last[i].copy()
-                infos[i] = {key: float(final[key][i]) for key in NUMBERS}
-                infos[i]["terminal_observation"] = terminal
-                infos[i]["TimeLimit.truncated"] = bool(truncations[i] and not terminations[i])
-                infos[i]["is_success"] = bool(final["is_success"][i])
-        return observations, rewards.astype(np.float32), dones, infos
+            rows = np.flatnonzero(dones)
+            for i, ending in zip(rows, self._endings(rows, last, final, truncations & ~terminations), strict=True):
+                infos[i] = ending
+            self._returns[rows], self._lengths[rows] = 0.0, 0
+        return self._shown(self.seen), rewards.astype(np.float32), dones, infos
+
+    def _endings(
+        self, rows: NDArray[np.intp], last: Any, final: dict[str, Any], cut: NDArray[np.bool_]
+    ) -> list[dict[str, Any]]:
+        """Infos of the episodes that ended in the environments ``rows``."""
+        if isinstance(last, dict):
+            observations: Any = [{key: value[i].copy() for key, value in last.items()} for i in rows]
+        else:
+            observations = [last[i].copy() for i in rows]
+        if self.scaling is not None:
+            observations = list(self._shown(np.stack(observations)))
+        columns: dict[str, list[Any]] = {
+            "terminal_observation": observations,
+            "TimeLimit.truncated": cut[rows].tolist(),
+        }
+        columns |= {key: np.asarray(final[key])[rows].tolist() for key in (*NUMBERS, "is_success")}
+        sums = zip(self._returns[rows].tolist(), self._lengths[rows].tolist(), strict=True)
+        columns["episode"] = [{"r": reward, "l": length, "t": 0.0} for reward, length in sums]
+        return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+
+    def _shown(self, observations: Any) -> Any:
+        """What the policy sees."""
+        if self.scaling is None:
+            return observations
+        return np.asarray(self.scaling.observe(observations, np), dtype=np.float32)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Everything that the next step depends on, as arrays, for a checkpoint; of native environments on NumPy."""
+        seen = self.seen if isinstance(self.seen, dict) else {"flat": self.seen}
+        own = {"returns": self._returns, "lengths": self._lengths} | {f"raw/{key}": part for key, part in seen.items()}
+        inner: Any = self.envs.unwrapped
+        kept = own | {f"env/{key}": value for key, value in inner.state_arrays().items()}
+        return {key: np.array(value) for key, value in kept.items()}
+
+    def take_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """The inverse of `state`, around environments made with the same arguments."""
+        self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
+        seen = {key.removeprefix("raw/"): value.copy() for key, value in state.items() if key.startswith("raw/")}
+        self.seen = seen.get("flat", seen)
+        inner: Any = self.envs.unwrapped
+        inner.take_state_arrays({key[4:]: value for key, value in state.items() if key.startswith("env/")})
 
     def close(self) -> None:
         """Close the environments."""

@@ -149,8 +149,8 @@ def test_what_the_native_environment_shows_is_what_the_policy_file_sees(short):
 
     policy = actor_of(model, training, env)
     predicted, _ = model.predict(shown, deterministic=True)
-    share = env.scaling.share(env._raw, np)
-    np.testing.assert_allclose(policy.act(env._raw), predicted * share, atol=1e-5)
+    share = env.scaling.share(env.seen, np)
+    np.testing.assert_allclose(policy.act(env.seen), predicted * share, atol=1e-5)
 
 
 def refusals(short, tmp_path):

@@ -43,6 +43,72 @@ def test_the_last_step_tells_how_it_ended():
     assert infos[0]["TimeLimit.truncated"] and infos[0]["position_error_mm"] > 0
 
 
+def test_the_last_step_sums_up_its_episode():
+    envs = make_sb3_vec("pickenv/Reach-v0", 3, **EARLY)
+    envs.seed(3)
+    envs.reset()
+    envs.action_space.seed(0)
+    sums, lengths, ends = np.zeros(3), np.zeros(3), 0
+    for _ in range(40):
+        _, rewards, dones, infos = envs.step(np.stack([envs.action_space.sample() for _ in range(3)]))
+        sums, lengths = sums + rewards, lengths + 1
+        for i in range(3):
+            assert ("episode" in infos[i]) == dones[i]
+            if dones[i]:
+                assert infos[i]["episode"]["r"] == pytest.approx(sums[i], abs=1e-5)
+                assert infos[i]["episode"]["l"] == lengths[i]
+        ends += dones.sum()
+        sums, lengths = np.where(dones, 0.0, sums), np.where(dones, 0.0, lengths)
+    assert ends > 5
+
+
+@pytest.mark.parametrize("name", ["Reach", "ReachGoal"])
+def test_a_stream_goes_on_from_its_state(name):
+    def made():
+        return make_sb3_vec(f"pickenv/{name}-v0", 4, **EARLY)
+
+    one, other = made(), made()
+    one.seed(1)
+    one.reset()
+    actions = np.random.default_rng(0).uniform(-1, 1, (30, 4, 6)).astype(np.float32)
+    for action in actions[:7]:
+        one.step(action)
+    other.take_state(one.state())
+    for action in actions:
+        np.testing.assert_equal(one.step(action), other.step(action))
+
+
+class Halved:
+    """Shows a third of the observation, and halves the actions."""
+
+    features = 6
+
+    def observe(self, values, xp):
+        return values[..., :6]
+
+    def share(self, values, xp):
+        return xp.full((*values.shape[:-1], 1), 0.5)
+
+
+def test_a_scaling_stands_between_policy_and_environments():
+    bare, scaled = (gym.make_vec("pickenv/Reach-v0", num_envs=2, autoreset_mode="SameStep", **EARLY) for _ in range(2))
+    one, other = Sb3Vec(bare), Sb3Vec(scaled, Halved())
+    assert other.observation_space.shape == (6,)
+    for envs in (one, other):
+        envs.seed(0)
+    np.testing.assert_array_equal(one.reset()[:, :6], other.reset())
+    action, ends = np.full((2, 6), 0.4), 0
+    for _ in range(12):
+        a, b = one.step(0.5 * action), other.step(action)
+        np.testing.assert_array_equal(a[0][:, :6], b[0])
+        np.testing.assert_array_equal(a[1], b[1])
+        for plain, shown in zip(a[3], b[3], strict=True):
+            if plain:
+                np.testing.assert_array_equal(plain["terminal_observation"][:6], shown["terminal_observation"])
+                ends += 1
+    assert ends > 0
+
+
 def test_rewards_are_computed_anew_for_exchanged_goals():
     envs = make_sb3_vec("pickenv/ReachGoal-v0", 2)
     envs.reset()
