@@ -52,15 +52,16 @@ def aggregate_figure(grid: Grid) -> Figure:
     return aggregates(panels)
 
 
-def success_curves(grid: Grid) -> Figure:
+def success_curves(grid: Grid, plant: str) -> Figure:
     """Success against lateral error for each gripper, and where the scripted policy lies on it."""
-    points: dict[str, dict[str, tuple[float, float]]] = {}
-    for cell in grid.cells:
-        if cell.policy == "scripted":
-            points[f"{cell.plant}, {LABELS[cell.compensation]}"] = {
-                name: (float(cell.errors_mm.mean()), float(cell.rollout.capture(gripper).mean()))
-                for name, gripper in grid.grippers.items()
-            }
+    points = {
+        LABELS[cell.compensation]: {
+            name: (float(cell.errors_mm.mean()), float(cell.rollout.capture(gripper).mean()))
+            for name, gripper in grid.grippers.items()
+        }
+        for cell in grid.cells
+        if cell.policy == "scripted" and cell.plant == plant
+    }
     return success_against_misalignment(gripper_curves(tuple(grid.grippers)), points)
 
 
@@ -86,12 +87,7 @@ def grid_drawings(grid: Grid) -> Sequence[Drawing]:
             "aggregates",
             "Final position errors of every policy with 95 % intervals over arms.",
             lambda: aggregate_figure(grid),
-        ),
-        Drawing(
-            "success_against_misalignment",
-            "What each gripper forgives, and where the scripted policy lies on its curve.",
-            lambda: success_curves(grid),
-        ),
+        )
     ]
     for plant in dict.fromkeys(cell.plant for cell in grid.cells):
         scripted = {
@@ -108,6 +104,11 @@ def grid_drawings(grid: Grid) -> Sequence[Drawing]:
         )
         if scripted:
             found += [
+                Drawing(
+                    f"success_against_misalignment_{Path(plant).stem}",
+                    f"What each gripper forgives, and where the scripted policy on {plant} lies on its curve.",
+                    lambda plant=plant: success_curves(grid, plant),  # type: ignore[misc]
+                ),
                 Drawing(
                     f"error_by_compensation_{Path(plant).stem}",
                     f"Final position errors of the scripted policy on {plant}.",

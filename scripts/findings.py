@@ -226,7 +226,7 @@ def main() -> None:
         options.runs / "calibrations",
     )
     save_figure(aggregate_figure(grid), images / "findings-aggregates.png")
-    save_figure(success_curves(grid), images / "findings-success.png")
+    save_figure(success_curves(grid, "qiao2026"), images / "findings-success.png")
     save_figure(cycle_figure(grid, CONTROL_PERIOD, "qiao2026"), images / "findings-cycle.png")
     print("policies done", flush=True)
     noise: Noise = run_noise(settings_of(sizes), grid)

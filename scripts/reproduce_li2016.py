@@ -16,8 +16,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from li2016_figures import draw_figures
 from li2016_recording import record_zone
+from li2016_trace import trace_of
 from rich.console import Console
 from rich.table import Table
 
@@ -38,6 +38,9 @@ from pickenv.harvester.trees import lab_runs, load_orchard, sample_image
 from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine, tip_errors
 from pickenv.harvester.work import timetable, zone_work
 from pickenv.harvester.zones import load_grid
+from pickenv.inspect.drawings import harvest_drawings, write_drawings
+from pickenv.inspect.plain_report import harvest_report
+from pickenv.inspect.run_folder import recorded_run, save_harvest
 
 TARGETS_MM = {"left": (420, -1400, 1000), "middle": (96, -1450, 1280), "right": (-500, -1386, 1500)}
 PICK_POINT_MM = (-80, -660, 1220)
@@ -255,10 +258,15 @@ def main(
         )
     our_comparison(console, study, reach, plans)
     throughput = by_arms(2 if quick else 12)
-    for path in draw_figures(out, true, study.trees, throughput, TARGETS_MM, PICK_POINT_MM):
-        console.print(f"figure {path}")
+    trace = trace_of(machine, study.trees, study.measures, throughput, TARGETS_MM, PICK_POINT_MM)
     dense = max(study.trees["optimised"], key=lambda h: max(len(r.fruit) for r in h.rounds))
-    console.print(f"recording {record_zone(out / 'zone.rrd', machine, dense)}")
+    command = "python scripts/reproduce_li2016.py" + (" --quick" if quick else f" --trees {trees}")
+    with recorded_run(out, "harvest", command, SEED) as run:
+        save_harvest(out, trace, SEED)
+        for path in write_drawings(harvest_drawings(trace), out / "figures"):
+            console.print(f"figure {path}")
+        console.print(f"recording {record_zone(out / 'zone.rrd', machine, dense)}")
+        console.print(f"report {write_text(out / 'report.html', harvest_report(run, trace))}")
     if json_file is not None:
         write_text(json_file, json.dumps(report(errors, study, reach, plans, throughput, trees), indent=2) + "\n")
     console.print(f"{time.perf_counter() - begin:.0f} s")

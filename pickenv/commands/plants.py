@@ -43,6 +43,7 @@ def iso9283(
     dwell: Annotated[float, typer.Option(help="Waiting time before each measurement, s.", min=0.0)] = 2.0,
     seed: Annotated[int, typer.Option(help="Seed of friction and instrument noise.", min=0)] = 0,
     json_file: JsonFile = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
     """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated."""
     import numpy as np
@@ -66,3 +67,10 @@ def iso9283(
     print(result.report())
     if json_file is not None:
         print(f"wrote {write_text(json_file, json.dumps(result.as_dict(), indent=2) + chr(10))}")
+    if out is not None:
+        from pickenv.inspect.run_folder import ISO9283, recorded_run
+
+        with_calibration = "" if calibration is None else f" --calibration {calibration}"
+        command = f"pickenv iso9283 --plant {plant}{with_calibration} --cycles {cycles} --speed {speed} --dwell {dwell}"
+        with recorded_run(out, "iso9283", f"{command} --seed {seed}", seed):
+            print(f"wrote {write_text(out / ISO9283, json.dumps(result.as_dict(), indent=2) + chr(10))}")

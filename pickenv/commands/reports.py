@@ -23,9 +23,9 @@ def figures(
     from pickenv.inspect.drawings import LeftOut, write_drawings
     from pickenv.inspect.run_folder import read_run
 
-    found = read_run(run)
+    found, folder = read_run(run), out or run / "figures"
     drawings = drawings_of(found)
-    for path in write_drawings(drawings, out or run / "figures", formats.split(",")):
+    for path in write_drawings(drawings, folder, formats.split(",")):
         print(f"wrote {path}")
     for drawing in drawings:
         if isinstance(drawing, LeftOut):
@@ -55,15 +55,43 @@ def report(
 
 def drawings_of(run: Run) -> Drawings:
     """Every figure of a run, drawable or left out."""
-    from pickenv.inspect.drawings import comparison_drawings, trace_drawings
-    from pickenv.inspect.run_folder import load_comparison, load_trace
+    from pickenv.inspect import drawings, run_folder
 
-    return [*comparison_drawings(load_comparison(run.folder)), *trace_drawings(load_trace(run))]
+    if run.kind == "evaluation":
+        from agents.figures import grid_drawings
+        from agents.tables import read_grid
+
+        return grid_drawings(read_grid(run))
+    if run.kind == "study":
+        from pickenv.study.drawings import gather, study_drawings
+
+        return study_drawings(gather(run.folder))
+    if run.kind == "harvest":
+        return drawings.harvest_drawings(run_folder.load_harvest(run))
+    if run.kind == "iso9283":
+        return drawings.iso9283_drawings(run_folder.load_iso9283(run))
+    traced = drawings.trace_drawings(run_folder.load_trace(run))
+    if run.kind == "calibration":
+        return traced
+    return [*drawings.comparison_drawings(run_folder.load_comparison(run.folder)), *traced]
 
 
 def page_of(run: Run, picture: bool) -> str:
     """A run's report as HTML."""
+    from pickenv.inspect import run_folder
     from pickenv.inspect.demo_report import demo_report
+    from pickenv.inspect.plain_report import harvest_report, iso9283_report
     from pickenv.inspect.viewer_picture import viewer_picture
 
+    if run.kind == "evaluation":
+        from agents.report import grid_report
+        from agents.tables import read_grid
+
+        return grid_report(run, read_grid(run))
+    if run.kind == "harvest":
+        return harvest_report(run, run_folder.load_harvest(run))
+    if run.kind == "iso9283":
+        return iso9283_report(run, run_folder.load_iso9283(run))
+    if run.kind == "calibration":
+        return run_folder.written_report(run)
     return demo_report(run, viewer_picture(run.folder / "errors.rrd") if picture else None)

@@ -10,7 +10,8 @@ from pickenv.inspect.drawings import Drawing
 from pickenv.inspect.report_style import STYLE
 from pickenv.inspect.report_svg import inline_svg
 
-TONES = ("good", "care", "bad")
+TONES = ("good", "care", "bad", "note")
+"""The last for what is neither good nor bad: no requirement was stated."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ p { margin: 4px 0 8px; }
   border-radius: 4px; }
 .verdict strong { font-size: 1.3rem; color: var(--tone); }
 .good { --tone: var(--good); } .care { --tone: var(--care); } .bad { --tone: var(--bad); }
+.note { --tone: var(--link); }
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(13rem, 1fr)); gap: 12px; margin: 14px 0; }
 .tile { background: var(--card); border-radius: 4px; padding: 10px 14px; }
 .tile b { display: block; font-size: 1.18rem; white-space: nowrap; font-variant-numeric: tabular-nums; }

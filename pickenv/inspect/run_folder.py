@@ -10,17 +10,22 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from calibration.calibration import DAMAGE
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect.calibration_trace import CalibrationTrace
 from pickenv.inspect.comparison import Comparison
+from pickenv.inspect.harvest_trace import HarvestTrace
 from pickenv.inspect.saved import load, save, versions
 
 RECORD = "run.json"
 COMPARISON = "comparison.npz"
 TRACE = "calibration_trace.npz"
+HARVEST = "harvest.npz"
+ISO9283 = "iso9283.json"
+REPORT = "report.html"
 STUDY = "study.toml"
 """The configuration in a study's folder, which has no `run.json`."""
 
@@ -124,3 +129,40 @@ def save_trace(folder: Path, trace: CalibrationTrace, seed: int | None = None) -
 def load_trace(run: Run) -> CalibrationTrace:
     """The calibration's trace of a run folder, to the bit; raises `InputError` as `pickenv.inspect.saved.load`."""
     return load(run.folder / TRACE, CalibrationTrace, run.made_by)
+
+
+def save_harvest(folder: Path, trace: HarvestTrace, seed: int) -> Path:
+    """Write a harvester's trace into a run folder."""
+    return save(folder / HARVEST, trace, seed=seed)
+
+
+def load_harvest(run: Run) -> HarvestTrace:
+    """The harvester's trace of a run folder; raises `InputError` as `pickenv.inspect.saved.load`."""
+    return load(run.folder / HARVEST, HarvestTrace, run.made_by)
+
+
+def load_iso9283(run: Run) -> dict[str, Any]:
+    """The result of a test by ISO 9283, as it was written.
+
+    Raises:
+        InputError: If the file is missing or damaged.
+    """
+    path = run.folder / ISO9283
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        found["raw"]["poses"], found["settings"], found["plant"], found["standard"]
+    except DAMAGE as error:
+        raise InputError(f"{path} is missing or damaged ({error}); `{run.made_by}` makes it anew") from error
+    return found
+
+
+def written_report(run: Run) -> str:
+    """The page that was written with the run, for runs whose page needs more than the folder keeps.
+
+    Raises:
+        InputError: If there is none.
+    """
+    path = run.folder / REPORT
+    if not path.is_file():
+        raise InputError(f"{path} does not exist: measurements of this kind have no report page; see `pickenv figures`")
+    return path.read_text(encoding="utf-8")

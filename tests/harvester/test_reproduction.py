@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from pickenv.inspect.plain_report import harvest_report
+from pickenv.inspect.run_folder import load_harvest, read_run
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -33,6 +36,11 @@ def test_the_script_gives_tables_figures_recording_and_json(tmp_path):
     speed = {name: way["picks_per_hour"] for name, way in found["recovery"].items()}
     assert speed["optimised"] >= 1.5 * speed["raw"]
     assert set(found["table2"]) == set(found["table3"]) == {"master", "left", "middle", "right"}
-    figures = {path.stem for path in tmp_path.glob("*.png")}
+    figures = {path.stem for path in (tmp_path / "figures").glob("*.png")}
     assert figures == {"gantt", "pick_map", "funnel", "throughput", "workspace", "joint_curves"}
     assert (tmp_path / "zone.rrd").stat().st_size > 10_000
+    run = read_run(tmp_path)
+    trace = load_harvest(run)
+    assert trace.funnels["raw"] == found["recovery"]["raw"]["funnel"]
+    assert trace.tree_count == found["trees"] == 12
+    assert harvest_report(run, trace) == (tmp_path / "report.html").read_text(encoding="utf-8")
