@@ -1,7 +1,7 @@
 """Steps of environments as entities of a recording: arms, misses and numbers along the time lines of an evaluation.
 
-Time lines: `step` counts every reset and step of an environment, `sim_time` is the same in seconds, and on `episode`
-one sees how each episode ended. Everything comes from `info`; what it does not hold is left out.
+Time lines: `step` counts the recorded resets and steps of an environment, `sim_time` is the same in seconds, and on
+`episode` one sees how each episode ended. Everything comes from `info`; what it does not hold is left out.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Row(NamedTuple):
     """One recorded step.
 
     Attributes:
-        moment: Resets and steps of this environment before it.
+        moment: Number of steps of this environment that were recorded before it.
         episode: Number of the episode.
         reward: Its reward; 0 after a reset.
         info: Its info.
@@ -70,7 +70,6 @@ class EpisodeLog:
     length: float
     rows: list[Row] = field(default_factory=list)
     episode: int = -1
-    _moment: int = -1
     _step: int = -1
     _left: float = 0.0
 
@@ -81,17 +80,16 @@ class EpisodeLog:
             self._left = 0.0
         if self.episode_trigger is not None and self.episode_trigger(self.episode):
             self._left = self.length
-        return self._counted()
+        return self._wanted()
 
     def steps(self) -> bool:
         """Count a step; whether its info is to be noted."""
         self._step += 1
         if self.step_trigger is not None and self.step_trigger(self._step):
             self._left = self.length
-        return self._counted()
+        return self._wanted()
 
-    def _counted(self) -> bool:
-        self._moment += 1
+    def _wanted(self) -> bool:
         if self._left > 0.0:
             self._left -= 1.0
             return True
@@ -99,7 +97,7 @@ class EpisodeLog:
 
     def note(self, info: Mapping[str, Any], reward: float) -> None:
         """Keep the present step."""
-        self.rows.append(Row(self._moment, self.episode, reward, info))
+        self.rows.append(Row(len(self.rows), self.episode, reward, info))
 
 
 @dataclass(frozen=True)

@@ -121,9 +121,12 @@ def test_the_schedule_is_that_of_record_video(tmp_path: Path, reader: Callable[[
 
 def test_a_step_trigger_records_a_length(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
     env = reach(tmp_path, episode_trigger=None, step_trigger=lambda k: k in (2, 12), recording_length=4)
-    run(env, 3, 8)
-    times = reader(tmp_path / "episodes-raw.rrd").times("/outcome/raw", "step")
-    assert times.tolist() == [3, 4, 5, 6, 14, 15, 16, 17]
+    episodes = run(env, 3, 8)
+    infos = [info["position_error_mm"] for episode in episodes for info in episode]
+    reading = reader(tmp_path / "episodes-raw.rrd")
+    numbers = reading.values("/metrics/mm/raw", "Scalars:scalars")
+    np.testing.assert_array_equal(numbers, [infos[i] for i in (3, 4, 5, 6, 14, 15, 16, 17)])
+    assert reading.times("/outcome/raw", "step").tolist() == list(range(8))
 
 
 def test_nothing_recorded_writes_nothing(tmp_path: Path) -> None:
