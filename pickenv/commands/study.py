@@ -25,6 +25,9 @@ def study(
         "runs/study"
     ),
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the summary to this file.")] = None,
+    report: Annotated[
+        bool, typer.Option("--report/--no-report", help="Figures, report.html and arms.rrd in the results folder.")
+    ] = True,
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""
     from pickenv.files import write_text
@@ -33,20 +36,25 @@ def study(
     from pickenv.study.run import run_study
 
     chosen = load_study(config)
-    with _progress() as (report, warn):
+    with _progress() as (progress, warn):
         summary = run_study(
             chosen.quick() if quick else chosen,
             out,
             executor=executor,
             crew=Crew(workers, address),
             device=device,
-            progress=report,
+            progress=progress,
             warn=warn,
         )
     _print(summary)
     print(f"wrote {out / 'summary.json'}")
     if json_file is not None:
         print(f"wrote {write_text(json_file, json.dumps(summary, indent=2) + chr(10))}")
+    if report:
+        from pickenv.study.report import write_outputs
+
+        for path in write_outputs(out):
+            print(f"wrote {path}")
 
 
 @contextmanager

@@ -123,7 +123,7 @@ def distributions(quantiles: pa.Table, quantity: str = "error_mean_mm", radius_m
     grades = sorted({row["it_grade"] for row in settings.values()})
     methods = list(dict.fromkeys(row["method"] for row in settings.values()))
     with style():
-        figure = new_figure(WIDTH, 3.8)
+        figure = new_figure(WIDTH * 0.75, 3.7)
         axes = figure.add_subplot(xlabel=QUANTITIES[quantity], ylabel="arms at or below it (%)")
         axes.set_title("Errors over the population of arms")
         for setting, row in settings.items():
@@ -238,6 +238,8 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
                 axes.plot(x, middle, linestyle=line, marker=mark, color=colour, label=label, markersize=4.0)
             if along in ("it_grade", "poses"):
                 axes.set_xticks(sorted({row[along] for row in chosen}))
+            else:
+                axes.set_xlim(left=0.0)
             axes.set_xlabel(AXES[along])
             axes.set_title(f"Tolerance class {name}")
         panels[0].set_ylabel(ylabel)

@@ -1,0 +1,218 @@
+"""The report says what the rows say, verdict first, and needs nothing from outside; figures and recording go along."""
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from pickenv.errors import InputError
+from pickenv.inspect.drawings import Drawing, LeftOut
+from pickenv.study.arm_by_arm import evaluate_arm
+from pickenv.study.config import load_study
+from pickenv.study.drawings import gather, shown_settings, specification, study_drawings
+from pickenv.study.placement import place, ranked
+from pickenv.study.protocol import prepare
+from pickenv.study.recording import arms_compared, record_study
+from pickenv.study.report import study_page, study_report, verdict, write_outputs
+from pickenv.study.run import run_study
+from pickenv.study.table import read_rows
+from pickenv.study.yields import wilson_interval
+
+STUDY = """
+plant = "qiao2026"
+seed = 3
+arms = 320
+chunk = 160
+[picking]
+fruit = 8
+payload_kg = [0.0, 0.5]
+[specification]
+radius_mm = 1.0
+share = 0.75
+[tolerances]
+classes = ["medium"]
+it_grades = [8, 14]
+[calibration]
+methods = ["raw", "ls"]
+poses = [12]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A finished study of 320 arms."""
+    path = tmp_path_factory.mktemp("study")
+    (path / "config.toml").write_text(STUDY, encoding="utf-8")
+    run_study(load_study(path / "config.toml"), path / "out", executor="batched")
+    return path / "out"
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    return gather(folder)
+
+
+@pytest.fixture(scope="module")
+def html(folder, found):
+    return study_page(folder, found)
+
+
+class Parsed(HTMLParser):
+    """Ids, links and open elements of a page."""
+
+    VOID = ("meta", "link", "br", "path", "use", "img", "input", "hr")
+
+    def __init__(self, html):
+        super().__init__()
+        self.ids, self.links, self.open, self.text = [], [], [], ""
+        self.feed(html)
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        self.ids += [given["id"]] if "id" in given else []
+        self.links += [given[key] for key in ("href", "xlink:href", "src") if key in given]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_the_page_is_whole_and_needs_nothing_from_outside(html):
+    page = Parsed(html)
+    assert page.open == [] and len(set(page.ids)) == len(page.ids)
+    assert all(link.startswith(("#", "data:")) for link in page.links)
+    assert all(link[1:] in page.ids for link in page.links if link.startswith("#"))
+    assert not re.search(r"https?://(?!www\.w3\.org)", html)
+
+
+def test_the_verdict_comes_first_and_every_yield_is_in_the_table(html, found):
+    text = Parsed(html).text
+    rows = found.yields.to_pylist()
+    assert html.index('class="verdict') < html.index("<table")
+    for row in rows:
+        assert f"{100 * row['yield_low']:.1f} to {100 * row['yield_high']:.1f}" in text
+    assert verdict(found.config, rows).headline in text
+
+
+def test_the_page_names_seed_hashes_and_versions(html, folder):
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    for value in (summary["config_sha256"], summary["table_sha256"], summary["pickenv"], np.__version__):
+        assert value in html
+
+
+@pytest.mark.slow
+def test_equal_studies_give_equal_pages(html, folder):
+    assert study_page(folder, gather(folder)) == html
+
+
+def rows_with(within, arms=400, **changes):
+    low, high = wilson_interval(within, arms)
+    base = {"tolerances": "medium", "it_grade": 9, "method": "ls", "poses": 30, "noise_mm": 0.015, "noise_deg": 0.012}
+    base |= {"payload_kg": 0.0, "setting": 0, "yield": within / arms, "yield_low": low, "yield_high": high}
+    return base | changes
+
+
+def test_the_verdict_names_the_least_demanding_way_that_suffices(found):
+    rows = [rows_with(398), rows_with(396, it_grade=12, setting=1), rows_with(300, it_grade=14, setting=2)]
+    said = verdict(found.config, rows)
+    assert said.tone == "good" and said.headline.startswith("IT12 (medium) and 30 poses")
+    assert "99.0 %" in said.text and specification(found.config) in said.text
+
+
+def test_a_way_must_suffice_at_every_payload(found):
+    rows = [rows_with(398), rows_with(200, payload_kg=0.25, setting=1)]
+    said = verdict(found.config, rows)
+    assert said.tone == "bad" and "carrying 0.25 kg" in said.text and "Without payload it is 99.5 %" in said.text
+
+
+def test_too_few_arms_to_tell_is_said(found):
+    said = verdict(found.config, [rows_with(19, arms=20)])
+    assert said.tone == "care" and "too few arms to tell" in said.headline
+
+
+def test_figures_that_the_study_does_not_allow_are_named(found):
+    drawings = study_drawings(found)
+    left_out = {d.name: d.reason for d in drawings if isinstance(d, LeftOut)}
+    assert left_out == {
+        "yield_by_poses": "the study does not vary the number of calibration poses",
+        "yield_by_noise_mm": "the study does not vary the tracker's noise",
+    }
+    names = {d.name for d in drawings if isinstance(d, Drawing)}
+    assert names >= {"yield_by_it_grade", "error_distribution", "sensitivity_raw", "sensitivity_ls", "placement_ls"}
+
+
+def test_the_sensitivities_of_the_raw_arm_are_those_of_its_geometry(found):
+    """Before calibration the drawn geometry explains most; after it, what least squares cannot identify."""
+    raw, calibrated = (
+        {row["parameter"]: row["share"] for row in found.sensitivities[number].to_pylist()}
+        for number in shown_settings(found.yields.to_pylist())
+    )
+    assert raw["angles"] > 0.5 > raw["joint stiffness"]
+    assert calibrated["joint stiffness"] > 0.5 > calibrated["angles"]
+
+
+def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
+    protocol, rows = prepare(found.config), read_rows(folder)
+    setting = protocol.settings[0]
+    placement = place(protocol, rows, setting, protocol.design, "itself")
+    (outcome,) = evaluate_arm(protocol, [setting], protocol.design, 10**6)  # a raw arm meets no tracker
+    assert placement.error_mm == pytest.approx(1e3 * outcome.position.mean())
+    errors = rows.to_table().to_pandas().query("setting == 0").error_mean_mm
+    assert placement.percentile == (errors < placement.error_mm).mean()
+    assert placement.interval == wilson_interval(int((errors < placement.error_mm).sum()), len(errors))
+
+
+def test_a_drawn_arm_stands_at_its_own_rank(folder, found):
+    protocol, rows = prepare(found.config), read_rows(folder)
+    worst, _ = ranked(rows, 0)["worst"]
+    from pickenv.arm.batch import plant_at
+
+    arm = plant_at(protocol.draw(protocol.settings[0], range(worst, worst + 1)), 0)
+    placement = place(protocol, rows, protocol.settings[0], arm, "the worst")
+    assert placement.percentile >= 319 / 320 - 1e-12
+
+
+def test_the_recorded_arms_miss_their_fruit_as_the_rows_say(folder):
+    comparison = arms_compared(folder, 2)
+    places = ranked(read_rows(folder), 2)
+    assert [policy.key for policy in comparison.policies] == ["worst", "median", "best"]
+    for policy in comparison.policies:
+        arm, error = places[policy.key]
+        assert policy.label == f"{policy.key} arm (number {arm})"
+        assert policy.position_error_mm.mean() == pytest.approx(error, rel=1e-6)
+    assert len(comparison.field_points) == len(comparison.policies[0].field_errors) > 100
+
+
+@pytest.mark.slow
+def test_figures_report_and_recording_are_written(folder):
+    written = {path.relative_to(folder).as_posix() for path in write_outputs(folder)}
+    assert written >= {"report.html", "arms.rrd", "figures/yield_by_it_grade.svg", "figures/sensitivity_raw.png"}
+    assert all((folder / name).stat().st_size > 1000 for name in written)
+
+
+def test_an_unfinished_study_and_an_unknown_setting_are_refused(folder, tmp_path):
+    (tmp_path / "study.toml").write_bytes((folder / "study.toml").read_bytes())
+    with pytest.raises(InputError, match=r"rows holds no results; run `pickenv study` first"):
+        study_report(tmp_path, tmp_path / "report.html")
+    (tmp_path / "rows").symlink_to(folder / "rows")
+    with pytest.raises(InputError, match=r"summary\.json is missing or damaged.*again to go on"):
+        study_report(tmp_path, tmp_path / "report.html")
+    assert not (tmp_path / "report.html").exists()
+    with pytest.raises(InputError, match="no setting 99; give a number from 0 to 7"):
+        record_study(folder, 99, tmp_path / "arms.rrd")
+
+
+def test_too_few_arms_for_sensitivities_are_told_and_the_rest_is_drawn(folder, tmp_path):
+    config = replace(load_study(folder / "study.toml"), arms=6, chunk=6)
+    run_study(config, tmp_path / "few", executor="batched")
+    few = gather(tmp_path / "few")
+    assert all("6 arms with a result" in str(reason) for reason in few.sensitivities.values())
+    assert "6 arms with a result" in study_page(tmp_path / "few", few)
