@@ -33,7 +33,7 @@ from pickenv.envs.simulation import (
     true_reward,
 )
 from pickenv.envs.streams import GOAL, episode_key, stream_key
-from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, Task
+from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, Task
 from pickenv.errors import InputError
 
 BLOCK = 2048
@@ -183,14 +183,14 @@ class Batch:
         """Actions component by component ``(n, N)``, checked.
 
         Raises:
-            InputError: If they are not finite or have another shape.
+            InputError: If they have another shape, or numbers beyond -1 to 1.
         """
         values, shape = np.asarray(actions), (self.count, self.task.joints)
         if values.shape != shape:
             raise InputError(f"actions have shape {values.shape}; give {shape}, numbers between -1 and 1")
         numbers = values.T.astype(np.float64, order="C")
-        if not np.isfinite(numbers).all():
-            row = int(np.argmin(np.isfinite(numbers).all(axis=0)))
+        if not (numbers.max() <= MOST_ACTION and numbers.min() >= -MOST_ACTION):
+            row = int(np.argmin((np.abs(numbers) <= MOST_ACTION).all(axis=0)))
             raise InputError(
                 f"the action of environment {row} is {numbers[:, row]}; give finite numbers between -1 and 1"
             )

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs import harvest_batch as batch
 from pickenv.envs.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.task import MOST_ACTION
 from pickenv.errors import InputError
 
 Information = dict[str, Any]
@@ -145,12 +146,12 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
 
 def checked_actions(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Actions as finite numbers of the right shape.
+    """Actions as finite numbers of the right shape and size.
 
     Raises:
         InputError: If they are not.
     """
     values = np.asarray(action, dtype=float)
-    if values.shape != shape or not np.isfinite(values).all():
+    if values.shape != shape or not (np.abs(values) <= MOST_ACTION).all():
         raise InputError(f"an action of shape {values.shape} is not finite numbers of shape {shape} between -1 and 1")
     return values

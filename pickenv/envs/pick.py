@@ -21,7 +21,7 @@ from pickenv.envs.pick_scene import COLLECTED_BELOW, UP, Orchard, PickScene, dra
 from pickenv.envs.reach import RENDER_MODES
 from pickenv.envs.simulation import move, nominal_frames
 from pickenv.envs.spaces import box, check_options
-from pickenv.envs.task import CONTROL_PERIOD, Task, check_choice, check_count, check_number, make_task
+from pickenv.envs.task import CONTROL_PERIOD, MOST_ACTION, Task, check_choice, check_count, check_number, make_task
 from pickenv.errors import InputError
 
 Compensate = Callable[[Array], Array]
@@ -268,10 +268,10 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Move the joint target by `action`, then work the gripper.
 
         Raises:
-            InputError: If the action is not finite or has another shape, or before the first reset.
+            InputError: If the action has another shape or numbers beyond -1 to 1, or before the first reset.
         """
         values = np.asarray(action, dtype=float)
-        if values.shape != (self.task.joints + 1,) or not np.isfinite(values).all():
+        if values.shape != (self.task.joints + 1,) or not (np.abs(values) <= MOST_ACTION).all():
             raise InputError(f"action {values} is not {self.task.joints + 1} finite numbers between -1 and 1")
         if self.scene is None:
             raise InputError("step was called before reset; call reset first")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -31,7 +30,7 @@ from pickenv.envs.simulation import (
 )
 from pickenv.envs.spaces import action_space, check_options, flat_space
 from pickenv.envs.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
-from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, Task, check_choice, make_task
+from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, Task, check_choice, make_task
 from pickenv.errors import InputError
 
 EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
@@ -216,10 +215,10 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         """Move the joint target by `action` and see where the true tool goes.
 
         Raises:
-            InputError: If the action is not finite or has another shape, or before the first reset.
+            InputError: If the action has another shape or numbers beyond -1 to 1, or before the first reset.
         """
         values = np.asarray(action, dtype=float)
-        if values.shape != (self.task.joints,) or not all(map(math.isfinite, values.tolist())):
+        if values.shape != (self.task.joints,) or not all(abs(value) <= MOST_ACTION for value in values.tolist()):
             raise InputError(f"action {values} is not {self.task.joints} finite numbers between -1 and 1")
         if self._state is None:
             raise InputError("step was called before reset; call reset first")

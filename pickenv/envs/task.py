@@ -25,6 +25,9 @@ from pickenv.errors import InputError
 CONTROL_PERIOD = 0.1
 """Time between two actions, s: with the arm file's joint speeds it bounds one action's increment."""
 
+MOST_ACTION = 1.0 + 1e-6
+"""Largest size of an action's numbers: 1, and what rounding to single precision may add."""
+
 MOST_CAMERA_NOISE_MM = 100.0
 """Ten standard deviations of the camera then stay within the metre that the observation's bounds leave for errors."""
 

@@ -31,7 +31,7 @@ from pickenv.envs.simulation import (
     true_reward,
 )
 from pickenv.envs.streams import GOAL, episode_key, stream_key
-from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, Task, check_choice
+from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, Task, check_choice
 from pickenv.errors import InputError
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
@@ -223,18 +223,22 @@ class TorchBatch:
         return np.array([float(value) for value in targets]), parts
 
     def numbers_of_actions(self, actions: ArrayLike | Tensor) -> Tensor:
-        """Actions component by component ``(n, N)``; on a processor they are checked to be finite.
+        """Actions component by component ``(n, N)``; on a processor their size is checked.
 
         Raises:
-            InputError: If they have another shape, or are not finite.
+            InputError: If they have another shape, or numbers beyond -1 to 1.
         """
         values = torch.as_tensor(actions, device=self.device)
         shape = (self.count, self.task.joints)
         if tuple(values.shape) != shape:
             raise InputError(f"actions have shape {tuple(values.shape)}; give {shape}, numbers between -1 and 1")
-        if self.device.type == "cpu" and not bool(torch.isfinite(values.sum())):
-            row = int(torch.argmin(torch.isfinite(values).all(dim=1).int()))
-            raise InputError(f"the action of environment {row} is {values[row].tolist()}; give finite numbers")
+        if self.device.type == "cpu":
+            low, high = torch.aminmax(values)
+            if not (high <= MOST_ACTION and low >= -MOST_ACTION):
+                row = int(torch.argmin((values.abs() <= MOST_ACTION).all(dim=1).int()))
+                raise InputError(
+                    f"the action of environment {row} is {values[row].tolist()}; give finite numbers between -1 and 1"
+                )
         return values.T.to(self.dtype).contiguous()
 
     @staticmethod

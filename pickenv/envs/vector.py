@@ -163,7 +163,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         """Act in all environments.
 
         Raises:
-            InputError: If actions are not finite or have another shape, or an episode has ended and was not reset.
+            InputError: If actions have another shape or numbers beyond -1 to 1, or an ended episode was not reset.
         """
         if not self._seeded.all():
             raise InputError("step was called before reset; call reset first")

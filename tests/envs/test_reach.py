@@ -76,14 +76,6 @@ def test_actions_add_up_to_the_joint_target_within_the_limits(make):
         np.testing.assert_array_equal(observation[:6], direction)
 
 
-def test_actions_beyond_one_count_as_one(make):
-    one, other = make(), make()
-    one.reset(seed=0)
-    other.reset(seed=0)
-    a = one.unwrapped.step(np.full(6, 7.0))[0]
-    assert np.array_equal(a, other.unwrapped.step(np.ones(6))[0])
-
-
 def test_the_error_is_the_true_tool_against_the_fruit(make):
     env = make()
     plant = load_plant("qiao2026")

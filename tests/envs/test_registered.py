@@ -2,6 +2,7 @@
 
 import copy
 import doctest
+import itertools
 import pickle
 import warnings
 
@@ -15,6 +16,8 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import pickenv.envs.reach
 import pickenv.wrappers.compensation
+from pickenv.arm.plant_file import PLANTS
+from pickenv.errors import InputError
 
 IDS = sorted(name for name in gym.registry if name.startswith("pickenv/"))
 VARIANTS = [
@@ -24,7 +27,41 @@ VARIANTS = [
     {"reward": "sparse", "tolerance_mm": 1.0, "without": ["boom_bending"]},
 ]
 
+CAMERA = {"feedback": "camera", "camera_noise_mm": 2.0}
+DRAWN = {
+    "pickenv/Reach-v0": (CAMERA, lambda seen, info, _: {"seen": seen[9:], "fruit": info["fruit_position"]}),
+    "pickenv/ReachGoal-v0": (
+        CAMERA,
+        lambda seen, info, _: {
+            "turn": seen["observation"][9:],
+            "goal": seen["desired_goal"],
+            "camera": seen["achieved_goal"],
+            "fruit": info["fruit_position"],
+        },
+    ),
+    "pickenv/ReachIdeal-v0": ({}, lambda seen, info, _: {"seen": seen[9:], "fruit": info["fruit_position"]}),
+    "pickenv/Pick-v0": (
+        {"fruit_size": "apple"},
+        lambda _, info, env: {
+            "place": env.scene.rest[:, 0],
+            "seen": env.scene.seen.ravel(),
+            "diameter": env.scene.diameters,
+            "mass": env.scene.masses,
+            "pull": env.scene.strength.pull,
+            "twist": env.scene.strength.twist,
+            "chance": env.scene.chance,
+            "fruit": info["fruit_position"],
+        },
+    ),
+    "pickenv/Harvest-v0": (
+        {},
+        lambda _seen, _info, env: {"seen": env.state.believed.ravel(), "fruit": env.state.fruit.ravel()},
+    ),
+}
+"""For each environment, arguments and the numbers that a reset draws, from observation, information and environment."""
+
 every_id = pytest.mark.parametrize("name", IDS)
+every_native_id = pytest.mark.parametrize("name", [name for name in IDS if gym.spec(name).vector_entry_point])
 every_variant = pytest.mark.parametrize("arguments", VARIANTS, ids=str)
 
 
@@ -111,6 +148,80 @@ def test_nothing_returned_shares_memory(name):
     flat = [array for arrays in returned for array in arrays]
     assert flat
     assert not any(np.shares_memory(a, b) for i, a in enumerate(flat) for b in flat[:i])
+
+
+@every_id
+def test_nothing_that_a_vector_returns_shares_memory(name):
+    envs = gym.make_vec(name, num_envs=2)
+    returned = [arrays_in(envs.reset(seed=0)), *(arrays_in(envs.step(envs.action_space.sample())) for _ in range(3))]
+    for i, arrays in enumerate(returned):
+        for other in returned[:i]:
+            assert not any(np.shares_memory(a, b) for a in arrays for b in other)
+
+
+@every_id
+def test_other_seeds_change_every_number_that_is_drawn(name):
+    arguments, drawn = DRAWN[name]
+    env = gym.make(name, **arguments)
+    fields = [drawn(*env.reset(seed=seed), env.unwrapped) for seed in range(8)]
+    for one, other in itertools.combinations(fields, 2):
+        for key, numbers in one.items():
+            count = min(len(numbers), len(other[key]))
+            assert count and (numbers[:count] != other[key][:count]).all(), key
+
+
+@every_id
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1.001, -7.0, "shape"], ids=str)
+def test_impossible_actions_are_refused_in_one_sentence(name, wrong):
+    env = gym.make(name).unwrapped
+    action = np.zeros(env.action_space.shape)
+    with pytest.raises(InputError, match="call reset first"):
+        env.step(action)
+    env.reset(seed=0)
+    if wrong == "shape":
+        action = action[:-1]
+    else:
+        action[1] = wrong
+    before = copy.deepcopy(env)
+    with pytest.raises(InputError, match="finite numbers") as refused:
+        env.step(action)
+    assert "between -1 and 1" in str(refused.value)
+    assert alike(env.step(np.zeros(env.action_space.shape)), before.step(np.zeros(env.action_space.shape)))
+
+
+@every_native_id
+@pytest.mark.parametrize("count", [0, -3])
+def test_no_environments_make_no_vector(name, count):
+    with pytest.raises(InputError, match=str(count)) as refused:
+        gym.make_vec(name, num_envs=count)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+@every_id
+def test_unknown_options_are_refused(name):
+    with pytest.raises(InputError, match=r"unknown .*option 'gaol'"):
+        gym.make(name).reset(options={"gaol": 1})
+
+
+@every_native_id
+def test_masks_of_the_wrong_length_or_kind_are_refused(name):
+    envs = gym.make_vec(name, num_envs=2)
+    envs.reset(seed=0)
+    for mask in (np.ones(3, bool), np.zeros(2, bool), np.ones(2)):
+        with pytest.raises(InputError, match="reset_mask") as refused:
+            envs.reset(options={"reset_mask": mask})
+        assert "2 truth values" in str(refused.value)
+
+
+@pytest.mark.parametrize("name", [name for name in IDS if "Harvest" not in name])
+def test_unknown_and_impossible_plants_are_refused_in_one_sentence(name, tmp_path):
+    with pytest.raises(InputError, match="unknown plant 'peach'"):
+        gym.make(name, plant="peach")
+    file = tmp_path / "soft.toml"
+    file.write_text((PLANTS / "qiao2026.toml").read_text(encoding="utf-8").replace("1.4e4,", "-1.4e4,"), "utf-8")
+    with pytest.raises(InputError, match="above zero") as refused:
+        gym.make(name, plant=str(file))
+    assert all(word in str(refused.value) for word in (str(file), "stiffness", "[joint_compliance]"))
 
 
 @every_id

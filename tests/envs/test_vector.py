@@ -312,6 +312,13 @@ BAD = {
     "actions have shape": lambda: stepped(np.zeros((3, 6))),
     "action of environment 1": lambda: stepped(np.array([[0.0] * 6, [np.nan] * 6])),
     "environment 1 is": lambda: stepped(np.array([[0.0] * 6, [np.inf, -np.inf, 0, 0, 0, 0]])),
+    "the action of environment 0": lambda: stepped(np.full((2, 6), 1.01)),
+    "environment 1 is [0.0, -1.01": lambda: stepped(
+        np.array([[0.0] * 6, [0.0, -1.01, 0, 0, 0, 0]]), executor="torch", compiled=False
+    ),
+    "environment 1 is [nan": lambda: stepped(
+        np.array([[0.0] * 6, [np.nan, 0, 0, 0, 0, 0]]), executor="torch", compiled=False
+    ),
     "reset_mask has shape (3,)": lambda: native(2).reset(options={"reset_mask": np.ones(3, bool)}),
     "reset_mask": lambda: native(2).reset(options={"reset_mask": np.zeros(2, bool)}),
     "seeds were given": lambda: native(2).reset(seed=[1, 2, 3]),
@@ -341,10 +348,11 @@ def test_bad_input_is_refused_in_one_sentence(said):
     assert "\n" not in str(caught.value)
 
 
-def test_actions_beyond_the_range_count_as_one():
+def test_rounding_to_single_precision_takes_no_action_out_of_its_range():
     one, other = native(2), native(2)
     one.reset(seed=0), other.reset(seed=0)
-    np.testing.assert_array_equal(one.step(np.full((2, 6), 7.0))[0], other.step(np.ones((2, 6)))[0])
+    most = np.full((2, 6), np.nextafter(np.float32(1), np.float32(2)))
+    np.testing.assert_array_equal(one.step(most)[0], other.step(np.ones((2, 6)))[0])
 
 
 def test_pictures_of_all():
