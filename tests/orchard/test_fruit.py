@@ -1,5 +1,6 @@
 """Fruit is clumped and bottom-heavy, as in a digitised V-trellis row; a uniform sampler is not."""
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -160,6 +161,15 @@ def test_apples_are_75_mm_wide_and_weigh_180_g() -> None:
     assert drawn.std() == pytest.approx(0.0047, abs=2e-4)
     assert size.smallest <= drawn.min() and drawn.max() <= size.largest
     assert fruit_masses(size, 0.0749) == pytest.approx(0.185, abs=0.001)
+
+
+def test_the_shipped_apples_are_those_probed_on_a_real_tree(data_folder: Path) -> None:
+    with (data_folder / "pickapp-osu" / "apple_list.csv").open(newline="", encoding="utf-8") as file:
+        probed = np.array([float(row[4]) for row in csv.reader(file)])
+    size = load_fruit_size("apple")
+    assert len(probed) == 42
+    assert size.mean == pytest.approx(probed.mean(), abs=5e-5) and size.std == pytest.approx(probed.std(), abs=5e-5)
+    assert size.smallest < probed.min() and probed.max() < size.largest
 
 
 @quick

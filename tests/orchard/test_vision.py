@@ -1,5 +1,7 @@
 """Li's recognition finds rendered fruit to millimetres, and fails where the paper says it does: clusters and leaves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,7 +10,9 @@ from hypothesis import strategies as st
 from pickenv.orchard import (
     Detections,
     StereoPair,
+    foliage_transmission,
     fruit_regions,
+    load_canopy,
     load_look,
     load_stereo_camera,
     locate,
@@ -77,6 +81,22 @@ def test_leaves_cost_fruit_and_accuracy(bare: list[Scene], leafy: list[Scene]) -
     assert sum(len(d) for _, _, d in leafy) < sum(len(d) for _, _, d in bare)
     assert (np.sqrt(np.mean(errors(leafy) ** 2, axis=0)) > 2 * np.sqrt(np.mean(errors(bare) ** 2, axis=0))).all()
     assert np.mean([p.visible.mean() for _, p, _ in leafy]) < 0.9 < np.mean([p.visible.mean() for _, p, _ in bare])
+
+
+@pytest.mark.parametrize("leaf_area_per_volume", [1.25, 2.7])
+def test_rendered_leaves_hide_as_much_as_beer_and_lambert_say(leaf_area_per_volume: float) -> None:
+    """Two models of the same foliage: leaf by leaf in pictures, and as a medium that dims with depth."""
+    rng, shares, expected = np.random.default_rng(0), [], []
+    canopy = replace(load_canopy("li2016"), leaf_area_per_volume=leaf_area_per_volume)
+    for _ in range(8):
+        positions = np.column_stack([GRID, rng.uniform(1.05, 1.4, len(GRID))])
+        leaves = sample_leaves([-0.9, -0.7, 1.0], [0.9, 0.7, 1.4], leaf_area_per_volume, LOOK, rng)
+        shares.append(render_stereo(CAMERA, positions, 0.06, leaves, LOOK, rng).visible)
+        behind = np.stack([0.0 * positions[:, 2], positions[:, 2] - 1.0 - 0.02, 0.0 * positions[:, 2] + 1.6], axis=-1)
+        expected.append(foliage_transmission(canopy, [0.0, -1.0, 1.6], behind))  # 20 mm: mean depth of its near side
+    error = np.std(shares) / np.sqrt(np.size(shares))
+    assert error < 0.03
+    assert np.mean(shares) == pytest.approx(np.mean(expected), abs=3 * error)
 
 
 def test_leaves_pull_the_centroid_to_the_visible_side_by_less_than_a_radius(leafy: list[Scene]) -> None:
