@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -33,6 +33,10 @@ def calibrate(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Write the fitted calibration to this file (.npz).")] = None,
     report: Annotated[Path | None, typer.Option(help="Write a one-page report (.html).")] = None,
+    run: Annotated[
+        Path | None,
+        typer.Option(help="Run folder: calibration, report, and what `pickenv figures` draws."),
+    ] = None,
 ) -> None:
     """Identify a real arm from measurements of any kind, base and tool included, and judge it on held-out rows."""
     import numpy as np
@@ -43,8 +47,9 @@ def calibrate(
     from calibration.rows import choose, select
     from calibration.uncertainty import with_uncertainty
     from pickenv.arm import load_arm
-    from pickenv.commands.calibrations import write_report
+    from pickenv.commands.calibrations import write_run
     from pickenv.files import write_text
+    from pickenv.inspect.calibration_report import gather, write_calibration_report
 
     chosen = load_arm(arm)
     reading = read_observations(files, chosen.nominal, columns)
@@ -56,8 +61,9 @@ def calibrate(
         train, held_out = select(train, np.sort(train_rows)), select(train, np.sort(held_rows))
     poses = train.measurements if isinstance(train, PoseObservations) else None
     held_poses = held_out.measurements if isinstance(held_out, PoseObservations) else None
-    if report is not None and (poses is None or held_poses is None):
-        raise InputError(f"--report shows poses and positions, but {train.source} holds {train.kind}; leave it out")
+    for option, path in (("--report", report), ("--run", run)):
+        if path is not None and (poses is None or held_poses is None):
+            raise InputError(f"{option} shows poses and positions, but {train.source} holds {train.kind}; leave it out")
     choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed)
     judged = replace(judge(chosen, train, held_out, choices), floor=reading.floor)
     print(judged.report())
@@ -67,9 +73,25 @@ def calibrate(
         if held_poses is not None:
             calibration = with_uncertainty(calibration, found.identification, held_poses)
         print(f"wrote {calibration.save(out)}")
-    if report is not None and poses is not None and held_poses is not None:
+    if (report is not None or run is not None) and poses is not None and held_poses is not None:
         gate = None if judged.gate is None else judged.gate.as_dict()
         seeds = {"split": split, "seed": seed, "held-out rows": len(held_poses)}
-        print(f"wrote {write_report(report, chosen, judged.fit, poses, held_poses, gate, seeds)}")
+        evidence = gather(chosen, judged.fit, poses, held_poses, gate)
+        if report is not None:
+            print(f"wrote {write_calibration_report(report, evidence, seeds)}")
+        if run is not None:
+            options = {"columns": columns, "test-rows": test_rows, "split": split, "seed": seed, "terms": terms}
+            options |= {"residual": residual, "force": force or None, "robust": robust or None}
+            for path in write_run(run, _command(files, arm, test or [], options), seed, evidence, judged, seeds):
+                print(f"wrote {path}")
     if json_file is not None:
         print(f"wrote {write_text(json_file, json.dumps(judged.as_dict(), indent=2) + chr(10))}")
+
+
+def _command(files: list[Path], arm: str, test: list[Path], options: dict[str, Any]) -> str:
+    """The command line that makes the same calibration; options that are None were not given."""
+    words = ["pickenv calibrate", *map(str, files), "--arm", arm, *(f"--test {path}" for path in test)]
+    words += [
+        f"--{key}" if value is True else f"--{key} {value}" for key, value in options.items() if value is not None
+    ]
+    return " ".join(words)

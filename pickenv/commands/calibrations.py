@@ -13,9 +13,8 @@ import typer
 from pickenv.errors import InputError
 
 if TYPE_CHECKING:
-    from calibration.fitting import Fit
-    from calibration.measurements import Measurements
-    from pickenv.arm import Arm
+    from calibration.held_out import Judged
+    from pickenv.inspect.calibration_report import Evidence
 
 ARM = typer.Option(help="Arm name or arm file (.toml, .urdf).", show_default=False)
 CALIBRATION = typer.Argument(help="Calibration file (.npz).", show_default=False)
@@ -66,19 +65,28 @@ def plan_poses(
         print(f"wrote {write_text(json_file, json.dumps(planned.as_dict(), indent=2) + chr(10))}")
 
 
-def write_report(
-    path: Path,
-    arm: Arm,
-    fit: Fit,
-    train: Measurements,
-    held_out: Measurements,
-    gate: Mapping[str, Any] | None,
-    seeds: Mapping[str, Any],
-) -> Path:
-    """Write the report page of a calibration; for `pickenv calibrate --report`."""
-    from pickenv.inspect.calibration_report import gather, write_calibration_report
+def write_run(
+    folder: Path, command: str, seed: int, evidence: Evidence, judged: Judged, seeds: Mapping[str, Any]
+) -> list[Path]:
+    """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
+    from calibration.uncertainty import with_uncertainty
+    from pickenv.files import write_text
+    from pickenv.inspect.calibration_report import write_calibration_report
+    from pickenv.inspect.calibration_trace import trace_of
+    from pickenv.inspect.run_folder import REPORT, recorded_run, save_trace
 
-    return write_calibration_report(path, gather(arm, fit, train, held_out, gate), seeds)
+    errors = {"nominal": evidence.before, "calibrated": evidence.after}
+    if evidence.best is not None:
+        errors["with residual"] = evidence.best
+    calibration = evidence.fit.calibration
+    trace = trace_of(evidence.fit, {"identification": evidence.train, "test": evidence.test}, errors)
+    with recorded_run(folder, "calibration", command, seed):
+        return [
+            with_uncertainty(calibration, evidence.fit.identification, evidence.test).save(folder / "calibration"),
+            save_trace(folder, trace, seed),
+            write_text(folder / "figures.json", json.dumps(judged.as_dict(), indent=2) + "\n"),
+            write_calibration_report(folder / REPORT, evidence, seeds),
+        ]
 
 
 def apply(

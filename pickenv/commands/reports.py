@@ -94,4 +94,4 @@ def page_of(run: Run, picture: bool) -> str:
         return iso9283_report(run, run_folder.load_iso9283(run))
     if run.kind == "calibration":
         return run_folder.written_report(run)
-    return demo_report(run, viewer_picture(run.folder / "errors.rrd") if picture else None)
+    return demo_report(run, viewer_picture if picture else None)

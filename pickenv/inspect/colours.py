@@ -19,7 +19,14 @@ GREY: Rgb = (150, 150, 158)
 STEEL: Rgb = (190, 194, 204)
 FRUIT: Rgb = (222, 202, 160)
 
-BY_KEY: dict[str, Rgb] = {"raw": ORANGE, "ls": BLUE, "ls_bpnn": GREEN}
+BY_KEY: dict[str, Rgb] = {
+    "raw": ORANGE,
+    "nominal": ORANGE,
+    "ls": BLUE,
+    "calibrated": BLUE,
+    "ls_bpnn": GREEN,
+    "with_residual": GREEN,
+}
 OTHERS: tuple[Rgb, ...] = ((204, 121, 167), (86, 180, 233), (240, 228, 66), (150, 150, 150))
 
 # Sixth-degree polynomial fit to Viridis by Matt Zucker (public domain), constant term first. The Rerun viewer's own

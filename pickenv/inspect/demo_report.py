@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -27,6 +27,7 @@ from pickenv.inspect.report_page import Verdict
 from pickenv.inspect.run_folder import Run, load_comparison, load_trace
 from pickenv.inspect.svg_plots import strips
 
+RECORDING = "errors.rrd"
 REQUIRED_SHARE = 0.95
 """Share of reaches within the tolerance for which a calibration counts as sufficient."""
 
@@ -54,12 +55,13 @@ class Share:
         return f"{100 * self.count / self.total:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
 
 
-def demo_report(run: Run, screenshot: bytes | None = None) -> str:
+def demo_report(run: Run, look: Callable[[Path], bytes | None] | None = None) -> str:
     """The page of a demonstration's run folder.
 
     Args:
         run: The run.
-        screenshot: The recording in its viewer, WebP; a sentence says where it is missing.
+        look: Gives the recording as its viewer draws it, WebP, such as `viewer_picture`; where it is left out or gives
+            None, a sentence says so.
 
     Raises:
         InputError: If a file of the run is missing or damaged.
@@ -67,6 +69,7 @@ def demo_report(run: Run, screenshot: bytes | None = None) -> str:
     comparison, trace = load_comparison(run.folder), load_trace(run)
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
     drawings = {d.name: d for d in _drawable([*comparison_drawings(comparison), *trace_drawings(trace)])}
+    recording = run.folder / RECORDING
     title = f"Calibration and picking: {comparison.plant.name}"
     sections = {
         "reaches": "Reaches, by policy",
@@ -87,7 +90,7 @@ def demo_report(run: Run, screenshot: bytes | None = None) -> str:
         _field(comparison, drawings),
         _poses(comparison, trace, drawings),
         _fit(trace, calibration, drawings),
-        _recording(screenshot),
+        _recording(look(recording) if look is not None and recording.is_file() else None),
         _origin(run, comparison, trace, calibration),
     )
     return page.page(title, content, library())

@@ -9,10 +9,13 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from calibration import fit, random_joints, simulated_tracker
 from pickenv.arm import Geometry, Plant, Pose, forward, inverse, load_plant, parameter_jacobian, pose_error
 from pickenv.arm.geometry import Array
+from pickenv.inspect.calibration_trace import trace_of
 from pickenv.inspect.comparison import Comparison, PolicyErrors
 from pickenv.inspect.recording import record_comparison
+from pickenv.inspect.run_folder import Run, recorded_run, save_comparison, save_trace
 
 STEP = 0.055
 
@@ -203,3 +206,31 @@ def reader() -> Callable[[Path], Reading]:
 @pytest.fixture(scope="session")
 def reading(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Reading:
     return read_recording(record_comparison(comparison, tmp_path_factory.mktemp("run") / "errors.rrd", gain=25.0))
+
+
+def demo_run_folder(folder: Path, comparison: Comparison) -> Run:
+    """A run folder as `pickenv demo` writes it, as far as figures and report need it, with few poses."""
+    plant, rng = comparison.plant, np.random.default_rng(0)
+    sets = {
+        name: simulated_tracker(plant, random_joints(plant.arm.nominal, n, rng), rng)
+        for name, n in {"identification": 40, "test": 12}.items()
+    }
+    found = fit(plant.arm, sets["identification"], known_frames=True)
+    errors = {"raw": 1e-3 * rng.normal(size=(12, 6)), "LS": 1e-4 * rng.normal(size=(12, 6))}
+    with recorded_run(folder, "demo", "pickenv demo --seed 7", comparison.seed) as run:
+        save_comparison(folder, comparison)
+        save_trace(folder, trace_of(found, sets, errors), comparison.seed)
+        found.calibration.save(folder / "calibration")
+    return run
+
+
+@pytest.fixture(scope="session")
+def write_demo_run() -> Callable[[Path, Comparison], Run]:
+    """`demo_run_folder` itself, for tests that change the comparison or the folder."""
+    return demo_run_folder
+
+
+@pytest.fixture(scope="session")
+def demo_run(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A complete run; not to be written to."""
+    return demo_run_folder(tmp_path_factory.mktemp("run"), comparison)

@@ -3,21 +3,20 @@
 import base64
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from calibration import fit, random_joints, simulated_tracker
-from pickenv.inspect.calibration_trace import CalibrationTrace, trace_of
+from pickenv.inspect.calibration_trace import CalibrationTrace
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.demo_report import Share, demo_report, verdict
 from pickenv.inspect.drawings import LeftOut, trace_drawings
 from pickenv.inspect.report_interactive import field_spec, library, pose_spec
-from pickenv.inspect.run_folder import Run, recorded_run, save_comparison, save_trace
+from pickenv.inspect.run_folder import Run, load_trace
 
 VOID = {"meta", "link", "img", "br"}
 
@@ -61,38 +60,8 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def trace(comparison: Comparison) -> CalibrationTrace:
-    return made_trace(comparison)[0]
-
-
-def made_trace(comparison: Comparison) -> tuple[CalibrationTrace, Any]:
-    plant, rng = comparison.plant, np.random.default_rng(0)
-    sets = {
-        name: simulated_tracker(plant, random_joints(plant.arm.nominal, n, rng), rng)
-        for name, n in {"identification": 40, "test": 12}.items()
-    }
-    found = fit(plant.arm, sets["identification"], known_frames=True)
-    errors = {"raw": 1e-3 * rng.normal(size=(12, 6)), "LS": 1e-4 * rng.normal(size=(12, 6))}
-    return trace_of(found, sets, errors), found.calibration
-
-
-def write_run(folder: Path, comparison: Comparison) -> Run:
-    with recorded_run(folder, "demo", "pickenv demo --seed 7", comparison.seed) as run:
-        trace, calibration = made_trace(comparison)
-        save_comparison(folder, comparison)
-        save_trace(folder, trace, comparison.seed)
-        calibration.save(folder / "calibration")
-    return run
-
-
-@pytest.fixture(scope="module")
-def run(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    return write_run(tmp_path_factory.mktemp("run"), comparison)
-
-
-@pytest.fixture(scope="module")
-def html(run: Run) -> str:
-    return demo_report(run)
+def html(demo_run: Run) -> str:
+    return demo_report(demo_run)
 
 
 @pytest.fixture(scope="module")
@@ -146,11 +115,15 @@ def test_the_verdict_comes_first_and_its_numbers_are_the_datas(page: Page, compa
 
 
 @pytest.fixture(scope="module")
-def other(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Page:
+def other(
+    comparison: Comparison, write_demo_run: Callable[[Path, Comparison], Run], tmp_path_factory: pytest.TempPathFactory
+) -> Page:
     """The page of other data, with a picture of the recording."""
     policies = tuple(replace(p, position_error_mm=1.37 * p.position_error_mm) for p in comparison.policies)
     changed = replace(comparison, policies=policies, tolerance_mm=2.0)
-    return Page(demo_report(write_run(tmp_path_factory.mktemp("other"), changed), screenshot=b"picture"))
+    run = write_demo_run(tmp_path_factory.mktemp("other"), changed)
+    (run.folder / "errors.rrd").touch()
+    return Page(demo_report(run, lambda recording: recording.name.encode()))
 
 
 def test_other_data_give_other_numbers(comparison: Comparison, page: Page, other: Page) -> None:
@@ -203,7 +176,8 @@ def test_arrows_and_their_hover_texts_are_the_errors(comparison: Comparison) -> 
         np.testing.assert_allclose(drawn, gain * policy.field_errors[:, 0], atol=2e-4)
 
 
-def test_interactive_figures_carry_their_data_and_a_still_twin(page: Page, trace: CalibrationTrace) -> None:
+def test_interactive_figures_carry_their_data_and_a_still_twin(page: Page, demo_run: Run) -> None:
+    trace = load_trace(demo_run)
     specs = page.values("data-spec")
     assert specs == ["error_fields-spec", "error_per_test_pose-spec"]
     content = json.loads(page.scripts["error_per_test_pose-spec"])
@@ -213,8 +187,8 @@ def test_interactive_figures_carry_their_data_and_a_still_twin(page: Page, trace
     assert page.values("class").count("still") == 2
 
 
-def test_equal_runs_give_equal_pages_and_the_library_is_packed(run: Run, html: str) -> None:
-    assert demo_report(run) == html
+def test_equal_runs_give_equal_pages_and_the_library_is_packed(demo_run: Run, html: str) -> None:
+    assert demo_report(demo_run) == html
     assert 1e6 < len(library()) < 2.5e6
     assert len(html) < 4e6
 
@@ -223,10 +197,12 @@ def test_the_recordings_picture_is_shown_or_its_lack_is_said(page: Page, other: 
     assert "No picture of the recording" in page.text
     assert "No picture of the recording" not in other.text
     (picture,) = other.values("src")
-    assert base64.b64decode(picture.removeprefix("data:image/webp;base64,")) == b"picture"
+    assert base64.b64decode(picture.removeprefix("data:image/webp;base64,")) == b"errors.rrd"
 
 
-def test_figures_that_the_data_do_not_allow_are_left_out_with_a_reason(trace: CalibrationTrace) -> None:
+def test_figures_that_the_data_do_not_allow_are_left_out_with_a_reason(demo_run: Run) -> None:
+    trace = load_trace(demo_run)
+
     def left(found: CalibrationTrace) -> dict[str, str]:
         return {d.name: d.reason for d in trace_drawings(found) if isinstance(d, LeftOut)}
 
