@@ -98,10 +98,10 @@ def identify_batch(
         scatter = (weighted**2).sum(1) / max(rows - parameters, 1)
         offset = ((matrix @ step[:, :, None])[..., 0] ** 2).sum(1) / (parameters * scatter.clip(min=1e-300))
         negligible = (step.abs().amax(1) < 1e-5) | (offset < OFFSET**2)
-        worse = rms > history * (1 + 1e-9)
-        accepted = running & sound & ~worse
+        better = rms <= history * (1 + 1e-9)  # not so where it is NaN
+        accepted = running & sound & better
         finished = negligible | (history - rms < 1e-7 * rms)
-        converged |= running & sound & torch.where(worse, negligible, finished)
+        converged |= running & sound & torch.where(better, finished, negligible)
         steps += accepted
         geometry = _chosen(accepted.cpu().numpy(), moved, geometry)
         history = torch.where(accepted, rms, history)
