@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pickenv.commands import agents, calibrations, plants, reports
+from pickenv.commands import agents, calibrations, inspection, plants, reports
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.study import study
 from pickenv.errors import InputError
@@ -133,6 +133,7 @@ app.command()(agents.train)
 app.command()(agents.evaluate)
 app.command()(reports.figures)
 app.command()(reports.report)
+app.command()(inspection.inspect)
 app.command()(study)
 
 

@@ -126,16 +126,22 @@ def summary_markdown(comparison: Comparison, gain: float) -> str:
         ]
         lines.append(f"| {' | '.join(cells)} |")
     first = comparison.policies[0].label
+    count, points = len(comparison.fruit), f"{len(comparison.field_points)} field points"
+    reaches = (
+        f"{count} reaches; a pick if the fruit is inside the capture region, radius {comparison.tolerance_mm:g} mm. "
+    )
     lines += [
         "",
-        f"{len(comparison.fruit)} reaches; a pick if the fruit is inside the capture region, radius "
-        f"{comparison.tolerance_mm:g} mm. {len(comparison.field_points)} field points, "
-        f"{comparison.grid_step * 1e3:g} mm apart.",
+        f"{reaches if count else ''}{points}, cells of {comparison.grid_step * 1e3:g} mm.",
         "",
         f"**Arrows**: true minus wanted tool position, drawn ×{gain:g}. **Colour**: its length, 0 to {top:.2f} mm in "
         f"every field (p{SCALE_PERCENTILE:g} of {first}; above that the colour saturates).",
-        "",
-        f"**Picking**: wire arm = what the controller believes; solid arm = the true arm with the {first} command, "
-        f"difference drawn ×{gain:g}; red ball = capture region ×{gain:g}: an arrow that ends inside it is a pick.",
     ]
+    if count:
+        lines += [
+            "",
+            f"**Picking**: wire arm = what the controller believes; solid arm = the true arm with the {first} "
+            f"command, difference drawn ×{gain:g}; red ball = capture region ×{gain:g}: an arrow that ends inside it "
+            "is a pick.",
+        ]
     return "\n".join(lines)

@@ -1,0 +1,101 @@
+"""Looking at runs: `pickenv inspect`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pickenv.errors import InputError
+
+if TYPE_CHECKING:
+    from pickenv.inspect.run_folder import Run
+
+
+def inspect(
+    run: Annotated[Path, typer.Argument(help="Run folder, or a recording (.rrd).", show_default=False)],
+    web: Annotated[bool, typer.Option("--web", help="Serve it to a browser on this machine.")] = False,
+    connect: Annotated[
+        str | None,
+        typer.Option(help="Send it to the viewer at this address.", show_default=False),
+    ] = None,
+    serve: Annotated[
+        int | None, typer.Option(help="Serve it to viewers that connect to this port.", show_default=False)
+    ] = None,
+    policy: Annotated[
+        str | None, typer.Option(help="Policy of an evaluation to show; its first if left out.", show_default=False)
+    ] = None,
+) -> None:
+    """Open a run's recording in the Rerun viewer; it is made from the run's numbers where there is none yet."""
+    from pickenv.inspect import open_recording as opening
+
+    if web + (connect is not None) + (serve is not None) > 1:
+        raise InputError("--web, --connect and --serve exclude each other; give one of them")
+    paths = recordings_of(run, policy)
+    for path in paths:
+        opening.check_recording(path)
+    if connect is not None:
+        opening.send(paths, connect)
+    elif serve is not None:
+        opening.serve(paths, serve)
+    elif web:
+        opening.open_web(paths)
+    else:
+        opening.open_native(paths)
+
+
+def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
+    """The recordings of a run folder, made where there is none; or the file itself.
+
+    Raises:
+        InputError: If there is no such run, or nothing in it that can be recorded.
+    """
+    from pickenv.inspect.run_folder import read_run
+
+    if run.is_file() or run.suffix == ".rrd":
+        return [run]
+    there = sorted(run.glob("*.rrd"))
+    if there and policy is None:
+        return there
+    return [_record(read_run(run), policy)]
+
+
+def _record(run: Run, policy: str | None) -> Path:
+    from pickenv.inspect.recording import record_comparison
+    from pickenv.inspect.run_folder import load_comparison
+
+    if run.kind == "evaluation":
+        return _record_evaluation(run, policy)
+    if policy is not None:
+        raise InputError(f"{run.folder} holds no evaluation, so it has no --policy {policy}; leave --policy out")
+    if run.kind == "demo":
+        return record_comparison(load_comparison(run.folder), run.folder / "errors.rrd")
+    if run.kind == "study":
+        from pickenv.study.recording import record_study
+
+        return record_study(run.folder, 0, run.folder / "arms.rrd")
+    raise InputError(f"a run of kind '{run.kind}' has no recording; see its figures with `pickenv report {run.folder}`")
+
+
+def _record_evaluation(run: Run, policy: str | None) -> Path:
+    """One policy's compensations side by side, on the first plant and with the first feedback."""
+    from agents.tables import read_grid
+    from pickenv.arm import load_plant
+    from pickenv.inspect.colours import policy_key
+    from pickenv.inspect.inspections import inspect_evaluation
+
+    grid = read_grid(run)
+    names = list(dict.fromkeys(cell.policy for cell in grid.cells))
+    name = names[0] if policy is None else policy
+    if name not in names:
+        raise InputError(f"{run.folder} holds no policy '{name}'; it holds {', '.join(names)}")
+    cells = [cell for cell in grid.cells if cell.policy == name]
+    first = cells[0]
+    chosen = [cell for cell in cells if (cell.plant, cell.feedback) == (first.plant, first.feedback)]
+    return inspect_evaluation(
+        {cell.compensation: cell.rollout.reaches for cell in chosen},
+        load_plant(first.plant),
+        run.folder / f"{policy_key(name)}.rrd",
+        seed=grid.settings.seed,
+    )
