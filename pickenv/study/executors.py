@@ -6,8 +6,12 @@ its own, so that the rows are the same to the bit on every one of them.
 
 from __future__ import annotations
 
+import os
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module
 
 import pyarrow as pa
@@ -91,7 +95,7 @@ def run_joblib(chunks: Sequence[int], work: Work, crew: Crew) -> Iterator[tuple[
     for _ in range(ATTEMPTS):
         parallel = Parallel(n_jobs=crew.count(), return_as="generator_unordered", pre_dispatch="2*n_jobs", batch_size=1)
         try:
-            for chunk, rows in parallel(delayed(_numbered)(chunk, work) for chunk in left.copy()):
+            for chunk, rows in parallel(delayed(_numbered)(chunk, work, os.getpid()) for chunk in left.copy()):
                 left.remove(chunk)
                 yield chunk, rows
         except TerminatedWorkerError:
@@ -108,5 +112,19 @@ def given_up(left: Sequence[int]) -> InputError:
     )
 
 
-def _numbered(chunk: int, work: Work) -> tuple[int, pa.Table]:
+def _numbered(chunk: int, work: Work, driver: int) -> tuple[int, pa.Table]:
+    _end_with(driver)
     return chunk, work(chunk)
+
+
+@lru_cache(maxsize=1)
+def _end_with(driver: int) -> None:
+    """Let this worker end when its driver is killed; it would wait for ever for somebody to take its rows."""
+
+    def watch() -> None:
+        while os.getppid() == driver:
+            time.sleep(1.0)
+        os._exit(1)
+
+    if os.getppid() == driver:  # a single worker is the driver itself
+        threading.Thread(target=watch, daemon=True).start()

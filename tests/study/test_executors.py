@@ -2,8 +2,11 @@
 
 import os
 import signal
+import subprocess
 import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import pyarrow as pa
 import pytest
@@ -14,6 +17,8 @@ from pickenv.study.config import load_study
 from pickenv.study.executors import Crew, load_executor, run_joblib, run_serial
 from pickenv.study.run import run_study
 from pickenv.study.table import chunk_path, table_sha256
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("run", [run_serial, run_joblib])
@@ -59,6 +64,44 @@ def test_a_chunk_that_always_kills_its_worker_ends_the_study_with_one_sentence()
 
     with pytest.raises(InputError, match=r"died 4 times.*run the study again"):
         list(run_joblib([0, 1], work, Crew(2)))
+
+
+ORPHANS = """
+import os, sys, time
+from pathlib import Path
+from pickenv.study.executors import Crew, run_joblib
+
+def work(chunk):
+    Path(sys.argv[1], str(os.getpid())).touch()
+    time.sleep(60.0)
+
+list(run_joblib([0, 1], work, Crew(2)))
+"""
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="needs /proc to tell a running process from an ended one"
+)
+def test_workers_end_with_a_killed_driver(tmp_path):
+    command = [sys.executable, "-c", ORPHANS, str(tmp_path)]
+    with subprocess.Popen(command, env=os.environ | {"PYTHONPATH": str(ROOT)}) as driver:
+        while driver.poll() is None and len(list(tmp_path.iterdir())) < 2:
+            time.sleep(0.05)
+        driver.kill()
+    workers = [int(path.name) for path in tmp_path.iterdir()]
+    assert len(workers) == 2
+    patience = time.monotonic() + 30.0
+    while any(map(running, workers)) and time.monotonic() < patience:
+        time.sleep(0.1)
+    assert not any(map(running, workers))
+
+
+def running(process: int) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state != "Z"
 
 
 def test_an_error_of_the_work_is_not_taken_for_a_death():

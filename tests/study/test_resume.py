@@ -36,7 +36,7 @@ def test_a_study_killed_half_way_ends_with_the_same_table(study_file, tmp_path):
     config, folder = load_study(path), tmp_path / "killed"
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
-        [*COMMAND, str(path), "--executor", "serial", "--out", str(folder)],
+        [*COMMAND, str(path), "--executor", "serial", "--no-report", "--out", str(folder)],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=environment,
     ) as study:  # fmt: skip
         while study.poll() is None and not chunk_path(folder, 2).exists():
