@@ -38,8 +38,7 @@ def open_in(browser: Any, address: str, blueprint: Blueprint) -> Iterator[Open]:
     def opened(theme: str) -> WebViewer:
         if theme not in page:
             close()
-            context = browser.new_context(viewport=SIZE, color_scheme=theme)
-            page[theme] = WebViewer(context.new_page(), [])
+            page[theme] = WebViewer.within(browser.new_context(viewport=SIZE, color_scheme=theme))
             page[theme].open(address, theme, [title_of(blueprint, f"view/{view}") for view in tabs(blueprint)[0].views])
         return page[theme]
 

@@ -1,0 +1,115 @@
+"""Reports in a real browser: nothing is fetched, nothing fails, all of it can be read on screen, phone and paper."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.browser.chromium import PHONE, SIZE
+from tests.browser.report_page import BROKEN_IMAGES, CLIPPED, FAINT, PAPER, SIDEWAYS, Report, open_report
+
+NUMBER = r"([+\-−]?[\d.]+)"
+
+
+@pytest.fixture(scope="module")
+def reports(run_folder: Path) -> dict[str, Path]:
+    """The run's own report, and the one that `pickenv calibrate` writes about the run's measurements."""
+    calibration = run_folder / "calibration.html"
+    measured = run_folder / "measurements.csv"
+    command = [sys.executable, "-m", "pickenv.cli", "calibrate", measured, "--arm", "qiao2026", "--report", calibration]
+    subprocess.run(command, check=True, capture_output=True)
+    return {"report": run_folder / "report.html", "calibration": calibration}
+
+
+@pytest.fixture(scope="module", params=["report", "calibration"])
+def name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_report_stands_alone_and_can_be_read(
+    browser: Any, reports: dict[str, Path], name: str, theme: str, screenshots: Path
+) -> None:
+    with open_report(browser, reports[name], viewport=SIZE, color_scheme=theme) as report:
+        assert report.complaints == []
+        assert [url[:80] for url in report.asked if not url.startswith(("data:", "blob:"))] == [
+            reports[name].resolve().as_uri()
+        ]
+        assert report.page.evaluate(BROKEN_IMAGES) == []
+        assert report.page.evaluate(SIDEWAYS) == []
+        assert report.page.evaluate(FAINT) == []
+        report.page.screenshot(path=screenshots / f"{name}-{theme}.png")
+        report.page.screenshot(path=screenshots / f"{name}-{theme}-whole.png", full_page=True)
+
+
+def test_a_report_fits_a_phone(browser: Any, reports: dict[str, Path], name: str, screenshots: Path) -> None:
+    with open_report(browser, reports[name], viewport=PHONE, color_scheme="light") as report:
+        assert report.page.evaluate("() => document.documentElement.scrollWidth") == PHONE["width"]
+        assert report.page.evaluate(SIDEWAYS) == []
+        assert report.complaints == []
+        report.page.screenshot(path=screenshots / f"{name}-phone.png")
+
+
+def test_a_report_fits_paper(browser: Any, reports: dict[str, Path], name: str, screenshots: Path) -> None:
+    with open_report(browser, reports[name], viewport=PAPER, color_scheme="dark") as report:
+        paper = report.page.pdf(format="A4", print_background=True)
+        (screenshots / f"{name}.pdf").write_bytes(paper)
+        report.page.emulate_media(media="print")
+        assert report.page.evaluate(CLIPPED) == []
+        assert report.page.evaluate(FAINT) == []
+        assert not report.page.locator(".interactive:visible").count()
+        height = report.page.evaluate("() => document.documentElement.scrollHeight")
+    pages = len(re.findall(rb"/Type\s*/Page\b", paper))
+    assert height / PAPER["height"] <= pages <= 1.5 * height / PAPER["height"] + 1.0
+
+
+def test_hovering_reads_a_poses_millimetres(browser: Any, reports: dict[str, Path], run_folder: Path) -> None:
+    from pickenv.inspect.run_folder import load_trace, read_run
+
+    errors = load_trace(read_run(run_folder)).errors
+    with open_report(browser, reports["report"], viewport=SIZE) as report:
+        plot = report.page.locator(".interactive:has(.cartesianlayer .trace)").last
+        plot.scroll_into_view_if_needed()
+        said = sweep(report, plot, r"pose (\d+): " + NUMBER + " mm")
+    assert len(said) > 10
+    for label, pose, value in said:
+        of_stage = {key: 1e3 * np.linalg.norm(e[int(pose) - 1, :3]) for key, e in errors.items()}
+        assert any(float(value) == pytest.approx(mm, abs=6e-4) for mm in of_stage.values()), (label, pose, value)
+
+
+def test_hovering_reads_an_arrows_millimetres(browser: Any, reports: dict[str, Path], run_folder: Path) -> None:
+    from pickenv.inspect.run_folder import load_comparison
+
+    comparison = load_comparison(run_folder)
+    pattern = rf"{NUMBER} mm ?x {NUMBER}, y {NUMBER}, z {NUMBER} mm ?at x {NUMBER}, y {NUMBER}, z {NUMBER} m"
+    with open_report(browser, reports["report"], viewport=SIZE) as report:
+        plot = report.page.locator(".interactive:has(.gl-container canvas)").first
+        plot.scroll_into_view_if_needed()
+        said = sweep(report, plot, pattern)
+    assert len(said) > 5
+    for label, norm, *rest in said:
+        (policy,) = (p for p in comparison.policies if p.label == label)
+        xyz, point = np.array(rest[:3], dtype=float), np.array(rest[3:], dtype=float)
+        nearest = int(np.argmin(np.linalg.norm(comparison.field_points - point, axis=1)))
+        np.testing.assert_allclose(comparison.field_points[nearest], point, atol=6e-4)
+        np.testing.assert_allclose(1e3 * policy.field_errors[nearest], xyz, atol=6e-4)
+        assert float(norm) == pytest.approx(1e3 * np.linalg.norm(policy.field_errors[nearest]), abs=6e-4)
+
+
+def sweep(report: Report, plot: Any, pattern: str) -> set[tuple[str, ...]]:
+    """Move the pointer over a plot; label and numbers of every hover text that has ``pattern`` in it."""
+    box, found = plot.bounding_box(), set()
+    for across in np.linspace(0.05, 0.95, 61):
+        for down in (0.35, 0.5, 0.65):
+            report.page.mouse.move(box["x"] + across * box["width"], box["y"] + down * box["height"])
+            report.page.wait_for_timeout(60.0)  # what lies under the pointer is found some frames later
+            said = report.hovered().replace("−", "-")
+            if match := re.search(pattern, said):
+                found.add((said.replace(match[0], "").strip(), *match.groups()))
+    return found
