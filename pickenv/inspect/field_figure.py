@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
-from pickenv.inspect.colours import policy_colours, viridis
+from pickenv.inspect.colours import viridis
 from pickenv.inspect.comparison import Comparison, PolicyErrors
-from pickenv.inspect.figures import INK, RULE, SOFT, WIDTH, new_figure, rgb, style
+from pickenv.inspect.figures import INK, RULE, SOFT, WIDTH, new_figure, style
 from pickenv.inspect.links import nominal_points
 from pickenv.inspect.summary import SCALE_PERCENTILE, colour_scale_mm, field_mm, spread, ticks
 from pickenv.inspect.view import eye_direction, shown_box
@@ -53,11 +53,10 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         low, high = _extent(comparison, _View(comparison))
         height = min(0.93 * PANEL_WIDTH * (high[1] - low[1]) / (high[0] - low[0]), PANEL_WIDTH)
         figure = new_figure(PANEL_WIDTH * max(len(policies), 2), height + BESIDE_PANELS)
-        colours = policy_colours([policy.key for policy in policies])
         panels = figure.subplots(1, len(policies), squeeze=False)[0]
-        for axes, policy, colour in zip(panels, policies, colours, strict=True):
+        for axes, policy in zip(panels, policies, strict=True):
             _panel(axes, comparison, policy, shown, gain, top)
-            axes.set_title(policy.label, color=rgb([colour])[0], fontsize=12, weight="bold", pad=15.0)
+            axes.set_title(policy.label, fontsize=12, weight="bold", pad=15.0)
             numbers = spread(field_mm(policy))
             text = f"mean {numbers.mean:.2f} mm, max {numbers.largest:.2f} mm"
             axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
