@@ -1,0 +1,213 @@
+"""`pickenv inspect`: which recordings a run has, what cannot be shown and why, and the ways to show it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from pickenv.commands.inspection import inspect, recordings_of
+from pickenv.errors import InputError
+from pickenv.inspect import open_recording
+from pickenv.inspect.comparison import Comparison
+from pickenv.inspect.open_recording import check_recording
+from pickenv.inspect.recording import record_comparison
+from pickenv.inspect.run_folder import recorded_run, save_comparison
+
+RERUN = Path(sys.executable).with_name("rerun")
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def run(without_reaches: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A demo's run folder without its recording."""
+    folder = tmp_path_factory.mktemp("demo")
+    with recorded_run(folder, "demo", "pickenv demo", 7):
+        save_comparison(folder, without_reaches)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def recording(without_reaches: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record_comparison(without_reaches, tmp_path_factory.mktemp("one") / "errors.rrd")
+
+
+def test_a_run_without_recording_gets_one_from_its_numbers(run: Path, recording: Path) -> None:
+    (path,) = recordings_of(run)
+    check_recording(path)
+    compared = subprocess.run([RERUN, "rrd", "compare", path, recording], capture_output=True, check=False)
+    assert compared.returncode == 0
+    stamp = path.stat().st_mtime_ns
+    assert recordings_of(run) == [path]
+    assert path.stat().st_mtime_ns == stamp
+
+
+def test_every_recording_of_a_folder_is_opened_at_once(recording: Path, tmp_path: Path) -> None:
+    for name in ("b", "a"):
+        (tmp_path / f"{name}.rrd").write_bytes(recording.read_bytes())
+    assert [path.name for path in recordings_of(tmp_path)] == ["a.rrd", "b.rrd"]
+    assert recordings_of(tmp_path / "a.rrd") == [tmp_path / "a.rrd"]
+
+
+def test_a_folder_that_is_no_run_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"holds no run\.json"):
+        recordings_of(tmp_path)
+    with pytest.raises(InputError, match="is no folder"):
+        recordings_of(tmp_path / "nowhere")
+
+
+def test_runs_without_a_recording_point_to_their_report(tmp_path: Path) -> None:
+    with recorded_run(tmp_path, "iso9283", "pickenv iso9283", 0):
+        pass
+    with pytest.raises(InputError, match=r"kind 'iso9283' has no recording; .*pickenv report"):
+        recordings_of(tmp_path)
+
+
+def test_a_policy_is_asked_only_of_evaluations(run: Path) -> None:
+    with pytest.raises(InputError, match="no --policy ppo"):
+        recordings_of(run, "ppo")
+
+
+def of_version(recording: Path, path: Path, major: int, minor: int) -> Path:
+    content = bytearray(recording.read_bytes())
+    content[4:6] = bytes([major, minor])
+    path.write_bytes(content)
+    return path
+
+
+def test_the_version_in_the_header_is_the_writers(recording: Path) -> None:
+    import rerun as rr
+
+    head = recording.read_bytes()[:8]
+    assert head[:3] == b"RRF"
+    assert f"{head[4]}.{head[5]}.{head[6]}" == rr.__version__
+
+
+@pytest.mark.parametrize("minor", [30, 39, 42, 99])
+def test_a_recording_of_another_rerun_is_named_with_both_versions(minor: int, recording: Path, tmp_path: Path) -> None:
+    path = of_version(recording, tmp_path / "old.rrd", 0, minor)
+    with pytest.raises(InputError, match=rf"old\.rrd was written by rerun 0\.{minor}, and 0\.41 is installed"):
+        check_recording(path)
+
+
+@pytest.mark.parametrize("minor", [40, 41])
+def test_a_recording_of_the_version_before_is_shown(minor: int, recording: Path, tmp_path: Path) -> None:
+    check_recording(of_version(recording, tmp_path / "old.rrd", 0, minor))
+
+
+def test_missing_foreign_and_damaged_files_are_named(recording: Path, tmp_path: Path) -> None:
+    content = recording.read_bytes()
+    for name, text, complaint in (
+        ("missing.rrd", None, r"cannot read .*missing\.rrd: No such file"),
+        ("empty.rrd", b"", r"empty\.rrd is not a Rerun recording"),
+        ("foreign.rrd", b"PK\x03\x04 a zip archive", r"foreign\.rrd is not a Rerun recording"),
+        ("head.rrd", content[:8], r"head\.rrd is damaged"),
+        ("noise.rrd", content[:64] + os.urandom(5000), r"noise\.rrd is damaged"),
+    ):
+        if text is not None:
+            (tmp_path / name).write_bytes(text)
+        with pytest.raises(InputError, match=complaint):
+            check_recording(tmp_path / name)
+
+
+def test_without_a_screen_there_is_one_sentence(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(InputError, match="no screen to open a viewer on"):
+        inspect(recording)
+
+
+def test_one_way_of_showing_at_a_time(recording: Path) -> None:
+    with pytest.raises(InputError, match="exclude each other"):
+        inspect(recording, web=True, serve=9999)
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def pickenv_inspect(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """The command as a user starts it, interrupted as a user does."""
+    command = [sys.executable, "-c", "from pickenv.cli import main; main()", "inspect", *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=30)
+
+
+def answers(url: str) -> bytes:
+    """What a server says, waiting for it to begin."""
+    deadline = time.monotonic() + 60.0
+    while True:
+        try:
+            with urllib.request.urlopen(url, timeout=5.0) as reply:
+                return bytes(reply.read())
+        except (urllib.error.URLError, ConnectionError):
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.2)
+
+
+def test_web_serves_a_page_on_this_machine_alone_and_ends_with_ctrl_c(recording: Path) -> None:
+    with pickenv_inspect(str(recording), "--web") as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        address = next(word for word in line.split() if word.startswith("http://127.0.0.1:"))
+        assert b"<html" in answers(address.partition("?")[0]).lower()
+    assert process.returncode == 130
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(address.partition("?")[0], timeout=2.0)
+
+
+def test_connect_sends_everything_to_a_viewer_that_runs(recording: Path, tmp_path: Path) -> None:
+    from rerun.chunk import RrdReader
+
+    port, copy = free_port(), tmp_path / "copy.rrd"
+    command = [RERUN, "--save", copy, "--port", str(port), "--bind", "127.0.0.1"]
+    taker = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    url = f"rerun+http://127.0.0.1:{port}/proxy"
+    try:
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline:
+            try:
+                open_recording.check_answers(url)
+                break
+            except InputError:
+                time.sleep(0.2)
+        inspect(recording, connect=url)
+        wanted = len(RrdReader(recording).stream().to_chunks())
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="RRD file has no footer")
+            while time.monotonic() < deadline and (
+                not copy.exists() or copy.stat().st_size < 1000 or len(RrdReader(copy).stream().to_chunks()) < wanted
+            ):
+                time.sleep(0.2)
+            (entry,) = RrdReader(copy).recordings()
+            assert entry.recording_id == "qiao2026:seed7"
+            assert len(RrdReader(copy).stream().to_chunks()) == wanted
+    finally:
+        os.killpg(taker.pid, signal.SIGTERM)
+        taker.wait()
+
+
+def test_connect_to_nobody_is_one_sentence(recording: Path) -> None:
+    with pytest.raises(InputError, match="no viewer answers"):
+        inspect(recording, connect=f"rerun+http://127.0.0.1:{free_port()}/proxy")
