@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -196,6 +198,28 @@ def read_recording(path: Path) -> Reading:
     reader = RrdReader(path)
     (blueprint,) = reader.blueprints()
     return Reading(path, reader.stream().collect(), reader.stream(store=blueprint).collect())
+
+
+def await_chunks(path: Path, enough: Callable[[list[Any]], bool], seconds: float = 60.0) -> list[Any]:
+    """The chunks of a recording that another process is still writing, once there are ``enough``."""
+    from rerun.chunk import RrdReader
+
+    deadline, chunks = time.monotonic() + seconds, []
+    while time.monotonic() < deadline and not enough(chunks):
+        time.sleep(0.2)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="RRD file has no footer")
+            try:
+                chunks = RrdReader(path).stream().to_chunks()
+            except (RuntimeError, ValueError, OSError):  # not there yet, or the last message is half written
+                chunks = []
+    assert enough(chunks)
+    return chunks
+
+
+@pytest.fixture(scope="session")
+def awaited() -> Callable[..., list[Any]]:
+    return await_chunks
 
 
 @pytest.fixture(scope="session")
