@@ -121,11 +121,12 @@ def corrected(
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
         solve = _solver(m, _jacobian_columns(nominal, links, tool))
+        error = error_components(m, tool, wanted)
         if residual is not None:
             if learnt is None:
-                learnt = residual(_moved(m, command, solve(error_components(m, tool, wanted)), limits))
-            tool = displaced_frame(m, tool, learnt)
-        command = _moved(m, command, solve(error_components(m, tool, wanted)), limits)
+                learnt = residual(_moved(m, command, solve(error), limits))
+            error = [left - expected for left, expected in zip(error, learnt, strict=True)]
+        command = _moved(m, command, solve(error), limits)
     return command
 
 

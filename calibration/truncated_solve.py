@@ -47,7 +47,7 @@ class TruncatedSolver:
         for i in range(n):
             gram[i][i] = gram[i][i] + ridge
         self._factors = _factorised(gram)
-        before = self._solve([START[i % len(START)] + 0.0 * trace for i in range(n)])
+        before = self._solve([START[i % len(START)] for i in range(n)])
         smallest = self._solve(before)
         along, length = _dot(before, smallest), m.sqrt(_dot(smallest, smallest))
         settled = m.abs(along) > (1.0 - SETTLED) * length * m.sqrt(_dot(before, before))
