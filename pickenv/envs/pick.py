@@ -17,7 +17,8 @@ from pickenv.arm.kinematics import Frame
 from pickenv.arm.plant import Plant
 from pickenv.envs.arms import population_size
 from pickenv.envs.executors import FLOATS
-from pickenv.envs.pick_scene import COLLECTED_BELOW, UP, Orchard, PickScene, draw_scene, make_orchard, reach_of
+from pickenv.envs.pick_reach import reach_of
+from pickenv.envs.pick_scene import Orchard, PickScene, draw_scene, make_orchard, upright_turn
 from pickenv.envs.reach import RENDER_MODES
 from pickenv.envs.simulation import move, nominal_frames
 from pickenv.envs.spaces import box, check_options
@@ -31,9 +32,6 @@ LONGEST = 400
 """Steps of an episode where the environment was not made by `gymnasium.make`."""
 STILL = 1.0
 """Time without a command after which the observation says that the arm stands still, s."""
-NEAR = 0.06
-"""The gripper closes only where the controller believes its fruit to be nearer than this, m."""
-CLOSE, OPEN = 0.5, -0.5
 MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
@@ -94,6 +92,16 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     Per step: 1 x (fruit collected undamaged) - 0.25 x (fruit newly damaged) - 0.002. Fruit is damaged by a tool that
     hits it faster than 0.4 m/s, by being pulled off instead of twisted, and by falling. The reward is never part of an
     observation.
+
+    So haste costs more than the time it saves. Of the scripted policy with a calibrated arm on 60 canopies of some
+    seven fruit in reach, relative to the same policy with gentle moves and half a second of waiting (simulated; mean
+    and 95 % interval per canopy, tests/envs/test_pick.py):
+
+    | What is left out                 | Fruit collected        | Reward                 |
+    |----------------------------------|------------------------|------------------------|
+    | waiting for the arm to settle    | -0.27 (-0.40 to -0.13) | -0.18 (-0.31 to -0.05) |
+    | waiting and gentle moves         | -0.72 (-0.94 to -0.49) | -0.81 (-1.07 to -0.54) |
+    | calibration                      | -0.45 (-0.67 to -0.24) | -0.45 (-0.66 to -0.23) |
 
     ## Starting State
 
@@ -159,8 +167,9 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
       true arm, or one of a population, as in `pickenv/Reach-v0`.
     - `render_mode` (None, "human" or "rgb_array").
 
-    There is no native vector version: canopies differ in their number of fruit. `gym.make_vec("pickenv/Pick-v0",
-    num_envs=8)` makes a `SyncVectorEnv`; environment i is seeded with `seed + i` and gives there what it gives alone.
+    There is no native vector version: it would gain little, since drawing a canopy takes as long as some seventy steps.
+    `gym.make_vec("pickenv/Pick-v0", num_envs=8)` makes a `SyncVectorEnv`; environment i is seeded with `seed + i` and
+    gives there what it gives alone.
 
     ## Version History
 
@@ -217,7 +226,6 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._target: Sequence[float] = self.task.middle
         self._state = PlantState()
         self._tool: Frame = ()
-        self._detached_at = 0.0
         self._arm: int | None = None
         self._window: Any = None
 
@@ -287,7 +295,7 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         shown = self._shown(command)
         believed = nominal_frames(FLOATS, self.task, shown)[1]
         scene.advance(before, self._tool, self._number if scene.held is None else None, CONTROL_PERIOD)
-        self._grip(gripper, believed)
+        scene.work_gripper(gripper, self._number, believed, self._tool)
         if scene.held is None and not scene.waiting[self._number]:
             self._number = self._next(believed)
         funnel = scene.funnel()
@@ -334,23 +342,6 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if asked is not None:
             self._arm = task.given_arm(asked)
         self.plant = plant_at(task.plant, self._arm)
-
-    def _grip(self, share: float, believed: Frame) -> None:
-        """Close, twist, open or empty the gripper."""
-        scene = self.scene
-        assert scene is not None
-        if scene.held is None:
-            near = math.dist(scene.seen[self._number].tolist(), believed[9:12]) <= NEAR
-            if share > CLOSE and near and scene.waiting[self._number]:
-                scene.grasp(self._number, self._tool)
-        elif share < OPEN:
-            scene.let_go()
-        elif scene.holds_detached:
-            if believed[11] <= self._detached_at - COLLECTED_BELOW:
-                scene.collect()
-        else:
-            scene.twist(share)
-            self._detached_at = believed[11]
 
     def _next(self, believed: Frame) -> int:
         """Number of the next fruit, or of the last one where none waits."""
@@ -411,12 +402,3 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             "fruit_position": fruit.copy(),
             "fruit_number": self._number,
         }
-
-
-def upright_turn(axis: Array) -> Array:
-    """Rotation vector (3,) of the shortest turn that brings a unit vector upright, rad."""
-    across = np.cross(axis, UP)
-    sine = float(np.linalg.norm(across))
-    if sine < 1e-12:
-        return np.zeros(3) if axis[2] > 0 else np.array([math.pi, 0.0, 0.0])
-    return np.asarray(across / sine * math.atan2(sine, float(axis[2])))

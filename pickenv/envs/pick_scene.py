@@ -7,23 +7,18 @@ the start, so that two policies meet the same fruit, the same camera and the sam
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
-from scipy.stats import qmc
+from numpy.typing import ArrayLike
 
 from pickenv import orchard as trees
-from pickenv.arm.geometry import Array, Geometry, Pose
-from pickenv.arm.inverse import inverse
-from pickenv.arm.kinematics import Frame, forward
+from pickenv.arm.geometry import Array
+from pickenv.arm.kinematics import Frame
+from pickenv.envs.pick_reach import APPROACH, UP, Flags, Reach
 from pickenv.errors import InputError
-
-APPROACH = 0.10
-"""Length of the straight way from below to a fruit, m; a fruit in reach can be reached at both ends."""
 
 MIDDLE, FACE, MOUNT = 0.6, -0.53, 0.15
 """Base frame: x of the section's middle, y of the canopy's face, z of its lowest fruit, m."""
@@ -51,12 +46,14 @@ TWIST = 0.5
 COLLECTED_BELOW = 0.08
 """A detached fruit is collected once the tool has gone down by this, m."""
 
+NEAR = 0.06
+"""The gripper closes only where the controller believes its fruit to be nearer than this, m."""
+
+CLOSE, OPEN = 0.5, -0.5
+"""Commands beyond which the gripper closes and opens."""
+
 ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
 """Draws until a fruit is in reach; of given fruit only what the camera makes of it is drawn again."""
-
-UP = np.array([0.0, 0.0, 1.0])
-
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,50 +103,13 @@ def to_orchard(canopy: trees.Canopy, positions: Array) -> Array:
     return np.asarray((positions - np.array([MIDDLE, FACE, MOUNT - canopy.bottom])) * [-1.0, -1.0, 1.0])
 
 
-class Reach:
-    """Which points the nominal arm reaches with its tool upright, from `APPROACH` below up to the point itself."""
-
-    def __init__(self, geometry: Geometry) -> None:
-        """Sample the arm's upright poses once; each question then starts from the nearest one."""
-        self.geometry = geometry
-        spread = qmc.Halton(geometry.joints, scramble=False).random(2**14)
-        joints = geometry.lower + (geometry.upper - geometry.lower) * spread
-        poses = forward(geometry, joints)
-        upright = poses.rotation[:, 2, 2] > np.cos(np.radians(30.0))
-        if not upright.any():
-            raise InputError("this arm cannot hold its tool upright, so it cannot pick from below; take qiao2026")
-        self.joints = joints[upright]
-        self.rotations = np.array([_upright(rotation) for rotation in poses.rotation[upright]])
-        self.tree = cKDTree(poses.position[upright])
-
-    def __call__(self, positions: Array) -> Flags:
-        """One flag per position (n, 3), m."""
-        points = np.concatenate([positions, positions - APPROACH * UP])
-        _, nearest = self.tree.query(points)
-        solution = inverse(
-            self.geometry,
-            Pose(points, self.rotations[nearest]),
-            self.joints[nearest],
-            position_tolerance=5e-4,
-            attitude_tolerance=0.02,
-            max_iterations=15,
-            restarts=0,
-        )
-        at, below = solution.reached.reshape(2, -1)
-        return np.asarray(at & below)
-
-
-@lru_cache(maxsize=4)
-def reach_of(geometry: Geometry) -> Reach:
-    """`Reach`, sampled once per arm."""
-    return Reach(geometry)
-
-
-def _upright(rotation: Array) -> Array:
-    """The attitude (3, 3) with the tool axis straight up that is nearest in yaw."""
-    x = rotation[:, 0] - rotation[2, 0] * UP
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(UP, x), UP], axis=-1)
+def upright_turn(axis: Array) -> Array:
+    """Rotation vector (3,) of the shortest turn that brings a unit vector upright, rad."""
+    across = np.cross(axis, UP)
+    sine = float(np.linalg.norm(across))
+    if sine < 1e-12:
+        return np.zeros(3) if axis[2] > 0 else np.array([math.pi, 0.0, 0.0])
+    return np.asarray(across / sine * math.atan2(sine, float(axis[2])))
 
 
 @dataclass(eq=False)
@@ -172,6 +132,7 @@ class PickScene:
         held: Number of the fruit in the gripper, or None.
         miss: How far the last grasp was from its fruit, across and along the tool's axis, m.
         grip: Displacement of the fruit in the gripper less the tool's position, m.
+        detached_at: Height of the believed tool when the fruit in it came off, m.
     """
 
     orchard: Orchard
@@ -193,6 +154,7 @@ class PickScene:
     held: int | None = None
     miss: tuple[float, float] = (0.0, 0.0)
     grip: Array = field(default_factory=lambda: np.zeros(3))
+    detached_at: float = 0.0
 
     def __post_init__(self) -> None:
         self.displacement, self.velocity = np.zeros_like(self.rest), np.zeros_like(self.rest)
@@ -260,6 +222,28 @@ class PickScene:
         for i in np.flatnonzero(touched):
             self._push(self.positions[i], across[i] / max(gap[i], 1e-9) * (TOOL_RADIUS + wide[i] - gap[i]))
             self.damaged[i] |= speed > BRUISE_SPEED
+
+    def work_gripper(self, share: float, number: int, believed: Frame, tool: Frame) -> None:
+        """Close the gripper on fruit ``number``, twist, open or empty it.
+
+        Args:
+            share: The command, -1 to 1.
+            number: The fruit that the arm is after.
+            believed: Frame of the believed tool: what the controller goes by.
+            tool: Frame of the true one: what counts.
+        """
+        if self.held is None:
+            near = math.dist(self.seen[number].tolist(), believed[9:12]) <= NEAR
+            if share > CLOSE and near and self.waiting[number]:
+                self.grasp(number, tool)
+        elif share < OPEN:
+            self.let_go()
+        elif self.holds_detached:
+            if believed[11] <= self.detached_at - COLLECTED_BELOW:
+                self.collect()
+        else:
+            self.twist(share)
+            self.detached_at = believed[11]
 
     def grasp(self, i: int, tool: Frame) -> None:
         """Close the gripper on fruit ``i``: its one attempt."""

@@ -8,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode
 from scipy import stats
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
@@ -231,41 +230,20 @@ def test_pictures_follow_the_fruit(monkeypatch):
     window.close()
 
 
-@pytest.mark.parametrize("mode", list(AutoresetMode), ids=str)
-def test_many_canopies_are_what_each_is_alone(mode, calibrated):
-    """SyncVectorEnv, in which compensation is a wrapper of each; arms differ from episode to episode."""
-    arguments = {"arms": "per_episode", "max_episode_steps": 6}
-    envs = gym.make_vec(
-        "pickenv/Pick-v0",
-        num_envs=3,
-        vector_kwargs={"autoreset_mode": mode},
-        wrappers=[lambda env: CompensationWrapper(env, calibrated)],
-        **arguments,
-    )
-    singles = [CompensationWrapper(gym.make("pickenv/Pick-v0", **arguments), calibrated) for _ in range(3)]
+def test_many_canopies_take_the_wrapper_one_by_one(calibrated):
+    """`gym.make_vec` makes a SyncVectorEnv, in which each environment has its compensation."""
+    envs = gym.make_vec("pickenv/Pick-v0", num_envs=2, wrappers=[lambda env: CompensationWrapper(env, calibrated)])
+    singles = [CompensationWrapper(gym.make("pickenv/Pick-v0"), calibrated) for _ in range(2)]
     observations, _ = envs.reset(seed=5)
     assert np.array_equal(observations, [env.reset(seed=5 + i)[0] for i, env in enumerate(singles)])
     envs.action_space.seed(0)
-    over = np.zeros(3, bool)
-    for _ in range(14):
-        if mode is AutoresetMode.DISABLED and over.any():
-            observations, _ = envs.reset(options={"reset_mask": over})
-            for i in np.flatnonzero(over):
-                assert np.array_equal(observations[i], singles[i].reset()[0])
+    for _ in range(5):
         actions = envs.action_space.sample()
-        observations, rewards, terminations, truncations, infos = envs.step(actions)
-        for i, env in enumerate(singles):
-            if mode is AutoresetMode.NEXT_STEP and over[i]:
-                assert np.array_equal(observations[i], env.reset()[0]) and rewards[i] == 0
-                continue
-            observation, reward, terminated, truncated, info = env.step(actions[i])
-            assert (reward, terminated, truncated) == (rewards[i], terminations[i], truncations[i])
-            if mode is AutoresetMode.SAME_STEP and (terminated or truncated):
-                assert np.array_equal(infos["final_obs"][i], observation)
-                observation, info = env.reset()
-            assert np.array_equal(observations[i], observation)
-            assert infos["position_error_mm"][i] == info["position_error_mm"]
-        over = terminations | truncations
+        observations, rewards, *_, infos = envs.step(actions)
+        for i, (env, action) in enumerate(zip(singles, actions, strict=True)):
+            observation, reward, *_, info = env.step(action)
+            assert np.array_equal(observations[i], observation) and rewards[i] == reward
+            assert np.array_equal(infos["joint_command"][i], info["joint_command"])
 
 
 def test_options_place_fruit_and_arm():
