@@ -111,9 +111,8 @@ class StudyConfig:
 
     def settings(self) -> tuple[Setting, ...]:
         """All cells: populations first, payloads last; an arm without calibration has neither poses nor tracker."""
-        populations = [
-            (name, grade) for name in self.tolerances for grade in (self.it_grades or (load_tolerances(name).it_grade,))
-        ]
+        classes = self.load_tolerances().items()
+        populations = [(name, grade) for name, own in classes for grade in (self.it_grades or (own.it_grade,))]
         calibrations = [
             (method, poses, noise)
             for method in self.methods
@@ -150,9 +149,13 @@ class StudyConfig:
             )
         return plant
 
-    def load_tolerances(self, setting: Setting) -> Tolerances:
-        """The tolerance class of a setting, at the setting's grade."""
-        return replace(load_tolerances(setting.tolerances), it_grade=setting.it_grade)
+    def load_tolerances(self) -> dict[str, Tolerances]:
+        """The tolerance classes by name.
+
+        Raises:
+            InputError: If one is unknown or impossible.
+        """
+        return {name: load_tolerances(name) for name in self.tolerances}
 
     def sha256(self) -> str:
         """Hash of everything that the rows depend on, the numbers of plant and tolerance classes among it.
@@ -160,12 +163,8 @@ class StudyConfig:
         Raises:
             InputError: If plant or tolerance class are unknown or impossible.
         """
-        parts = [
-            VERSION,
-            asdict(self),
-            _plain(self.load_plant()),
-            [_plain(load_tolerances(t)) for t in self.tolerances],
-        ]
+        classes = [_plain(tolerances) for tolerances in self.load_tolerances().values()]
+        parts = [VERSION, asdict(self), _plain(self.load_plant()), classes]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def toml(self) -> str:
@@ -229,8 +228,7 @@ def load_study(path: str | Path) -> StudyConfig:
         noise=_noise(calibration),
         residual_poses=_whole(calibration, "residual_poses", 1, 100),
     )
-    for name in config.tolerances:
-        load_tolerances(name)  # an unknown class is refused now, not an hour later
+    config.load_tolerances()  # what is unknown is refused now, not an hour later
     config.load_plant()
     return config
 

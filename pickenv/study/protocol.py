@@ -7,6 +7,7 @@ arm 17 deviates in the same direction in every grade, and its tracker errs the s
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,7 +20,7 @@ from calibration.measurements import Measurements, random_joints, simulated_trac
 from pickenv.arm.geometry import Array, Geometry, Pose
 from pickenv.arm.kinematics import forward
 from pickenv.arm.plant import MeasurementNoise, Plant
-from pickenv.arm.tolerances import draw_plants
+from pickenv.arm.tolerances import Tolerances, draw_plants
 from pickenv.envs.task import GOAL_MARGIN
 from pickenv.errors import InputError
 from pickenv.study.config import Noise, Setting, StudyConfig
@@ -42,6 +43,7 @@ class Protocol:
         config: What is studied.
         settings: Its cells.
         design: The plant that arms are drawn from.
+        tolerances: Tolerance classes by name.
         model: What least squares identifies.
         fruit: Nominal joints that bring the tool to each fruit ``(M, n)``, rad or m.
         poses: Calibration poses ``(P, n)``, spread evenly; a setting with fewer uses the first ones.
@@ -51,6 +53,7 @@ class Protocol:
     config: StudyConfig
     settings: tuple[Setting, ...]
     design: Plant
+    tolerances: Mapping[str, Tolerances]
     model: ErrorModel
     fruit: Array
     poses: Array
@@ -76,7 +79,8 @@ class Protocol:
     def draw(self, setting: Setting, arms: range) -> Plant:
         """These arms of a setting's population, as a batch."""
         parent = np.random.SeedSequence(self.config.seed, spawn_key=(ARMS,), n_children_spawned=arms.start)
-        return draw_plants(self.design, self.config.load_tolerances(setting), len(arms), np.random.default_rng(parent))
+        tolerances = replace(self.tolerances[setting.tolerances], it_grade=setting.it_grade)
+        return draw_plants(self.design, tolerances, len(arms), np.random.default_rng(parent))
 
     def perfect_measurements(self, poses: int, noise: Noise) -> Measurements:
         """What a tracker of this noise would see, if it did not err, of an arm that is as its controller believes."""
@@ -103,6 +107,7 @@ def prepare(config: StudyConfig) -> Protocol:
         config=config,
         settings=config.settings(),
         design=design,
+        tolerances=config.load_tolerances(),
         model=link_model(nominal),
         fruit=_upright_joints(nominal, config.fruit, _stream(config, FRUIT)),
         poses=_spread_joints(nominal, max(config.poses), _stream(config, POSES)),
