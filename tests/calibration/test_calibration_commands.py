@@ -12,6 +12,7 @@ from calibration.uncertainty import with_uncertainty
 from pickenv.arm import load_arm
 from pickenv.commands import calibrations
 from pickenv.errors import InputError
+from pickenv.inspect.calibration_report import gather, write_calibration_report
 
 app = typer.Typer()
 app.command("plan-poses")(calibrations.plan_poses)
@@ -36,7 +37,7 @@ def folder(dynamic, tmp_path_factory):
     with_uncertainty(found.calibration, found.identification, sets[2]).save(folder / "arm.npz")
     sets[2].write_csv(folder / "targets.csv")
     page = folder / "report.html"
-    assert calibrations.write_report(page, dynamic.arm, found, sets[0], sets[2], None, {"seed": 0}) == page
+    assert write_calibration_report(page, gather(dynamic.arm, found, sets[0], sets[2]), {"seed": 0}) == page
     return folder
 
 

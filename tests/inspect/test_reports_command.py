@@ -1,12 +1,15 @@
 """`pickenv figures` and `pickenv report` do for every kind of run what its numbers allow, or refuse in a sentence."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from calibration import random_joints, simulated_tracker
@@ -117,6 +120,29 @@ def test_every_figure_of_the_literature_is_drawn_or_left_out_with_a_reason(demo_
     assert {d.name for d in drawings_of(harvest)} == HARVESTING
     left_out = {name for name, drawing in found.items() if isinstance(drawing, LeftOut)}
     assert left_out == {"error_against_payload", "error_against_temperature", "network_convergence"}
+
+
+def test_the_documentation_names_every_figure_and_every_option(demo_run: Run, harvest: Run, iso: Run) -> None:
+    text = (Path(__file__).parents[2] / "docs/figures-and-reports.md").read_text(encoding="utf-8")
+    rows = text[text.index("| figure | shows |") :].splitlines()[2:]
+    named = {name for row in rows for name in re.findall(r"`(\w+)`", row.split("|")[1])}
+    drawn = {drawing.name for run in (demo_run, harvest, iso) for drawing in drawings_of(run)}
+    assert named == drawn | {
+        "aggregates",
+        *(f"{name}_PLANT" for name in ("accuracy_against_cycle_time", "success_against_misalignment")),
+        *(f"{name}_PLANT" for name in ("error_by_compensation", "error_cumulative")),
+    }
+    lines = re.findall(r"^pickenv .*$", text, re.M) + re.findall(r"`(pickenv [^`]*)`", text)
+    assert len(lines) > 8
+    for line in lines:
+        _, command, *words = line.split()
+        known = {name for option in click_command(command).params for name in option.opts + option.secondary_opts}
+        assert {word for word in words if word.startswith("--")} <= known, line
+
+
+def click_command(name: str) -> Any:
+    """The command of that name, with its options."""
+    return typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
