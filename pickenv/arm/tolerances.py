@@ -147,26 +147,41 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
         raise InputError(f"count is {count}; draw at least one arm")
     if plant.geometry.alpha.ndim != 1:
         raise InputError(f"plant '{plant.name}' is already a batch of arms; draw from a single one")
-    draws = _Draws(plant, tolerances, count, rng)
+    total = max(columns.stop for columns in random_columns(plant).values())
+    return plants_from(plant, tolerances, np.stack([child.random(total) for child in rng.spawn(count)]))
+
+
+def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
+    """The arms that these even random numbers stand for, as one plant whose numbers are arrays.
+
+    Args:
+        plant: The design; on single numbers.
+        tolerances: How far its arms differ.
+        even: Numbers from 0 to 1 for each arm ``(N, K)``; `random_columns` says what each column is for.
+    """
+    draws = _Draws(plant, tolerances, even)
     parts = {name: draw(draws) for name, draw in EFFECT_DRAWS.items() if getattr(plant, name) is not None}
     return replace(plant, geometry=_geometry(draws), **parts)
 
 
-class _Draws:
-    """Even random numbers per arm in blocks of fixed size and place, whatever effects the plant has."""
+def random_columns(plant: Plant) -> dict[str, range]:
+    """Which of an arm's even random numbers each quantity takes: fixed places, whatever effects the plant has."""
+    n = plant.arm.nominal.joints
+    wave = len(plant.transmission_error.harmonics) if plant.transmission_error is not None else 0
+    sizes = {"geometry": 4 * n, "temperature_rise": 1}
+    sizes |= {"joint_stiffness": n, "backlash": n, "friction": 2 * n, "frequency": n, "damping": n}
+    sizes |= {"ground_stiffness": 2, "sinkage": 2, "flexural_rigidity": 1, "roller_clearance": 1, "warm_up_time": 1}
+    sizes |= {"lead": n, "transmission_error": wave, "phase": wave}  # last: their number depends on the plant
+    edges = np.cumsum([0, *sizes.values()]).tolist()
+    return {key: range(a, b) for key, a, b in zip(sizes, edges, edges[1:], strict=False)}
 
-    def __init__(self, plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> None:
-        n = plant.arm.nominal.joints
+
+class _Draws:
+    """Even random numbers per arm, by what they are for."""
+
+    def __init__(self, plant: Plant, tolerances: Tolerances, even: Array) -> None:
         self.plant, self.tolerances = plant, tolerances
-        wave = len(plant.transmission_error.harmonics) if plant.transmission_error is not None else 0
-        sizes = {"geometry": 4 * n, "temperature_rise": 1}
-        sizes |= {"joint_stiffness": n, "backlash": n, "friction": 2 * n, "frequency": n, "damping": n}
-        sizes |= {"ground_stiffness": 2, "sinkage": 2, "flexural_rigidity": 1, "roller_clearance": 1, "warm_up_time": 1}
-        sizes |= {"lead": n, "transmission_error": wave, "phase": wave}  # last: their number depends on the plant
-        total = sum(sizes.values())
-        even = np.stack([child.random(total) for child in rng.spawn(count)])
-        edges = np.cumsum([0, *sizes.values()])
-        self.even = {key: even[:, a:b] for key, a, b in zip(sizes, edges, edges[1:], strict=False)}
+        self.even = {key: even[:, columns.start : columns.stop] for key, columns in random_columns(plant).items()}
 
     def deviation(self, key: str) -> Array:
         """Numbers in the tolerance zone from -1 to 1, (N, size)."""
