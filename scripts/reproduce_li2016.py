@@ -16,7 +16,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from li2016_recording import record_zone
 from li2016_trace import trace_of
 from rich.console import Console
 from rich.table import Table
@@ -39,6 +38,7 @@ from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_ma
 from pickenv.harvester.work import timetable, zone_work
 from pickenv.harvester.zones import load_grid
 from pickenv.inspect.drawings import harvest_drawings, write_drawings
+from pickenv.inspect.harvest_recording import inspect_harvest
 from pickenv.inspect.plain_report import harvest_report
 from pickenv.inspect.run_folder import recorded_run, save_harvest
 
@@ -265,7 +265,7 @@ def main(
         save_harvest(out, trace, SEED)
         for path in write_drawings(harvest_drawings(trace), out / "figures"):
             console.print(f"figure {path}")
-        console.print(f"recording {record_zone(out / 'zone.rrd', machine, dense)}")
+        console.print(f"recording {inspect_harvest(machine, dense, out / 'zone.rrd')}")
         console.print(f"report {write_text(out / 'report.html', harvest_report(run, trace))}")
     if json_file is not None:
         write_text(json_file, json.dumps(report(errors, study, reach, plans, throughput, trees), indent=2) + "\n")
