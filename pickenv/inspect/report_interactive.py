@@ -23,11 +23,11 @@ from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.drawings import Drawing
 from pickenv.inspect.field_figure import round_down, thinned
 from pickenv.inspect.report_svg import inline_svg
-from pickenv.inspect.summary import colour_scale_mm, field_mm, spread
+from pickenv.inspect.summary import colour_scale_mm, field_mm, round_step, spread
 from pickenv.inspect.view import eye_direction
 
 MOST_ARROWS = 3000
-EYE_DISTANCE = 2.8
+EYE_DISTANCE = 2.55
 """In units of the scene's size, as plotly counts."""
 
 
@@ -97,7 +97,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
         )
         if i == 1:
             data[-1]["marker"]["colorbar"] = bar | {"yanchor": "top", "thickness": 12, "x": 0.5, "xanchor": "center"}
-        small = {"tickfont": {"size": 10}}
+        small = {"tickfont": {"size": 10}, "dtick": round_step(float((high - low).max()) / 5.0)}
         axes = {
             f"{axis}axis": small | {"title": {"text": f"{axis} (m)", "font": {"size": 11}}, "range": ends}
             for axis, ends in zip("xyz", np.column_stack([low - spacing, high + spacing]).tolist(), strict=True)
