@@ -49,11 +49,13 @@ def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Pat
         raise InputError("the harvest has no round, so there is no zone to show; harvest a tree with fruit in reach")
     shown = max(harvest.rounds, key=lambda item: len(item.fruit))
     zone = shown.zone.name.replace(",", "").replace(" ", "_")
-    frame = machine.frame3(shown.master)
+    fruit = harvest.tree.fruit[shown.zone.holds(harvest.tree.fruit)]
+    masters = np.stack([machine.master_start, shown.master])
+    resting = machine.tips(masters, np.broadcast_to(machine.slave_home, (2, machine.arms, 3))).reshape(-1, 3)
     return write_recording(
         path,
         f"harvest-{zone}",
-        _blueprint(frame, machine.arms),
+        _blueprint(np.concatenate([fruit, resting]), machine.frame3(shown.master), machine.arms),
         lambda stream: _send(stream, machine, harvest, shown),
     )
 
@@ -165,13 +167,20 @@ def _colour(number: int) -> Rgb:
     return ARMS[number % len(ARMS)]
 
 
-def _blueprint(frame: Array, arms: int) -> rrb.Blueprint:
-    """The machine from beside and above its frame 3 ``(3,)`` at the pick point, the lanes, the distances."""
+def _blueprint(shown: Array, frame: Array, arms: int) -> rrb.Blueprint:
+    """The machine from beside and behind, then the lanes and the distances.
+
+    Args:
+        shown: Points that the eye must see ``(N, 3)``, m.
+        frame: Frame 3 at the pick point, which tells where ahead is ``(3,)``, m.
+        arms: Number of slaves.
+    """
     import rerun.blueprint as rrb
 
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    look, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
     ahead = frame * (1.0, 1.0, 0.0) / np.linalg.norm(frame[:2])
-    look = frame + 0.3 * ahead
-    eye = look + 1.3 * np.array([ahead[1], -ahead[0], 0.0]) - 0.7 * ahead + (0.0, 0.0, 0.7)
+    eye = look + 1.8 * radius * (0.8 * np.array([ahead[1], -ahead[0], 0.0]) - 0.6 * ahead + (0.0, 0.0, 0.5))
     views = [
         rrb.Spatial3DView(
             origin="/world",
