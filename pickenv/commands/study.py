@@ -28,6 +28,9 @@ def study(
     report: Annotated[
         bool, typer.Option("--report/--no-report", help="Figures, report.html and arms.rrd in the results folder.")
     ] = True,
+    sobol: Annotated[
+        int, typer.Option(help="Sobol indices from this power of two; 0 for none: they need further arms.", min=0)
+    ] = 0,
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""
     from pickenv.files import write_text
@@ -53,7 +56,7 @@ def study(
     if report:
         from pickenv.study.report import write_outputs
 
-        for path in write_outputs(out):
+        for path in write_outputs(out, sobol):
             print(f"wrote {path}")
 
 

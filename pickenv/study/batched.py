@@ -61,6 +61,16 @@ def evaluate_batch(protocol: Protocol, chunk: int, device: str = "cpu") -> pa.Ta
         return pa.concat_tables([_evaluate_block(protocol, block, place) for block in blocks])
 
 
+def judge_ideally(protocol: Protocol, setting: Setting, plants: Plant) -> Outcomes:
+    """Any batch of arms in one setting, calibrated with a tracker that does not err: what the arms alone make of it."""
+    place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
+    count = len(plants.geometry.alpha)
+    noise = np.zeros((count, setting.poses, 6)) if setting.poses else None
+    with _one_thread():
+        (found,) = _outcomes(protocol, [setting], plants, range(count), noise, place)
+    return found
+
+
 def check_device(device: str) -> None:
     """Refuse a device that this machine lacks.
 

@@ -19,10 +19,11 @@ from pickenv.files import write_text
 from pickenv.inspect import report_page as page
 from pickenv.inspect.drawings import Drawing, write_drawings
 from pickenv.inspect.report_page import Verdict
-from pickenv.study.config import RAW, StudyConfig
+from pickenv.study.config import LS, RAW, StudyConfig
 from pickenv.study.drawings import Findings, gather, specification, study_drawings
 from pickenv.study.figures import Row, method_label, setting_label
 from pickenv.study.placement import Placement
+from pickenv.study.sobol import read_sobol, write_sobol
 from pickenv.study.table import OK, read_rows
 
 REQUIRED_YIELD = 0.95
@@ -35,13 +36,21 @@ MATTERS = 8
 """Parameters listed for each setting; the figure shows more."""
 
 
-def write_outputs(folder: str | Path) -> list[Path]:
-    """Write a finished study's figures, report and recording into its folder; returns what was written."""
+def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
+    """Write a finished study's figures, report and recording into its folder; returns what was written.
+
+    Args:
+        folder: The study's results.
+        sobol_samples: A power of two, for Sobol indices of the shown settings; none for 0.
+    """
     from pickenv.study.recording import record_study
 
     folder = Path(folder)
-    found = gather(folder)
-    written = write_drawings(study_drawings(found), folder / "figures")
+    found, written = gather(folder), []
+    if sobol_samples:
+        shown = [number for number in found.sensitivities if found.row(number)["method"] in (RAW, LS)]
+        written.append(write_sobol(folder, shown, sobol_samples))
+    written += write_drawings(study_drawings(found), folder / "figures")
     written.append(write_text(folder / "report.html", study_page(folder, found)))
     best = max(found.yields.to_pylist(), key=lambda row: row["yield_low"])
     if best["failed"] < best["arms"]:
@@ -96,6 +105,7 @@ def study_page(folder: str | Path, found: Findings) -> str:
             "matters",
             *_drawn(drawings, "sensitivity_"),
             *_sensitivity_tables(found),
+            *_sobol_tables(folder, found),
             explain="The squared error of each arm is regressed on what was drawn for it and on the squares of that. "
             "The mean square error is what a tolerance adds to it; what R² leaves is interaction, tracker noise and "
             "what has no column.",
@@ -264,6 +274,23 @@ def _sensitivity_tables(found: Findings) -> list[str]:
         caption = f"{label}: {first['arms']} arms, R² {first['r2']:.2f} (adjusted {first['r2_adjusted']:.2f})"
         parts.append(page.table(caption, heads, rows))
     return parts
+
+
+def _sobol_tables(folder: str | Path, found: Findings) -> list[str]:
+    heads = ("tolerances", "first order (%)", "95 % interval", "total (%)", "95 % interval")
+
+    def cells(row: Row, kind: str) -> tuple[str, str]:
+        low, high = (f"{100 * row[kind + end]:.1f}" for end in ("_low", "_high"))
+        return f"{100 * row[kind]:.1f}", f"{low} to {high}"
+
+    return [
+        page.table(
+            f"Sobol indices, {setting_label(found.row(number))}, perfect tracker: {rows[0]['arms']} further arms",
+            heads,
+            [(row["group"], *cells(row, "first_order"), *cells(row, "total")) for row in rows],
+        )
+        for number, rows in read_sobol(folder).items()
+    ]
 
 
 def _summary(folder: Path) -> dict[str, Any]:

@@ -8,6 +8,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from pickenv.arm.batch import plant_at
+from pickenv.arm.tolerances import random_columns
 from pickenv.errors import InputError
 from pickenv.inspect.drawings import Drawing, LeftOut
 from pickenv.study.arm_by_arm import evaluate_arm
@@ -18,6 +20,7 @@ from pickenv.study.protocol import prepare
 from pickenv.study.recording import arms_compared, record_study
 from pickenv.study.report import study_page, study_report, verdict, write_outputs
 from pickenv.study.run import run_study
+from pickenv.study.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
 from pickenv.study.table import read_rows
 from pickenv.study.yields import wilson_interval
 
@@ -173,8 +176,6 @@ def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
 def test_a_drawn_arm_stands_at_its_own_rank(folder, found):
     protocol, rows = prepare(found.config), read_rows(folder)
     worst, _ = ranked(rows, 0)["worst"]
-    from pickenv.arm.batch import plant_at
-
     arm = plant_at(protocol.draw(protocol.settings[0], range(worst, worst + 1)), 0)
     placement = place(protocol, rows, protocol.settings[0], arm, "the worst")
     assert placement.percentile >= 319 / 320 - 1e-12
@@ -189,6 +190,41 @@ def test_the_recorded_arms_miss_their_fruit_as_the_rows_say(folder):
         assert policy.label == f"{policy.key} arm (number {arm})"
         assert policy.position_error_mm.mean() == pytest.approx(error, rel=1e-6)
     assert len(comparison.field_points) == len(comparison.policies[0].field_errors) > 100
+
+
+def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, found, tmp_path):
+    """Angles explain the raw arms, stiffness the calibrated ones, whichever way it is found."""
+    protocol, settings = prepare(found.config), shown_settings(found.yields.to_pylist())
+    path = write_sobol(folder, settings, 128)
+    try:
+        raw, calibrated = read_sobol(folder).values()
+        page = Parsed(study_page(folder, found)).text
+    finally:
+        path.unlink()
+    names = [row["group"] for row in raw]
+    assert names == ["angles", "lengths", "joint stiffness", "flexural rigidity", "transmission error"]
+    for rows, number, chief in ((raw, settings[0], "angles"), (calibrated, settings[1], "joint stiffness")):
+        total = {row["group"]: row for row in rows}
+        assert max(total, key=lambda name: total[name]["total"]) == chief
+        regressed = {row["parameter"]: row["share"] for row in found.sensitivities[number].to_pylist()}
+        assert total[chief]["total_low"] - 0.1 < regressed[chief] < total[chief]["total_high"] + 0.1
+    assert "Sobol indices, medium, IT8, raw" in page and f"{100 * raw[0]['total']:.1f}" in page
+    assert raw[0]["arms"] == 128 * 7
+    assert sobol_of(protocol, protocol.settings[0], 16) == sobol_of(protocol, protocol.settings[0], 16)
+
+
+def test_groups_name_each_random_number_of_the_effects_that_are_on(found):
+    groups = tolerance_groups(prepare(found.config).design)
+    columns = random_columns(prepare(found.config).design)
+    used = ("geometry", "joint_stiffness", "flexural_rigidity", "lead", "transmission_error", "phase")
+    assert sorted(i for group in groups.values() for i in group) == sorted(i for key in used for i in columns[key])
+
+
+def test_a_damaged_file_of_indices_is_named(tmp_path):
+    (tmp_path / "sobol.json").write_text("[1, 2", encoding="utf-8")
+    with pytest.raises(InputError, match=r"sobol\.json is damaged .*with --sobol again"):
+        read_sobol(tmp_path)
+    assert read_sobol(tmp_path / "nowhere") == {}
 
 
 @pytest.mark.slow
