@@ -18,6 +18,7 @@ from pickenv.inspect import recording
 from pickenv.inspect.colours import viridis
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.recording import record_comparison
+from pickenv.inspect.scribe import Scribe, f32, recording_bytes, send_arrows
 from pickenv.inspect.summary import colour_scale_mm
 from pickenv.inspect.view import cut_away
 
@@ -170,6 +171,28 @@ def test_a_thousand_cells_and_a_hundred_reaches_stay_small_and_quick(comparison:
     path = record_comparison(comparison, tmp_path / "errors.rrd")
     assert path.stat().st_size < 2e6
     assert time.perf_counter() - began < 5.0
+
+
+@pytest.mark.parametrize(("read_out", "most"), [(False, 3.0e6), (True, 4.5e6)])
+def test_a_hundred_thousand_arrows(read_out: bool, most: float, benchmark: Any) -> None:
+    """Arrows as such, and with the millimetres that a click reads out; `make benchmark` times both."""
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+    rng = np.random.default_rng(0)
+    points, errors = rng.uniform(-1.0, 1.0, (100_000, 3)), rng.normal(scale=1e-3, size=(100_000, 3))
+    blueprint = rrb.Blueprint(rrb.Spatial3DView(origin="/"))
+
+    def send(stream: Any) -> None:
+        if read_out:
+            send_arrows(Scribe(stream), "field", points, 20.0 * errors, 1e3 * errors, 3.0)
+        else:
+            colours = viridis(np.linalg.norm(1e3 * errors, axis=-1) / 3.0)
+            arrows = rr.Arrows3D(origins=f32(points), vectors=f32(20.0 * errors), colors=colours)
+            Scribe(stream).still("field", arrows)
+
+    content = benchmark(recording_bytes, "arrows", blueprint, send)
+    assert len(content) < most
 
 
 def test_one_policy_without_reaches_is_enough(
