@@ -2,9 +2,10 @@
 
 Fair reading: pickenv's step is kinematics with the plant's physics (compliance, bending, drives), no contacts and no
 collisions; FetchReach runs 20 MuJoCo substeps a step and PandaReach 20 Bullet substeps. Random fresh actions, resets,
-rewards and observations are included everywhere.
+rewards and observations are included everywhere. What a calibration between policy and arm costs, and what single
+precision does to positions, is measured too.
 
-Run: python scripts/benchmark_envs.py [--json FILE] [--no-peers] [--quick]
+Run: python scripts/benchmark_envs.py [--json FILE] [--no-peers] [--quick] [--device cuda]
 """
 
 from __future__ import annotations
@@ -25,7 +26,16 @@ from rich.console import Console
 from rich.table import Table
 
 import pickenv  # noqa: F401
+from calibration import Compensator, fit, random_joints, simulated_tracker
+from pickenv.arm import load_plant
+from pickenv.errors import InputError
 from pickenv.files import write_text
+
+ROLLOUT = 8192
+"""Environment steps between two updates in the comparison of trainings, whatever the number of environments."""
+
+TRAINED = (16, 64, 256)
+"""Numbers of environments in that comparison."""
 
 PEER_PACKAGES = ("gymnasium-robotics==1.4.2", "mujoco<3.12", "panda-gym==3.0.7")
 WHAT = {
@@ -103,7 +113,7 @@ def torch_vector(count: int, seconds: float, device: str, dtype: str, compiled: 
 
     def step() -> int:
         envs.step(torch.rand((count, 6), generator=generator, device=device) * 2 - 1)
-        if device == "cuda":
+        if device != "cpu":
             torch.cuda.synchronize()
         return count
 
@@ -127,8 +137,74 @@ def inference(count: int, seconds: float) -> float:
     return vector("pickenv/Reach-v0", count, seconds, policy)
 
 
-def training(count: int, native: bool, steps: int) -> float:
-    """Steps per second of SB3's PPO, through the native adapter or through DummyVecEnv."""
+def fastest(steps: dict[str, Callable[[], Any]], seconds: float) -> dict[str, float]:
+    """Least time of each, s; taken in turns, so that other work on the machine meets all alike."""
+    best, begin = dict.fromkeys(steps, float("inf")), time.perf_counter()
+    while time.perf_counter() - begin < seconds:
+        for name, step in steps.items():
+            before = time.perf_counter()
+            step()
+            best[name] = min(best[name], time.perf_counter() - before)
+    return best
+
+
+def compensators() -> dict[str, Compensator | None]:
+    """None, and the paper's two calibrations of the arm: 100 poses for geometry, 200 more for the network."""
+    plant, rng = load_plant("qiao2026"), np.random.default_rng(0)
+    first, second = (simulated_tracker(plant, random_joints(plant.arm.nominal, n, rng), rng) for n in (100, 200))
+    calibration = fit(plant.arm, first, second, known_frames=True, rng=rng).calibration
+    return {
+        "none": None,
+        "LS": calibration.compensator(with_residual=False),
+        "LS+BPNN": calibration.compensator(),
+        "LS+BPNN, one iteration": calibration.compensator(iterations=1),
+    }
+
+
+def compensation(count: int, seconds: float) -> dict[str, dict[str, float]]:
+    """What a calibration adds to a single step, us, and by what it multiplies a step of a vector environment."""
+    rng = np.random.default_rng(0)
+    single, many = {}, {}
+    for name, compensator in compensators().items():
+        env: Any = gym.make("pickenv/Reach-v0", max_episode_steps=-1).unwrapped
+        envs: Any = gym.make_vec("pickenv/Reach-v0", num_envs=count, max_episode_steps=None).unwrapped
+        for made in (env, envs):
+            made.compensator = compensator
+            made.reset(seed=0)
+        action, actions = (rng.uniform(-1, 1, size).astype(np.float32) for size in (6, (count, 6)))
+        single[name] = lambda env=env, action=action: [env.step(action) for _ in range(20)]
+        many[name] = lambda envs=envs, actions=actions: envs.step(actions)
+    one, all_ = fastest(single, seconds), fastest(many, seconds)
+    return {
+        name: {"single_us": 1e6 * (one[name] - one["none"]) / 20, "vector_ratio": all_[name] / all_["none"]}
+        for name in one
+        if name != "none"
+    }
+
+
+def single_precision_um(device: str, count: int = 100_000) -> float:
+    """Largest distance, um, between the tools of float32 on a device and of float64 on NumPy after ten steps."""
+    import torch
+
+    double = gym.make_vec("pickenv/Reach-v0", num_envs=count)
+    single = gym.make_vec(
+        "pickenv/Reach-v0", num_envs=count, executor="torch", device=device, dtype="float32", compiled=False
+    )
+    rng = np.random.default_rng(0)
+    for envs in (double, single):
+        envs.reset(seed=0)
+    for _ in range(10):
+        actions = rng.uniform(-1, 1, (count, 6)).astype(np.float32)
+        expected = double.step(actions)[4]["tool_position"]
+        found = single.step(torch.as_tensor(actions, device=device))[4]["tool_position"]
+    return float(1e6 * np.linalg.norm(found.double().cpu().numpy() - expected, axis=1).max())
+
+
+def training(count: int, seconds: float) -> tuple[float, float]:
+    """Steps per second of SB3's PPO through the native adapter and through DummyVecEnv.
+
+    Both learn from rollouts of 8192 steps, four epochs in batches of 512, and take turns.
+    """
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.env_util import make_vec_env
@@ -136,12 +212,14 @@ def training(count: int, native: bool, steps: int) -> float:
     from pickenv.wrappers.sb3 import make_sb3_vec
 
     torch.set_num_threads(1)
-    envs = make_sb3_vec("pickenv/Reach-v0", count) if native else make_vec_env("pickenv/Reach-v0", count)
-    model = PPO("MlpPolicy", envs, n_steps=max(steps // count // 4, 8), batch_size=512, n_epochs=4, seed=0)
-    model.learn(count * 8)
-    begin = time.perf_counter()
-    model.learn(steps)
-    return model.num_timesteps / (time.perf_counter() - begin)
+    models = {}
+    for name, make in (("native", make_sb3_vec), ("dummy", make_vec_env)):
+        settings: dict[str, Any] = {"n_steps": ROLLOUT // count, "batch_size": 512, "n_epochs": 4}
+        models[name] = PPO("MlpPolicy", make("pickenv/Reach-v0", count), seed=0, device="cpu", **settings)
+        models[name].learn(ROLLOUT)
+    steps = {name: lambda model=model: model.learn(ROLLOUT) for name, model in models.items()}
+    best = fastest(steps, 2 * seconds)
+    return ROLLOUT / best["native"], ROLLOUT / best["dummy"]
 
 
 def peers(folder: Path, seconds: float) -> dict[str, dict[str, Any]]:
@@ -167,6 +245,7 @@ def main(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     no_peers: Annotated[bool, typer.Option("--no-peers", help="Leave the peers out.")] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Short rounds, small sizes, nothing compiled.")] = False,
+    device: Annotated[str, typer.Option(help="Where torch runs: cpu, or cuda for a graphics processor.")] = "cpu",
     folder: Annotated[Path, typer.Option(help="Where the peers' packages are installed.")] = Path("runs/peers/envs"),
 ) -> None:
     """Measure and print."""
@@ -177,6 +256,10 @@ def main(
         envs[name] = {"num_envs": num_envs, "steps_per_s": value, "backend": backend, "note": note}
         print(f"{name}: {'-' if value is None else f'{value:,.0f} steps/s'} {note}", file=sys.stderr)
 
+    try:
+        apart = single_precision_um(device, 10_000 if quick else 100_000)
+    except InputError as error:
+        raise typer.BadParameter(str(error), param_hint="--device") from error
     if not no_peers:
         for name, found in peers(folder, seconds).items():
             add(name, 1, "engine", found["steps_per_s"], found["note"] or WHAT[name])
@@ -184,21 +267,17 @@ def main(
     add("Reach single", 1, "floats", single("pickenv/Reach-v0", seconds), "plant qiao2026, gym.make")
     for count in (1024, 4096) if quick else (1024, 4096, 65_536, 1_048_576):
         add(f"Reach native {count}", count, "numpy", vector("pickenv/Reach-v0", count, seconds), "plant qiao2026")
-    if not quick:
-        value = torch_vector(131_072, seconds, "cpu", "float32", True)
-        add("Reach torch.compile 131072", 131_072, "torch cpu float32 compiled", value, "plant qiao2026")
-    add("Reach torch eager 4096", 4096, "torch cpu float64", torch_vector(4096, seconds, "cpu", "float64", False))
+    for count in () if quick else (131_072,) if device == "cpu" else (131_072, 4_194_304):
+        value = torch_vector(count, seconds, device, "float32", True)
+        add(f"Reach torch.compile {count}", count, f"torch {device} float32 compiled", value, "plant qiao2026")
+    value = torch_vector(4096, seconds, device, "float64", False)
+    add("Reach torch eager 4096", 4096, f"torch {device} float64", value)
     add("Reach native 4096 + inference", 4096, "numpy + torch", inference(4096, seconds), "64-64 network")
-    steps = 8_192 if quick else 65_536
-    add("PPO native adapter 64", 64, "sb3", training(64, True, steps), "step + training")
-    add("PPO DummyVecEnv 64", 64, "sb3", training(64, False, steps // 4), "step + training")
-    import torch
-
-    if torch.cuda.is_available():
-        for count in (131_072, 4_194_304):
-            value = torch_vector(count, seconds, "cuda", "float32", True)
-            add(f"Reach torch.compile cuda {count}", count, "torch cuda float32 compiled", value)
-    gpu = "measured" if torch.cuda.is_available() else "no CUDA device here: not measured"
+    for count in TRAINED:
+        native, dummy = training(count, seconds)
+        add(f"PPO native adapter {count}", count, "sb3", native, "step + training")
+        add(f"PPO DummyVecEnv {count}", count, "sb3", dummy, "step + training")
+    added = compensation(4096, seconds)
 
     def ratio(one: str, other: str) -> float | None:
         a, b = envs.get(one, {}).get("steps_per_s"), envs.get(other, {}).get("steps_per_s")
@@ -209,9 +288,10 @@ def main(
         "single_vs_pandareach": ratio("Reach single", "PandaReach-v3"),
         "native_4096_vs_fetchreach": ratio("Reach native 4096", "FetchReach-v4"),
         "native_4096_vs_cartpole": ratio("Reach native 4096", "CartPole-v1 native 4096"),
-        "ppo_adapter_vs_dummy": ratio("PPO native adapter 64", "PPO DummyVecEnv 64"),
     }
-    table = Table(title=f"Environment steps per second on {os.cpu_count()} cores (GPU: {gpu})")
+    for count in TRAINED:
+        ratios[f"ppo_adapter_vs_dummy_{count}"] = ratio(f"PPO native adapter {count}", f"PPO DummyVecEnv {count}")
+    table = Table(title=f"Environment steps per second on {os.cpu_count()} cores (torch on {device})")
     for head in ("environment", "environments", "backend", "steps/s", "note"):
         table.add_column(head, justify="right" if head in ("environments", "steps/s") else "left")
     for name, row in envs.items():
@@ -224,8 +304,15 @@ def main(
     for name, value in ratios.items():
         if value is not None:
             console.print(f"{name}: {value:.1f}")
+    for name, cost in added.items():
+        console.print(
+            f"{name} in between: {cost['single_us']:.0f} us more per single step, a step of 4096 takes "
+            f"{cost['vector_ratio']:.1f} times as long"
+        )
+    console.print(f"float32 on {device} against float64: the tools are at most {apart:.2f} um apart")
     if json_file is not None:
-        text = json.dumps({"envs": envs, "ratios": ratios, "gpu": gpu, "cores": os.cpu_count()}, indent=2)
+        found = {"envs": envs, "ratios": ratios, "compensation": added, "float32_um": apart}
+        text = json.dumps(found | {"device": device, "cores": os.cpu_count()}, indent=2)
         console.print(f"wrote {write_text(json_file, text + chr(10))}")
 
 
