@@ -5,6 +5,8 @@ Policy colours are Okabe and Ito's, which people with colour vision deficiency c
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -28,6 +30,8 @@ BY_KEY: dict[str, Rgb] = {
     "with_residual": GREEN,
 }
 OTHERS: tuple[Rgb, ...] = ((204, 121, 167), (86, 180, 233), (240, 228, 66), (150, 150, 150))
+
+TABLE = 2048
 
 # Sixth-degree polynomial fit to Viridis by Matt Zucker (public domain), constant term first. The Rerun viewer's own
 # Viridis is this polynomial, so arrows (coloured here) and voxels (coloured there) agree.
@@ -63,8 +67,15 @@ def policy_colours(names: list[str]) -> list[Rgb]:
 
 def viridis(fraction: ArrayLike) -> NDArray[np.uint8]:
     """Viridis colours ``(..., 3)`` in 0..255 for fractions ``(...)``, which are clipped to 0..1."""
-    t = np.clip(np.asarray(fraction, dtype=float), 0.0, 1.0)[..., None]
-    colour = np.zeros((*t.shape[:-1], 3))
+    t = np.clip(np.asarray(fraction, dtype=float), 0.0, 1.0)
+    return _viridis_table()[np.asarray(np.round(t * (TABLE - 1)), dtype=np.intp)]
+
+
+@cache
+def _viridis_table() -> NDArray[np.uint8]:
+    """The polynomial at `TABLE` fractions: finer than 8 bits can show, and quick for large fields."""
+    t = np.linspace(0.0, 1.0, TABLE)[:, None]
+    colour = np.zeros((TABLE, 3))
     for coefficients in _VIRIDIS[::-1]:
         colour = colour * t + coefficients
     return np.asarray(np.round(np.clip(colour, 0.0, 1.0) * 255.0), dtype=np.uint8)
