@@ -35,7 +35,7 @@
     const axis = { gridcolor: css("--rule"), linecolor: css("--soft"), zerolinecolor: css("--rule"), color: css("--ink") };
     const kept = arranged(layout, width);
     Object.assign(kept, {
-      paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+      width, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { color: css("--ink"), family: getComputedStyle(document.body).fontFamily, size: 13 },
       hoverlabel: { bgcolor: css("--card"), bordercolor: css("--soft"), font: { color: css("--ink") } },
     });
@@ -45,15 +45,17 @@
     return kept;
   }
 
-  function together(place, names) {
+  // What one scene's eye does, all do; `keep` is told where it stands.
+  function together(place, names, keep) {
     let busy = false;
     const follow = (change) => {
       const moved = names.find((name) => change[`${name}.camera`]);
       if (busy || !moved) return;
       busy = true;
-      const others = names.filter((name) => name !== moved);
-      const cameras = Object.fromEntries(others.map((name) => [`${name}.camera`, change[`${moved}.camera`]]));
-      Plotly.relayout(place, cameras).finally(() => { busy = false; });
+      const camera = change[`${moved}.camera`];
+      keep(camera);
+      const others = names.filter((name) => name !== moved).map((name) => [`${name}.camera`, camera]);
+      Plotly.relayout(place, Object.fromEntries(others)).finally(() => { busy = false; });
     };
     place.on("plotly_relayouting", follow);
     place.on("plotly_relayout", follow);
@@ -65,8 +67,12 @@
     if (names.length && !webgl) continue;
     const figure = place.closest("figure");
     figure.classList.add("live");
-    const layout = () => themed(structuredClone(spec.layout), place.clientWidth);
-    const config = { displayModeBar: false, responsive: true };
+    const layout = () => {
+      const made = themed(structuredClone(spec.layout), place.clientWidth);
+      place.style.height = `${made.height}px`;
+      return made;
+    };
+    const config = { displayModeBar: false };
     try {
       await Plotly.newPlot(place, spec.data, layout(), config);
     } catch (error) {
@@ -74,7 +80,7 @@
       console.error(error);
       continue;
     }
-    together(place, names);
+    together(place, names, (camera) => names.forEach((name) => { spec.layout[name].camera = camera; }));
     const again = () => Plotly.react(place, spec.data, layout(), config);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
     let width = place.clientWidth;

@@ -69,7 +69,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     eye = EYE_DISTANCE * eye_direction(comparison)
     colour_scale = [[i / 16, "rgb({},{},{})".format(*viridis(i / 16))] for i in range(17)]
     data: list[dict[str, Any]] = []
-    layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 70}, "showlegend": False}
+    layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 80}, "showlegend": False}
     for i, policy in enumerate(comparison.policies, start=1):
         scene = "scene" if i == 1 else f"scene{i}"
         errors = policy.field_errors[shown]
@@ -83,7 +83,12 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
             | {"type": "scatter3d", "mode": "lines", "scene": scene, "hoverinfo": "skip"}
             | {"line": coloured | {"color": _numbers(shades), "width": 4}}
         )
-        bar = {"title": {"text": "position error (mm)", "side": "bottom"}, "orientation": "h", "y": -0.02, "len": 0.7}
+        bar = {
+            "title": {"text": "position error (mm)", "side": "bottom", "font": {"size": 13}},
+            "orientation": "h",
+            "y": -0.02,
+            "len": 0.7,
+        }
         data.append(
             _coordinates(tips)
             | {"type": "scatter3d", "mode": "markers", "scene": scene, "name": policy.label}
