@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -42,8 +41,9 @@ class Findings:
         yields: From `yields.yields_of`.
         quantiles: From `quantiles.quantiles_of`.
         dense: Quantiles of the mean position error at `DENSE`.
-        sensitivities: For each shown setting by number, from `sensitivity.sensitivities_of`, or why there is none.
-        placements: For each shown setting, where the design's own true arm stands, or why nowhere; empty where the
+        sensitivities: For one setting of each method, all else in the middle of what was varied, from
+            `sensitivity.sensitivities_of`, by number; or why there is none.
+        placements: For the same settings, where the design's own true arm stands, or why nowhere; empty where the
             design has no true arm of its own.
     """
 
@@ -72,7 +72,7 @@ def gather(folder: str | Path) -> Findings:
     design, yields = protocol.design, yields_of(rows, config.share)
     sensitivities: dict[int, pa.Table | str] = {}
     placements: dict[int, Placement | str] = {}
-    for setting in shown_settings(yields.to_pylist()):
+    for setting in (row["setting"] for row in figures.held(yields.to_pylist(), ("method",))):
         try:
             sensitivities[setting] = sensitivities_of(rows, setting)
         except InputError as error:
@@ -91,18 +91,6 @@ def gather(folder: str | Path) -> Findings:
         sensitivities=sensitivities,
         placements=placements,
     )
-
-
-def shown_settings(yields: Sequence[figures.Row]) -> list[int]:
-    """One setting of each method: of the middle grade, with the most poses, the first tracker, the first payload."""
-    grades = sorted({row["it_grade"] for row in yields})
-    middle = grades[(len(grades) - 1) // 2]
-    found: dict[str, figures.Row] = {}
-    for row in yields:
-        best = found.get(row["method"])
-        if row["it_grade"] == middle and (best is None or row["poses"] > best["poses"]):
-            found[row["method"]] = row
-    return [row["setting"] for row in found.values()]
 
 
 def specification(config: StudyConfig) -> str:

@@ -72,7 +72,7 @@ def yield_curves(yields: pa.Table, along: str, specification: str) -> Figure:
 
     Args:
         yields: From `yields.yield_table`.
-        along: The axis; what else varies is shown by colour and line, or held at its first value, which is named.
+        along: The axis; what else varies is shown by colour and line, or held at its middle value, which is named.
         specification: When an arm is good enough, in words.
 
     Raises:
@@ -118,7 +118,7 @@ def distributions(quantiles: pa.Table, quantity: str = "error_mean_mm", radius_m
     rows = _quantiles(quantiles, quantity)
     if not rows:
         raise InputError("no arm has a result; there is no distribution to draw")
-    chosen = _held(rows, ("it_grade", "method"))
+    chosen = held(rows, ("it_grade", "method"))
     settings = {row["setting"]: row for row in chosen}
     grades = sorted({row["it_grade"] for row in settings.values()})
     methods = list(dict.fromkeys(row["method"] for row in settings.values()))
@@ -224,7 +224,7 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
     beside = ("method", "poses") if along == "it_grade" else ("method", "it_grade")
     shown = ("tolerances", along, *beside)
     classes = list(dict.fromkeys(row["tolerances"] for row in rows))
-    chosen = [r for r in _held(rows, shown) if along not in ("poses", "noise_mm") or r["method"] != UNCALIBRATED]
+    chosen = [r for r in held(rows, shown) if along not in ("poses", "noise_mm") or r["method"] != UNCALIBRATED]
     colours, lines = _looks(chosen, along)
     with style():
         figure = new_figure(WIDTH * (0.75 if len(classes) == 1 else 1.0), 3.7)
@@ -248,14 +248,17 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
     return figure
 
 
-def _held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
-    """The rows in which everything that is not shown stands at its first value; raw arms have no poses and noise."""
-    calibrated = [row for row in rows if row["method"] != UNCALIBRATED] or list(rows)
-    held = {name: calibrated[0][name] for name in ("tolerances", *AXES, "method") if name not in shown}
+def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
+    """The rows in which everything that is not shown stands at its middle value; raw arms have no poses and noise."""
+    calibrated = [row for row in rows if row["method"] != UNCALIBRATED] or rows
+    middle = {}
+    for name in ("tolerances", *AXES):
+        values = list(dict.fromkeys(row[name] for row in calibrated))
+        middle[name] = values[(len(values) - 1) // 2]
 
     def fits(row: Row) -> bool:
         free = ("poses", "noise_mm") if row["method"] == UNCALIBRATED else ()
-        return all(row[name] == value for name, value in held.items() if name not in free)
+        return all(row[name] == value for name, value in middle.items() if name not in (*shown, *free))
 
     return [row for row in rows if fits(row)]
 

@@ -61,7 +61,7 @@ def test_yield_curves_are_the_yields(rows, along):
         assert (np.diff(points[:, 0]) > 0).all()
 
 
-def test_a_curve_holds_what_it_does_not_show_at_its_first_value(rows):
+def test_a_curve_holds_what_it_does_not_show_at_its_middle_value(rows):
     table = yields_of(rows, REQUIRED)
     found = drawn(figures.yield_curves(table, "it_grade", ""))
     assert list(found) == ["raw", "LS, 15 poses", "LS, 30 poses"]

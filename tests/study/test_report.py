@@ -14,7 +14,7 @@ from pickenv.errors import InputError
 from pickenv.inspect.drawings import Drawing, LeftOut
 from pickenv.study.arm_by_arm import evaluate_arm
 from pickenv.study.config import load_study
-from pickenv.study.drawings import gather, shown_settings, specification, study_drawings
+from pickenv.study.drawings import gather, specification, study_drawings
 from pickenv.study.placement import place, ranked
 from pickenv.study.protocol import prepare
 from pickenv.study.recording import arms_compared, record_study
@@ -155,8 +155,7 @@ def test_figures_that_the_study_does_not_allow_are_named(found):
 def test_the_sensitivities_of_the_raw_arm_are_those_of_its_geometry(found):
     """Before calibration the drawn geometry explains most; after it, what least squares cannot identify."""
     raw, calibrated = (
-        {row["parameter"]: row["share"] for row in found.sensitivities[number].to_pylist()}
-        for number in shown_settings(found.yields.to_pylist())
+        {row["parameter"]: row["share"] for row in table.to_pylist()} for table in found.sensitivities.values()
     )
     assert raw["angles"] > 0.5 > raw["joint stiffness"]
     assert calibrated["joint stiffness"] > 0.5 > calibrated["angles"]
@@ -194,7 +193,7 @@ def test_the_recorded_arms_miss_their_fruit_as_the_rows_say(folder):
 
 def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, found, tmp_path):
     """Angles explain the raw arms, stiffness the calibrated ones, whichever way it is found."""
-    protocol, settings = prepare(found.config), shown_settings(found.yields.to_pylist())
+    protocol, settings = prepare(found.config), list(found.sensitivities)
     path = write_sobol(folder, settings, 128)
     try:
         raw, calibrated = read_sobol(folder).values()
