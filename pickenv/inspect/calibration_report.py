@@ -26,9 +26,9 @@ from calibration.uncertainty import PoseUncertainty, held_out_errors, pose_uncer
 from pickenv.arm import Arm
 from pickenv.arm.geometry import Array
 from pickenv.files import write_text
-from pickenv.inspect.report_style import STYLE
+from pickenv.inspect.report_page import page
 from pickenv.inspect.report_words import parameter_words, unit_of
-from pickenv.inspect.svg_plots import bar, cumulative, heat_map, strips
+from pickenv.inspect.svg_plots import bar, cumulative, heat_map, joint_strips
 
 TONES = {"good": "good", "usable with care": "care", "do not use": "bad"}
 VERDICTS = {
@@ -127,14 +127,7 @@ def calibration_page(evidence: Evidence, seeds: Mapping[str, Any] | None = None)
         _poses(evidence),
         _origin(evidence, seeds or {}),
     )
-    title = f"Calibration of {evidence.arm.name}"
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(section for section in sections if section)
-        + "\n</main>\n</body>\n</html>\n"
-    )
+    return page(f"Calibration of {evidence.arm.name}", sections)
 
 
 def _norms_mm(errors: Array) -> Array:
@@ -319,13 +312,7 @@ def _figure(value: float) -> str:
 def _poses(e: Evidence) -> str:
     geometry = e.fit.identification.geometry
     seen, coverage = e.quality.observability, e.quality.coverage
-    scale = np.where(geometry.prismatic, 1e3, np.degrees(1.0))
-    units = ["mm" if slides else "°" for slides in geometry.prismatic]
-    ends = [
-        (f"{a:.0f}{u}", f"{b:.0f}{u}")
-        for a, b, u in zip(geometry.lower * scale, geometry.upper * scale, units, strict=True)
-    ]
-    drawn = strips(geometry.joint_names, geometry.lower, geometry.upper, e.train.joints, ends)
+    drawn = joint_strips(geometry, e.train.joints)
     joints = random_joints(geometry, MAP_POSES, np.random.default_rng(0))
     model = e.fit.calibration.model
     uncertainty = PoseUncertainty(e.uncertainty.names, e.uncertainty.covariance, 0.0, None)

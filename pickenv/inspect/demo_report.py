@@ -17,6 +17,7 @@ from calibration.quality import axis_errors
 from pickenv.arm import noncompensable_error
 from pickenv.arm.geometry import Array
 from pickenv.arm.plant import EFFECTS
+from pickenv.errors import InputError
 from pickenv.inspect import report_page as page
 from pickenv.inspect.calibration_trace import CalibrationTrace
 from pickenv.inspect.comparison import Comparison, PolicyErrors
@@ -25,7 +26,7 @@ from pickenv.inspect.gripping import gripped
 from pickenv.inspect.report_interactive import field_spec, interactive, library, pose_spec
 from pickenv.inspect.report_page import Verdict
 from pickenv.inspect.run_folder import Run, load_comparison, load_trace
-from pickenv.inspect.svg_plots import strips
+from pickenv.inspect.svg_plots import joint_strips
 
 RECORDING = "errors.rrd"
 REQUIRED_SHARE = 0.95
@@ -67,6 +68,8 @@ def demo_report(run: Run, look: Callable[[Path], bytes | None] | None = None) ->
         InputError: If a file of the run is missing or damaged.
     """
     comparison, trace = load_comparison(run.folder), load_trace(run)
+    if not len(comparison.fruit):
+        raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
     drawings = {d.name: d for d in _drawable([*comparison_drawings(comparison), *trace_drawings(trace)])}
     recording = run.folder / RECORDING
@@ -246,18 +249,8 @@ def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
 def _fit(trace: CalibrationTrace, calibration: Calibration, drawings: Mapping[str, Drawing]) -> str:
     dropped = ", ".join(name for name, kept in zip(trace.names, trace.kept, strict=True) if not kept)
     condition = trace.singular_values[0] / trace.singular_values[-1]
-    geometry, scale = trace.nominal, np.where(trace.nominal.prismatic, 1e3, np.degrees(1.0))
-    ends = [
-        (f"{a:.0f}{unit}", f"{b:.0f}{unit}")
-        for a, b, unit in zip(
-            geometry.lower * scale,
-            geometry.upper * scale,
-            ["mm" if slides else "°" for slides in geometry.prismatic],
-            strict=True,
-        )
-    ]
     name, joints = next(iter(trace.sets.items()))
-    marks = strips(geometry.joint_names, geometry.lower, geometry.upper, joints, ends)
+    marks = joint_strips(trace.nominal, joints)
     kind = "" if calibration.learnt is None else f", then {calibration.record['residual']['kind']} on what remains"
     return page.section(
         "How the calibration was found",

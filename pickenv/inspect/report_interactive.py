@@ -9,16 +9,17 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from html import escape
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pickenv.arm.geometry import Array
-from pickenv.inspect.colours import Rgb, policy_colours, viridis
+from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.drawings import Drawing
 from pickenv.inspect.field_figure import round_down, thinned
@@ -29,6 +30,17 @@ from pickenv.inspect.view import eye_direction
 MOST_ARROWS = 3000
 EYE_DISTANCE = 2.55
 """In units of the scene's size, as plotly counts."""
+
+COLOUR_BAR: Mapping[str, Any] = {
+    "title": {"text": "position error (mm)", "side": "bottom", "font": {"size": 13}},
+    "orientation": "h",
+    "x": 0.5,
+    "xanchor": "center",
+    "y": -0.02,
+    "yanchor": "top",
+    "len": 0.7,
+    "thickness": 12,
+}
 
 
 def interactive(drawing: Drawing, spec: Mapping[str, Any], hint: str) -> str:
@@ -65,54 +77,53 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     top = colour_scale_mm(comparison)
     gain = round_down(1.1 * spacing / (top * 1e-3))
     points = comparison.field_points[shown]
-    low, high = points.min(axis=0), points.max(axis=0)
-    eye = EYE_DISTANCE * eye_direction(comparison)
-    colour_scale = [[i / 16, "rgb({},{},{})".format(*viridis(i / 16))] for i in range(17)]
+    scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
+    axes = _axes(points, spacing) | {"camera": {"eye": _xyz(EYE_DISTANCE * eye_direction(comparison))}}
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 80}, "showlegend": False}
     for i, policy in enumerate(comparison.policies, start=1):
         scene = "scene" if i == 1 else f"scene{i}"
-        errors = policy.field_errors[shown]
-        tips = points + gain * errors
-        length = np.linalg.norm(errors, axis=1) * 1e3
-        coloured = {"colorscale": colour_scale, "cmin": 0.0, "cmax": round(top, 4)}
-        shafts = np.stack([points, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
-        shades = np.repeat(length, 3)
-        data.append(
-            _coordinates(shafts)
-            | {"type": "scatter3d", "mode": "lines", "scene": scene, "hoverinfo": "skip"}
-            | {"line": coloured | {"color": _numbers(shades), "width": 4}}
-        )
-        bar = {
-            "title": {"text": "position error (mm)", "side": "bottom", "font": {"size": 13}},
-            "orientation": "h",
-            "y": -0.02,
-            "len": 0.7,
-        }
-        data.append(
-            _coordinates(tips)
-            | {"type": "scatter3d", "mode": "markers", "scene": scene, "name": policy.label}
-            | {"marker": coloured | {"color": _numbers(length), "size": 2.6, "showscale": i == 1}}
-            | {"customdata": np.round(np.column_stack([length, errors * 1e3, points]), 4).tolist()}
-            | {
-                "hovertemplate": "<b>%{customdata[0]:.3f} mm</b><br>x %{customdata[1]:+.3f}, y %{customdata[2]:+.3f}, "
-                "z %{customdata[3]:+.3f} mm<br>at x %{customdata[4]:.3f}, y %{customdata[5]:.3f}, "
-                "z %{customdata[6]:.3f} m<extra>%{fullData.name}</extra>"
-            }
-        )
-        if i == 1:
-            data[-1]["marker"]["colorbar"] = bar | {"yanchor": "top", "thickness": 12, "x": 0.5, "xanchor": "center"}
-        small = {"tickfont": {"size": 10}, "dtick": round_step(float((high - low).max()) / 5.0)}
-        axes = {
-            f"{axis}axis": small | {"title": {"text": f"{axis} (m)", "font": {"size": 11}}, "range": ends}
-            for axis, ends in zip("xyz", np.column_stack([low - spacing, high + spacing]).tolist(), strict=True)
-        }
-        camera = {"eye": dict(zip("xyz", np.round(eye, 4).tolist(), strict=True))}
-        layout[scene] = axes | {"aspectmode": "data", "camera": camera}
+        shaft, end = _arrows(points, policy.field_errors[shown], gain, scale)
+        end["marker"]["showscale"] = i == 1
+        data += [shaft | {"scene": scene}, end | {"scene": scene, "name": policy.label}]
+        layout[scene] = axes
         numbers = spread(field_mm(policy))
         title = f"<b>{escape(policy.label)}</b>, ×{gain:g}: mean {numbers.mean:.2f}, max {numbers.largest:.2f} mm"
         layout["annotations"].append({"text": title})
     return {"data": data, "layout": layout}
+
+
+def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Traces of the shafts and of the ends of arrows; both are coloured by the errors' true lengths in mm."""
+    tips, length = points + gain * errors, np.linalg.norm(errors, axis=1) * 1e3
+    shafts = np.stack([points, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
+    shaft = _coordinates(shafts) | {
+        "type": "scatter3d",
+        "mode": "lines",
+        "hoverinfo": "skip",
+        "line": scale | {"color": _numbers(np.repeat(length, 3)), "width": 4},
+    }
+    end = _coordinates(tips) | {
+        "type": "scatter3d",
+        "mode": "markers",
+        "marker": scale | {"color": _numbers(length), "size": 2.6, "colorbar": COLOUR_BAR},
+        "customdata": np.round(np.column_stack([length, errors * 1e3, points]), 4).tolist(),
+        "hovertemplate": "<b>%{customdata[0]:.3f} mm</b><br>x %{customdata[1]:+.3f}, y %{customdata[2]:+.3f}, "
+        "z %{customdata[3]:+.3f} mm<br>at x %{customdata[4]:.3f}, y %{customdata[5]:.3f}, z %{customdata[6]:.3f} m"
+        "<extra>%{fullData.name}</extra>",
+    }
+    return shaft, end
+
+
+def _axes(points: Array, spacing: float) -> dict[str, Any]:
+    """The same axes for every scene, m."""
+    low, high = points.min(axis=0) - spacing, points.max(axis=0) + spacing
+    small = {"tickfont": {"size": 10}, "dtick": round_step(float((high - low).max()) / 6.0)}
+    named = {
+        f"{axis}axis": small | {"title": {"text": f"{axis} (m)", "font": {"size": 11}}, "range": ends}
+        for axis, ends in zip("xyz", np.column_stack([low, high]).tolist(), strict=True)
+    }
+    return named | {"aspectmode": "data"}
 
 
 def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
@@ -145,10 +156,14 @@ def _coordinates(points: Array) -> dict[str, Any]:
     return {axis: _numbers(points[:, i]) for i, axis in enumerate("xyz")}
 
 
+def _xyz(vector: Array) -> dict[str, Any]:
+    return dict(zip("xyz", _numbers(vector), strict=True))
+
+
 def _numbers(values: Array) -> list[float | None]:
     """Numbers to four decimals, and gaps where they are NaN."""
     return [None if np.isnan(value) else round(float(value), 4) for value in values]
 
 
-def _css(colour: Rgb) -> str:
+def _css(colour: Sequence[int] | NDArray[np.uint8]) -> str:
     return "rgb({},{},{})".format(*colour)

@@ -40,7 +40,7 @@ def page(title: str, sections: Iterable[str], scripts: str = "") -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<link rel="icon" href="data:,">\n<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n'
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
         "<main>\n" + "\n".join(section for section in sections if section) + f"\n</main>\n{scripts}</body>\n</html>\n"
     )
 

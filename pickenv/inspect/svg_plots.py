@@ -12,7 +12,7 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.geometry import Array
+from pickenv.arm.geometry import Array, Geometry
 from pickenv.errors import InputError
 from pickenv.inspect.colours import viridis
 
@@ -75,6 +75,20 @@ def strips(labels: Sequence[str], lower: Array, upper: Array, values: Array, end
         parts.append(f'<text class="small" x="{left - 8}" y="{y + 4}" text-anchor="end">{escape(low)}</text>')
         parts.append(f'<text class="small" x="{width - right + 8}" y="{y + 4}">{escape(high)}</text>')
     return _svg(width, height, parts, "joint values of the measured poses within the joint limits")
+
+
+def joint_strips(geometry: Geometry, joints: Array) -> str:
+    """Where poses lie within an arm's joint limits: `strips` with the limits in mm or degrees.
+
+    Args:
+        geometry: The arm.
+        joints: Joints of the poses ``(N, n)``, rad or m.
+    """
+    scale = np.where(geometry.prismatic, 1e3, np.degrees(1.0))
+    units = ["mm" if slides else "°" for slides in geometry.prismatic]
+    limits = zip(geometry.lower * scale, geometry.upper * scale, units, strict=True)
+    ends = [(f"{low:.0f}{unit}", f"{high:.0f}{unit}") for low, high, unit in limits]
+    return strips(geometry.joint_names, geometry.lower, geometry.upper, joints, ends)
 
 
 def heat_map(x: Array, y: Array, values: Array, xlabel: str, ylabel: str, unit: str, cells: int = 26) -> str:
