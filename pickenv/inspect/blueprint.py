@@ -75,7 +75,11 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(
-            state="collapsed", timeline="reach", fps=REACHES_PER_SECOND, loop_mode="all", play_state="paused"
+            state="collapsed",
+            timeline="reach" if has_reaches else None,
+            fps=REACHES_PER_SECOND,
+            loop_mode="all",
+            play_state="paused",
         ),
         auto_views=False,
     )

@@ -81,8 +81,8 @@ def _day(comparison: Comparison, day: Day) -> Any:
     plot = rrb.TimeSeriesView(
         origin="/day",
         contents=["+ /day/**"],
-        name=f"Position error, mm, all fruit at every time of {day.hours[-1]:g} h, drift as in '{day.plant}' | "
-        "for hours across choose that time line below",
+        name=f"Position error over {day.hours[-1]:g} h of warming up, tilting and sinking as in '{day.plant}', mm | "
+        "commands as on firm ground | time line 'hours'",
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),
     )

@@ -104,40 +104,33 @@ def ticks(top: float, count: int = 8) -> list[float]:
 
 def summary_markdown(comparison: Comparison, gain: float) -> str:
     """The summary as a Markdown table, with a short legend: what is drawn, and how large."""
-    top = colour_scale_mm(comparison)
+    top, has_reaches = colour_scale_mm(comparison), len(comparison.fruit) > 0
+    heads = ["field mean", "field RMS", "field p95", "field max"]
+    if has_reaches:
+        heads = ["picked", "reach mean", "RMS", "p95", "max", "attitude mean", "field mean", "field RMS"]
     lines = [
         f"## {comparison.plant.name}, seed {comparison.seed}",
         "",
-        "| policy | picked | reach mean | RMS | p95 | max | attitude mean | field mean | field RMS |",
-        "|:--|--:|--:|--:|--:|--:|--:|--:|--:|",
+        f"| policy | {' | '.join(heads)} |",
+        f"|:--|{'--:|' * len(heads)}",
     ]
     for policy in comparison.policies:
-        reach, field, attitude = (
-            spread(v) for v in (policy.position_error_mm, field_mm(policy), policy.attitude_error_deg)
-        )
-        cells = [
-            f"**{policy.label}**",
-            f"{100.0 * float(np.mean(policy.success)):.0f} %" if policy.success.size else "-",
-            f"{reach.mean:.2f} mm",
-            *(f"{value:.2f}" for value in (reach.rms, reach.p95, reach.largest)),
-            f"{attitude.mean:.3f}°",
-            f"{field.mean:.2f} mm",
-            f"{field.rms:.2f}",
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
+        cells = (_reach_cells if has_reaches else _field_cells)(policy)
+        lines.append(f"| **{policy.label}** | {' | '.join(cells)} |")
     first = comparison.policies[0].label
-    count, points = len(comparison.fruit), f"{len(comparison.field_points)} field points"
     reaches = (
-        f"{count} reaches; a pick if the fruit is inside the capture region, radius {comparison.tolerance_mm:g} mm. "
+        f"{len(comparison.fruit)} reaches; a pick if the fruit is inside the capture region, radius "
+        f"{comparison.tolerance_mm:g} mm. "
     )
     lines += [
         "",
-        f"{reaches if count else ''}{points}, cells of {comparison.grid_step * 1e3:g} mm.",
+        f"{reaches if has_reaches else ''}{len(comparison.field_points)} field points, cells of "
+        f"{comparison.grid_step * 1e3:g} mm.",
         "",
         f"**Arrows**: true minus wanted tool position, drawn ×{gain:g}. **Colour**: its length, 0 to {top:.2f} mm in "
         f"every field (p{SCALE_PERCENTILE:g} of {first}; above that the colour saturates).",
     ]
-    if count:
+    if has_reaches:
         lines += [
             "",
             f"**Picking**: wire arm = what the controller believes; solid arm = the true arm with the {first} "
@@ -145,3 +138,22 @@ def summary_markdown(comparison: Comparison, gain: float) -> str:
             "is a pick.",
         ]
     return "\n".join(lines)
+
+
+def _reach_cells(policy: PolicyErrors) -> list[str]:
+    reach, field, attitude = (
+        spread(v) for v in (policy.position_error_mm, field_mm(policy), policy.attitude_error_deg)
+    )
+    return [
+        f"{100.0 * float(np.mean(policy.success)):.0f} %",
+        f"{reach.mean:.2f} mm",
+        *(f"{value:.2f}" for value in (reach.rms, reach.p95, reach.largest)),
+        f"{attitude.mean:.3f}°",
+        f"{field.mean:.2f} mm",
+        f"{field.rms:.2f}",
+    ]
+
+
+def _field_cells(policy: PolicyErrors) -> list[str]:
+    field = spread(field_mm(policy))
+    return [f"{field.mean:.2f} mm", *(f"{value:.2f}" for value in (field.rms, field.p95, field.largest))]

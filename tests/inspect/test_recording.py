@@ -203,6 +203,11 @@ def test_one_policy_without_reaches_is_enough(
     absent = ("/metrics", "/outcome", "/target", "/day", "/urdf", "/world/attitude", "/world/uncertainty")
     assert not any(entity.startswith(absent) for entity in reading.entities())
     assert "/world/field/removed/vectors" not in reading.entities()
+    (text,) = reading.values("/summary", "TextDocument:text")
+    mean = np.linalg.norm(1e3 * without_reaches.policies[0].field_errors, axis=-1).mean()
+    assert f"| **raw** | {mean:.2f} mm |" in text
+    assert "nan" not in text
+    assert "pick" not in text
     assert reading.unmatched_rules() == []
 
 
