@@ -21,7 +21,7 @@ from pickenv.arm.pose_error import pose_error
 from pickenv.envs.pick import PickEnv
 from pickenv.envs.pick_scene import BRUISE_SPEED
 from pickenv.errors import InputError
-from pickenv.wrappers import CompensationWrapper
+from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 EACH_EPISODE, EACH_ENVIRONMENT = ({"arms": arms, "population": 64} for arms in ("per_episode", "per_env"))
 STAGES = ("present", "visible", "reachable", "attempted", "attached", "detached", "collected")
@@ -230,9 +230,13 @@ def test_pictures_follow_the_fruit(monkeypatch):
     window.close()
 
 
-def test_many_canopies_take_the_wrapper_one_by_one(calibrated):
-    """`gym.make_vec` makes a SyncVectorEnv, in which each environment has its compensation."""
-    envs = gym.make_vec("pickenv/Pick-v0", num_envs=2, wrappers=[lambda env: CompensationWrapper(env, calibrated)])
+@pytest.mark.parametrize("wrapped", ["each", "all"])
+def test_many_canopies_take_the_wrapper_one_by_one_or_together(calibrated, wrapped):
+    """`gym.make_vec` makes a SyncVectorEnv."""
+    wrappers = [lambda env: CompensationWrapper(env, calibrated)] if wrapped == "each" else None
+    envs = gym.make_vec("pickenv/Pick-v0", num_envs=2, wrappers=wrappers)
+    if wrapped == "all":
+        envs = CompensationVectorWrapper(envs, calibrated)
     singles = [CompensationWrapper(gym.make("pickenv/Pick-v0"), calibrated) for _ in range(2)]
     observations, _ = envs.reset(seed=5)
     assert np.array_equal(observations, [env.reset(seed=5 + i)[0] for i, env in enumerate(singles)])
