@@ -67,14 +67,21 @@ class TruncatedSolver:
         if len(self.doubtful[0]):
             whole = 0.0 * trace
             rows = [m.stack([(whole + value)[self.doubtful] for value in column], -1) for column in columns]
-            self._inverses = m.linalg.pinv(m.stack(rows, -1), rtol=tolerance)
+            inverse = m.linalg.pinv(m.stack(rows, -1), rtol=tolerance)
+            self._inverses = inverse @ m.swapaxes(inverse, -1, -2)  # of J^T J
 
-    def solve(self, right: Sequence[Scalar]) -> list[Scalar]:
-        """Solutions, n components ``(...)``, for right-hand sides of six components ``(...)``."""
-        wanted = [_dot(column, right) for column in self.columns]
+    def solve(self, right: Sequence[Scalar], columns: Columns | None = None) -> list[Scalar]:
+        """Solutions, n components ``(...)``, for right-hand sides of six components ``(...)``.
+
+        Args:
+            right: The right-hand sides.
+            columns: Of a J that has moved a little since it was factorised: iterations then end where J^T of this one
+                sends nothing of what remains, though the factors are the old ones.
+        """
+        wanted = [_dot(column, right) for column in columns or self.columns]
         solution = _without(self._direction, self._solve(_without(self._direction, wanted)))
         if self._inverses is not None:
-            some = self._m.stack([value[self.doubtful] for value in right], -1)
+            some = self._m.stack([value[self.doubtful] for value in wanted], -1)
             for value, exact in zip(solution, self._m.einsum("kij,kj->ik", self._inverses, some), strict=True):
                 value[self.doubtful] = exact
         return solution
