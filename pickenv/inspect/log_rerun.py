@@ -154,12 +154,10 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
     recorded as it holds, and by `close`. Live viewers see each episode when it has ended.
 
     Example:
-        >>> import tempfile
         >>> import gymnasium as gym
         >>> import pickenv
         >>> from pickenv.inspect import LogRerun
-        >>> folder = tempfile.mkdtemp()
-        >>> env = LogRerun(gym.make("pickenv/Reach-v0"), folder, policy="raw", episode_trigger=lambda number: True)
+        >>> env = LogRerun(gym.make("pickenv/Reach-v0"), "runs/recordings", lambda number: True, policy="random")
         >>> observation, info = env.reset(seed=0)
         >>> for _ in range(60):
         ...     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())

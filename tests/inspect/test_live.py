@@ -15,8 +15,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from agents.grid import GridSettings, run_grid
+from agents.tables import write_grid
 from pickenv.commands.inspection import inspect, recordings_of
 from pickenv.errors import InputError
 from pickenv.inspect import open_recording
@@ -77,6 +80,23 @@ def test_runs_without_a_recording_point_to_their_report(tmp_path: Path) -> None:
 def test_a_policy_is_asked_only_of_evaluations(run: Path) -> None:
     with pytest.raises(InputError, match="no --policy ppo"):
         recordings_of(run, "ppo")
+
+
+def test_an_evaluation_shows_one_policy_with_all_its_compensations(
+    reader: Callable[[Path], Any], tmp_path: Path
+) -> None:
+    settings = GridSettings(
+        policies=("scripted", "oracle"), compensations=("raw",), plants=("qiao2026",), arms=2, episodes=3, seed=4
+    )
+    grid = run_grid(settings)
+    write_grid(grid, tmp_path)
+    (path,) = recordings_of(tmp_path, "oracle")
+    assert path.name == "oracle.rrd"
+    cell = next(cell for cell in grid.cells if cell.policy == "oracle")
+    errors = reader(path).values("/metrics/error_mm/raw", "Scalars:scalars")
+    np.testing.assert_allclose(errors, cell.rollout.reaches.position_error_mm)
+    with pytest.raises(InputError, match="holds no policy 'ppo'; it holds scripted, oracle"):
+        recordings_of(tmp_path, "ppo")
 
 
 def of_version(recording: Path, path: Path, major: int, minor: int) -> Path:

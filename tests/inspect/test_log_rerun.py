@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import os
 import signal
 import socket
@@ -22,7 +23,7 @@ from pickenv.arm import forward
 from pickenv.envs.harvest import HarvestEnv
 from pickenv.envs.vector import ReachVectorEnv
 from pickenv.errors import InputError
-from pickenv.inspect import LogRerun, LogRerunVector
+from pickenv.inspect import LogRerun, LogRerunVector, log_rerun
 from pickenv.inspect.episodes import capped_cubic
 from pickenv.inspect.live import Live, check_answers
 
@@ -348,6 +349,13 @@ def test_without_a_screen_no_viewer_is_started(tmp_path: Path, monkeypatch: pyte
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(InputError, match="no screen"):
         run(reach(tmp_path, spawn=True), 1, 8)
+
+
+def test_the_example_in_the_docstring_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = doctest.testmod(log_rerun)
+    assert (result.failed, result.attempted >= 6) == (0, True)
+    assert (tmp_path / "runs" / "recordings" / "episodes-random.rrd").is_file()
 
 
 def test_live_is_nobody_unless_asked_for() -> None:
