@@ -61,7 +61,8 @@ def recording_bytes(recording_id: str, blueprint: rrb.Blueprint, send: Callable[
     memory = stream.memory_recording()
     if not rr.is_enabled(stream):
         raise InputError("the variable RERUN switches recording off; unset it")
-    stream.send_blueprint(blueprint, make_active=False, make_default=True)
+    # Active, not only the default: the web viewer passes over a default that comes after the recording's head.
+    stream.send_blueprint(blueprint, make_active=True, make_default=True)
     send(stream)
     return memory.drain_as_bytes()
 
