@@ -15,8 +15,9 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 RUNTIME := $(VENV)/.runtime
 DEVELOPMENT := $(VENV)/.development
 BROWSER := $(VENV)/.browser
-# Chromium, and Mesa's drivers that draw on the processor: for Vulkan (rerun's own viewer) and OpenGL (the browser).
-BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri
+# Chromium; Mesa's drivers that draw on the processor, for Vulkan (rerun's own viewer) and OpenGL (the browser); and a
+# library that playwright's driver needs.
+BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatomic1
 
 # One thread per process: two test processes with as many threads as cores each would only wait for one another.
 TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
@@ -35,7 +36,7 @@ test-slow: $(DEVELOPMENT)
 
 test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser
-	$(PYTEST) -m browser tests/browser $(ARGS)
+	$(PYTEST) -m browser tests/browser --durations=5 $(ARGS)
 
 lint: $(DEVELOPMENT)
 	$(BIN)/ruff check

@@ -20,11 +20,15 @@ NUMBER = r"([+\-−]?[\d.]+)"
 @pytest.fixture(scope="module")
 def reports(run_folder: Path) -> dict[str, Path]:
     """The run's own report, and the one that `pickenv calibrate` writes about the run's measurements."""
-    calibration = run_folder / "calibration.html"
+    written = {"report": run_folder / "report.html", "calibration": run_folder / "calibration.html"}
     measured = run_folder / "measurements.csv"
-    command = [sys.executable, "-m", "pickenv.cli", "calibrate", measured, "--arm", "qiao2026", "--report", calibration]
-    subprocess.run(command, check=True, capture_output=True)
-    return {"report": run_folder / "report.html", "calibration": calibration}
+    for command in (
+        ["report", run_folder],
+        ["calibrate", measured, "--arm", "qiao2026", "--report", written["calibration"]],
+    ):
+        done = subprocess.run([sys.executable, "-m", "pickenv.cli", *command], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    return written
 
 
 @pytest.fixture(scope="module", params=["report", "calibration"])
@@ -46,6 +50,12 @@ def test_a_report_stands_alone_and_can_be_read(
         assert report.page.evaluate(FAINT) == []
         report.page.screenshot(path=screenshots / f"{name}-{theme}.png")
         report.page.screenshot(path=screenshots / f"{name}-{theme}-whole.png", full_page=True)
+
+
+def test_the_report_shows_the_recording(browser: Any, reports: dict[str, Path]) -> None:
+    with open_report(browser, reports["report"], viewport=SIZE) as report:
+        pictures = report.page.locator("img")
+        assert [pictures.nth(i).evaluate("i => i.naturalWidth") for i in range(pictures.count())] == [SIZE["width"]]
 
 
 def test_a_report_fits_a_phone(browser: Any, reports: dict[str, Path], name: str, screenshots: Path) -> None:
