@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.metrics import error_statistics
 from pickenv.inspect.calibration_trace import CalibrationTrace
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.demo_report import Share, demo_report, verdict
@@ -30,12 +31,15 @@ class Page(HTMLParser):
         self.tags: list[tuple[str, dict[str, str | None]]] = []
         self.words: list[str] = []
         self.scripts: dict[str | None, str] = {}
+        self.rows: list[list[str]] = []
         self.feed(text)
         self.close()
         assert self.open == []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append((tag, dict(attrs)))
+        if tag == "tr":
+            self.rows.append([])
         if tag not in VOID:
             self.open.append(tag)
 
@@ -50,6 +54,8 @@ class Page(HTMLParser):
             self.scripts[self.tags[-1][1].get("id")] = data
         elif "style" not in self.open:
             self.words.append(data)
+        if self.open[-1:] in (["td"], ["th"]):
+            self.rows[-1].append(data)
 
     def values(self, name: str) -> list[str]:
         return [value for _, attributes in self.tags if (value := attributes.get(name)) is not None]
@@ -110,8 +116,28 @@ def test_the_verdict_comes_first_and_its_numbers_are_the_datas(page: Page, compa
     assert words.index("tolerance of 1 mm") < words.index("Reaches, by policy")
     assert f"removes {(raw - last).mean():.2f} mm" in words
     assert f"of a mean position error of {raw.mean():.2f} mm" in words
+    low, high = error_statistics(last).mean_ci95
+    assert f"What remains is {last.mean():.2f} ({low:.2f} to {high:.2f}) mm in the mean" in words
     assert f"at most {last.max():.2f} mm" in words
     assert f"{int(comparison.policies[-1].success.sum())} of {len(last)} simulated reaches" in words
+
+
+def test_the_tables_are_the_datas(page: Page, comparison: Comparison, demo_run: Run) -> None:
+    rows = {row[0]: row[1:] for row in page.rows}
+    for policy in comparison.policies:
+        mm, cells = policy.position_error_mm, rows[policy.label]
+        assert cells[0].startswith(f"{mm.mean():.2f} (")
+        assert cells[1:4] == [f"{v:.2f}" for v in (np.sqrt(np.mean(mm**2)), np.percentile(mm, 95), mm.max())]
+        assert cells[4].startswith(f"{policy.attitude_error_deg.mean():.3f} (")
+        assert cells[5].startswith(f"{100 * policy.success.mean():.0f} % (")
+    errors = load_trace(demo_run).errors
+    for i, axis in enumerate(("x (mm)", "y (mm)", "z (mm)", "rx (deg)", "ry (deg)", "rz (deg)")):
+        columns = [error[:, i] * (1e3 if i < 3 else 180.0 / np.pi) for error in errors.values()]
+        assert rows[axis] == [
+            text
+            for v in columns
+            for text in (f"{v.mean():+.3f}", f"{v.std():.3f}", f"{np.sqrt(np.mean(v**2)):.3f}", f"{abs(v).max():.3f}")
+        ]
 
 
 @pytest.fixture(scope="module")
