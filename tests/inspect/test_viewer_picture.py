@@ -1,0 +1,52 @@
+"""The recording's picture is the viewer's own, or there is none; no viewer is left behind."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pickenv.inspect.comparison import Comparison
+from pickenv.inspect.recording import record_comparison
+from pickenv.inspect.viewer_picture import WINDOW, viewer_picture
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def recording(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record_comparison(comparison, tmp_path_factory.mktemp("run") / "errors.rrd")
+
+
+def viewers() -> set[str]:
+    """Process numbers of viewers without a window."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = path.read_bytes().split(b"\0")
+        except OSError:  # it ended
+            continue
+        if b"--headless" in words and any(b"rerun" in word for word in words):
+            found.add(path.parent.name)
+    return found
+
+
+def test_the_picture_has_the_windows_size_and_more_than_a_background(recording: Path) -> None:
+    from PIL import Image
+
+    before = viewers()
+    picture = viewer_picture(recording)
+    assert viewers() <= before
+    if picture is None:
+        pytest.skip("this computer has no graphics adapter for rerun's viewer")
+    image = Image.open(io.BytesIO(picture))
+    assert (image.format, image.size) == ("WEBP", tuple(map(int, WINDOW.split("x"))))
+    assert len(np.unique(np.asarray(image.convert("RGB"))[::10, ::10].reshape(-1, 3), axis=0)) > 100
+
+
+def test_without_a_graphics_adapter_there_is_none(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(name, "/nonexistent")
+    before = viewers()
+    assert viewer_picture(recording) is None
+    assert viewers() <= before
