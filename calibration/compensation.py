@@ -24,6 +24,7 @@ from pickenv.arm import Geometry, displace_pose, forward
 from pickenv.arm.geometry import Array, Pose
 from pickenv.arm.kinematics import Chain, Frame, Scalar, attach, chain_of, frames, split_joints, tool_frame
 from pickenv.arm.task import RANK_TOLERANCE
+from pickenv.errors import InputError
 
 BLOCK = 2048
 """Poses worked on together: what a core's first caches hold."""
@@ -58,9 +59,19 @@ class Compensator:
     single_from: int | None = None
 
     def __call__(self, joints: ArrayLike) -> Array:
-        """Joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m, within the joint limits."""
+        """Joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m, within the joint limits.
+
+        Raises:
+            InputError: If a target is not finite.
+            ValueError: If targets have another number of joints.
+        """
         joints = np.asarray(joints, dtype=float)
         split_joints(self.nominal.joints, joints)  # checks the number of joints
+        if not math.isfinite(joints.sum()):  # the cheapest question; no joints are so large that they overflow
+            *row, joint = np.argwhere(~np.isfinite(joints))[0].tolist()
+            where = f" of row {', '.join(map(str, row))}" if row else ""
+            name, value = self.nominal.joint_names[joint], joints[(*row, joint)]
+            raise InputError(f"the target of {name}{where} is {value}; give finite joint targets, rad or m")
         if joints.ndim == 1:
             return np.array(self._corrected(math, joints.tolist()))
         rows = joints.reshape(-1, self.nominal.joints)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from calibration import Compensator, random_joints
 from pickenv.arm import forward, load_arm, noncompensable_error, pose_error
+from pickenv.errors import InputError
 
 
 def interior(geometry, count, seed=0):
@@ -95,6 +96,14 @@ def test_a_residual_is_expected_and_countered(qiao):
     np.testing.assert_allclose(there, forward(qiao.nominal, joints).position, atol=1e-7)
     expected = compensator.predict(joints).position - forward(qiao.nominal, joints).position
     np.testing.assert_allclose(expected, Drift().predict(joints)[:, :3], atol=1e-15)
+
+
+@pytest.mark.parametrize("row, where", [((), ""), ((1,), " of row 1"), ((1, 2), " of row 1, 2")])
+def test_a_target_that_is_not_finite_is_refused(qiao, row, where):
+    joints = interior(qiao.nominal, 1)[0] + np.zeros((*(3 for _ in row), 6))
+    joints[(*row, 2)] = np.nan
+    with pytest.raises(InputError, match=f"the target of {qiao.nominal.joint_names[2]}{where} is nan; give finite"):
+        Compensator(qiao.nominal, qiao.true)(joints)
 
 
 def test_the_joints_asked_for_are_not_written_over(qiao):
