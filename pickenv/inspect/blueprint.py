@@ -70,7 +70,7 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
         rrb.Vertical(
             rrb.Tabs(*tabs, active_tab=0),
             rrb.Horizontal(*below, column_shares=[3.0, 2.0, 3.0][-len(below) :]),
-            row_shares=[6.1, 3.9],
+            row_shares=[5.6, 4.4],
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -88,9 +88,8 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
 def _removed(comparison: Comparison, removed: Array, gain: float) -> Any:
     """What the last policy takes away from the error that the one before it leaves; beside the fields themselves."""
     before, last = comparison.policies[-2:]
-    better = float(np.mean(field_mm(last) < field_mm(before)))
     mean = spread(np.linalg.norm(1e3 * removed, axis=-1)).mean
-    title = f"{before.label} minus {last.label} | mean {mean:.2f} mm | better at {100.0 * better:.0f} % | ×{gain:g}"
+    title = f"{before.label} minus {last.label} | mean {mean:.2f} mm | ×{gain:g}"
     return space(comparison, title, ["+ /world/field/removed/vectors", *ghost(comparison)])
 
 
@@ -149,13 +148,11 @@ def _reaches(rrb: Any, comparison: Comparison) -> Any:
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
     )
     outcome = rrb.StateTimelineView(origin="/outcome", contents=["+ /outcome/**"], name="Picked or missed (red)")
-    return rrb.Vertical(errors, outcome, row_shares=[1.2, 1.0])
+    return rrb.Vertical(errors, outcome, row_shares=[1.0, 1.0])
 
 
 def _histogram(rrb: Any) -> Any:
-    return rrb.BarChartView(
-        origin="/hist", contents=["+ /hist/**"], name="Reaches (up) by final position error, mm (across)"
-    )
+    return rrb.BarChartView(origin="/hist", contents=["+ /hist/**"], name="Reaches by final position error, mm")
 
 
 def _table(rrb: Any, policies: tuple[PolicyErrors, ...]) -> Any:

@@ -43,22 +43,23 @@ def _effects(comparison: Comparison, details: Details, gain: float) -> Any:
     views = []
     for name, field in details.effects.items():
         mean = spread(1e3 * np.linalg.norm(field, axis=-1)).mean
-        title = f"{name.replace('_', ' ')} alone | mean {mean:.3g} mm | arrows ×{gain:g}"
+        title = f"{name.replace('_', ' ')} | mean {mean:.2f} mm | ×{gain:g}"
         views.append(space(comparison, title, [f"+ /world/effect/{name}", *ghost(comparison)]))
     meaning = f"Colour: position error, 0 to {colour_scale_mm(comparison):.2f} mm"
     return with_colour_bar(views, "position", meaning, "Effects, each alone")
 
 
 def _attitude(comparison: Comparison, details: Details) -> Any:
-    labels = {policy.key: f"{policy.label} attitude error" for policy in comparison.policies}
+    labels = {policy.key: f"{policy.label} attitude" for policy in comparison.policies}
     labels[FLOOR] = "No joint motion removes"
     top, length = attitude_scale_deg(details.attitude), attitude_length(comparison, details.attitude)
     views = []
     for key, field in details.attitude.items():
         mean = spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
-        title = f"{labels[key]} | mean {mean:.3g}° | axis and angle, {1e3 * length:g} mm per degree"
+        title = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree"
         views.append(space(comparison, title, [f"+ /world/attitude/{key}", *ghost(comparison)]))
-    return with_colour_bar(views, "attitude", f"Colour: attitude error, 0 to {top:.3f}°", "Attitude")
+    meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
+    return with_colour_bar(views, "attitude", meaning, "Attitude")
 
 
 def _uncertainty(comparison: Comparison) -> Any:

@@ -198,7 +198,7 @@ def send_colour_bar(scribe: Scribe, entity: str, top: float, unit: str) -> None:
     bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
     scribe.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
     at = ticks(top)
-    positions = [(tick / top * width, height + 5.0) for tick in at]
+    positions = [(tick / top * width, height - 1.0) for tick in at]
     labels = [f"{tick:g}" for tick in at[:-1]] + [f"{at[-1]:g} {unit}"]
     words = rr.Points2D(positions, labels=labels, radii=0.0, colors=[STEEL], show_labels=True)
     scribe.still(f"{entity}/ticks", words)

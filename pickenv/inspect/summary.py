@@ -125,7 +125,7 @@ def summary_markdown(comparison: Comparison, gain: float) -> str:
     lines += [
         "",
         f"{reaches if has_reaches else ''}{len(comparison.field_points)} field points, cells of "
-        f"{comparison.grid_step * 1e3:g} mm.",
+        f"{comparison.grid_step * 1e3:g} mm.{_better(comparison)}",
         "",
         f"**Arrows**: true minus wanted tool position, drawn ×{gain:g}. **Colour**: its length, 0 to {top:.2f} mm in "
         f"every field (p{SCALE_PERCENTILE:g} of {first}; above that the colour saturates).",
@@ -138,6 +138,15 @@ def summary_markdown(comparison: Comparison, gain: float) -> str:
             "is a pick.",
         ]
     return "\n".join(lines)
+
+
+def _better(comparison: Comparison) -> str:
+    """At how many field points the last policy errs less than the one before it; nothing for one policy."""
+    if len(comparison.policies) < 2:
+        return ""
+    before, last = comparison.policies[-2:]
+    share = 100.0 * float(np.mean(field_mm(last) < field_mm(before)))
+    return f" {last.label} errs less than {before.label} at {share:.0f} % of them."
 
 
 def _reach_cells(policy: PolicyErrors) -> list[str]:

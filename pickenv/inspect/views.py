@@ -7,8 +7,8 @@ from typing import Any
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.view import eye_direction, shown_box
 
-BACKGROUND = (34, 34, 42)
-"""Explicit, so that 3D views look the same in the light and in the dark theme."""
+BACKGROUND = (72, 72, 80)
+"""Explicit, so that 3D views look the same in either theme; a grey from which both ends of Viridis stand out."""
 EYE_DISTANCE = 2.2
 """In units of the shown box's radius."""
 MOST_ABREAST = 4

@@ -49,7 +49,7 @@ def test_the_fields_stand_side_by_side_with_the_gain_in_their_titles(reading: An
 
 
 def test_every_title_of_a_plot_names_its_unit(reading: Any) -> None:
-    words = ("error of each", "Reaches (up)", "Colour", "Position error", "mean")
+    words = ("error of each", "Reaches by", "Colour", "Position error", "mean")
     plots = [title for title in titles(reading) if any(word in title for word in words)]
     assert len(plots) == 2 + 6 + 1 + 3 + 1 + 4 + 3 + 2
     assert all("mm" in title or "°" in title for title in plots)
