@@ -90,8 +90,8 @@ def study_page(folder: str | Path, found: Findings) -> str:
             page.pair(*_drawn(drawings, "yield_")),
             _yield_table(found),
             _failures(folder, found),
-            explain="All arms are calibrated at the same poses and sent to the same fruit, drawn once per study: the "
-            "intervals are over arms, and another draw of poses moves all curves of that number of poses together.",
+            explain="All arms are calibrated at the same poses, spread over the joint ranges, and reach for the same "
+            "fruit; both follow from the study's seed, and the intervals are over arms alone.",
         ),
         page.section(
             names["errors"],
