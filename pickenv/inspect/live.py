@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +23,9 @@ VIEWER_PORT = 9876
 VIEWER_MEMORY = "2GiB"
 """A viewer that is left open all day forgets the oldest steps beyond this."""
 PATIENCE = 5.0
-"""How long to wait for a viewer, s."""
+"""How long to wait for a viewer that runs, s."""
+START_PATIENCE = 30.0
+"""How long to wait for one that is being started, s."""
 LOCAL = "127.0.0.1"
 
 
@@ -57,14 +61,7 @@ def open_live(live: Live, recording_id: str, blueprint: rrb.Blueprint) -> rr.Rec
     stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
     sinks: list[rr.GrpcSink | rr.GrpcServerSink] = []
     if live.spawn:
-        check_screen()
-        rr.spawn(
-            port=VIEWER_PORT,
-            connect=False,
-            memory_limit=VIEWER_MEMORY,
-            hide_welcome_screen=True,
-            executable_path=str(rerun_program()),
-        )
+        _start_viewer()
         sinks.append(rr.GrpcSink(f"rerun+http://{LOCAL}:{VIEWER_PORT}/proxy"))
     if live.connect is not None:
         check_answers(live.connect)
@@ -73,6 +70,35 @@ def open_live(live: Live, recording_id: str, blueprint: rrb.Blueprint) -> rr.Rec
         sinks.append(rr.GrpcServerSink(bind_ip=LOCAL, port=live.serve))
     stream.set_sinks(*sinks, default_blueprint=blueprint)
     return stream
+
+
+def _start_viewer() -> None:
+    """Start a viewer that outlives this process, unless one runs; rerun's own `spawn` would listen to the network.
+
+    Raises:
+        InputError: If there is no screen, or the viewer does not come up.
+    """
+    if _listens(LOCAL, VIEWER_PORT):
+        return
+    check_screen()
+    command = [str(rerun_program()), "--bind", LOCAL, "--port", str(VIEWER_PORT), "--memory-limit", VIEWER_MEMORY]
+    quiet = subprocess.DEVNULL
+    subprocess.Popen(
+        [*command, "--hide-welcome-screen", "--expect-data-soon"], stdout=quiet, stderr=quiet, start_new_session=True
+    )
+    deadline = time.monotonic() + START_PATIENCE
+    while not _listens(LOCAL, VIEWER_PORT):
+        if time.monotonic() > deadline:
+            raise InputError(f"no viewer came up within {START_PATIENCE:g} s; try it by hand: {' '.join(command)}")
+        time.sleep(0.1)
+
+
+def _listens(host: str, port: int) -> bool:
+    try:
+        socket.create_connection((host, port), timeout=PATIENCE).close()
+    except OSError:
+        return False
+    return True
 
 
 def rerun_program() -> Path:

@@ -13,7 +13,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from pickenv.errors import InputError
-from pickenv.inspect.live import LOCAL, PATIENCE, VIEWER_PORT, check_answers, check_screen, rerun_program
+from pickenv.inspect.live import LOCAL, PATIENCE, VIEWER_MEMORY, VIEWER_PORT, check_answers, check_screen, rerun_program
 
 HEADER = b"RRF"
 """First bytes of every recording; a digit and the writer's version follow."""
@@ -61,7 +61,7 @@ def open_native(paths: Sequence[Path]) -> None:
         InputError: If there is no screen.
     """
     check_screen()
-    _run([*map(str, paths), "--bind", LOCAL, "--port", str(VIEWER_PORT), "--memory-limit", "2GiB"])
+    _run([*map(str, paths), "--bind", LOCAL, "--port", str(VIEWER_PORT), "--memory-limit", VIEWER_MEMORY])
 
 
 def open_web(paths: Sequence[Path]) -> None:
@@ -110,6 +110,7 @@ def _run(arguments: list[str]) -> None:
     """Run the installed rerun and end it, with what it started, when we end."""
     # Its log goes nowhere: on a healthy day it is a screenful that hides the one line that says where to look.
     quiet = subprocess.DEVNULL
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
     process = subprocess.Popen([rerun_program(), *arguments], stdout=quiet, stderr=quiet, start_new_session=True)
     try:
         code = process.wait()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -12,6 +13,7 @@ import time
 from collections.abc import Callable
 from itertools import chain
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
@@ -23,7 +25,7 @@ from pickenv.arm import forward
 from pickenv.envs.harvest import HarvestEnv
 from pickenv.envs.vector import ReachVectorEnv
 from pickenv.errors import InputError
-from pickenv.inspect import LogRerun, LogRerunVector, log_rerun
+from pickenv.inspect import LogRerun, LogRerunVector, live, log_rerun
 from pickenv.inspect.episodes import capped_cubic
 from pickenv.inspect.live import Live, check_answers
 
@@ -345,10 +347,36 @@ def test_a_viewer_that_does_not_answer_is_named(tmp_path: Path) -> None:
 
 def test_without_a_screen_no_viewer_is_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(live, "VIEWER_PORT", free_port())
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(InputError, match="no screen"):
         run(reach(tmp_path, spawn=True), 1, 8)
+
+
+@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="no Xvfb to show a window on")
+@pytest.mark.slow
+def test_a_viewer_is_started_on_this_machine_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+
+    def popen(*arguments: Any, **options: Any) -> Any:
+        started.append(subprocess.Popen(*arguments, **options))
+        return started[-1]
+
+    display = f":{free_port()}"
+    screen = subprocess.Popen(["Xvfb", display], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    monkeypatch.setenv("DISPLAY", display)
+    monkeypatch.setattr(live, "VIEWER_PORT", free_port())
+    monkeypatch.setattr(live, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=subprocess.DEVNULL))
+    try:
+        run(reach(tmp_path, spawn=True), 2, 8)
+        check_answers(f"rerun+http://127.0.0.1:{live.VIEWER_PORT}/proxy")
+    finally:
+        for viewer in started:
+            os.killpg(viewer.pid, signal.SIGTERM)
+            viewer.wait()
+        screen.terminate()
+        screen.wait()
 
 
 def test_the_example_in_the_docstring_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
