@@ -25,9 +25,6 @@ from pickenv.files import write_whole
 FORMAT = 1
 """Version of the file format; newer files are refused by older programs."""
 
-SINGLE_PRECISION_FROM = 1000
-"""Poses in a batch from which single precision does for a compensator: vector environments, not data sets."""
-
 DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error)
 """What reading a file that is no calibration can raise."""
 
@@ -89,7 +86,12 @@ class Calibration:
         return self.model.geometry
 
     def compensator(
-        self, *, with_residual: bool = True, conditions: Conditions | None = None, iterations: int = 2
+        self,
+        *,
+        with_residual: bool = True,
+        conditions: Conditions | None = None,
+        iterations: int = 2,
+        single_precision: bool = False,
     ) -> Compensator:
         """The map from joint targets to joint commands, for control loops and environments.
 
@@ -97,14 +99,18 @@ class Calibration:
             with_residual: Whether the learnt residual takes part; parametric terms always do.
             conditions: Payload and temperature, one value each, for terms and residuals that need them.
             iterations: See `Compensator`; one is the fastest.
+            single_precision: See `Compensator`; for training in thousands of environments.
         """
-        remainder = Remainder(self.model, self.learnt if with_residual else None, conditions or Conditions())
+        learnt = self.learnt if with_residual else None
+        if learnt is not None and single_precision:
+            learnt = learnt.in_single_precision()
+        remainder = Remainder(self.model, learnt, conditions or Conditions())
         residual = remainder if remainder.parts() else None
-        return Compensator(self.nominal, self.identified, residual, iterations, SINGLE_PRECISION_FROM)
+        return Compensator(self.nominal, self.identified, residual, iterations, single_precision)
 
     def compensate(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """Joint commands for joint targets ``(..., n)``, rad or m, in double precision whatever their number."""
-        return replace(self.compensator(conditions=conditions), single_from=None)(joints)
+        """Joint commands for joint targets ``(..., n)``, rad or m."""
+        return self.compensator(conditions=conditions)(joints)
 
     def predict(self, joints: ArrayLike, conditions: Conditions | None = None) -> Pose:
         """Expected true tool pose at joint commands ``(..., n)``."""

@@ -7,7 +7,7 @@ and m, standardised, with sine and cosine for joints that turn far; outputs are 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -121,6 +121,12 @@ class LearntResidual:
             InputError: If joints or conditions differ in number from those of training.
         """
         return self.model.predict(self.inputs(joints, conditions))
+
+    def in_single_precision(self) -> LearntResidual:
+        """The same residual, faster: the network runs in single precision; other models stay as they are."""
+        if not isinstance(self.model, Bpnn):
+            return self
+        return replace(self, model=replace(self.model, single_precision=True))
 
     def standard_deviation(self, joints: ArrayLike, conditions: ArrayLike | None = None) -> Array | None:
         """Standard deviation of `predict`, or None where the model does not know it (all but the Gaussian process)."""

@@ -157,7 +157,7 @@ def compensators() -> dict[str, Compensator | None]:
         "none": None,
         "LS": calibration.compensator(with_residual=False),
         "LS+BPNN": calibration.compensator(),
-        "LS+BPNN, one iteration": calibration.compensator(iterations=1),
+        "LS+BPNN, one iteration in single precision": calibration.compensator(iterations=1, single_precision=True),
     }
 
 

@@ -32,7 +32,7 @@ def test_what_it_measures_is_written_down(tmp_path):
     for row in found["envs"].values():
         assert row["steps_per_s"] > 0 and row["num_envs"] >= 1 and row["backend"]
     assert {f"ppo_adapter_vs_dummy_{count}" for count in (16, 64, 256)} <= found["ratios"].keys()
-    assert {"LS", "LS+BPNN", "LS+BPNN, one iteration"} == found["compensation"].keys()
+    assert {"LS", "LS+BPNN", "LS+BPNN, one iteration in single precision"} == found["compensation"].keys()
     for cost in found["compensation"].values():
         assert cost["single_us"] > 0 and cost["vector_ratio"] > 1
     assert found["float32_um"] < 1
