@@ -36,6 +36,8 @@ UNCOUNTED = {"RAY_USAGE_STATS_ENABLED": "0"}
 """No report to Ray's makers."""
 ANSWER_SECONDS = 5.0
 """Time that an address has to take a connection."""
+STARTS = 3
+"""How often a local cluster is started before the study gives up."""
 STORE_BYTES = 2**28
 """Of a local cluster's shared memory: finished chunks wait there until they are written."""
 
@@ -89,13 +91,7 @@ def _cluster(crew: Crew) -> Iterator[tuple[Any, int]]:
         options |= {"_node_ip_address": LOOPBACK}
     else:
         options |= {"address": crew.address}
-    try:
-        ray.init(**options)
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        raise InputError(
-            f"Ray cannot be used at {crew.address or LOOPBACK}: {_first_line(error)}; Ray's and Python's versions and "
-            "RAY_AUTH_MODE must be those of the cluster"
-        ) from error
+    start(ray, options, crew)
     try:
         if crew.address is None and not ipaddress.ip_address(ray.util.get_node_ip_address()).is_loopback:
             hint = "import ray later" if loaded_before else "name a cluster of yours with --address"
@@ -103,6 +99,21 @@ def _cluster(crew: Crew) -> Iterator[tuple[Any, int]]:
         yield ray, max(int(ray.cluster_resources().get("CPU", 1)), 1)
     finally:
         ray.shutdown()
+
+
+def start(ray: Any, options: dict[str, Any], crew: Crew) -> None:
+    """Join a cluster, or start one: again where Ray gave up after its 30 s, which a busy machine may need."""
+    for left in reversed(range(STARTS if crew.address is None else 1)):
+        try:
+            ray.init(**options)
+            return
+        except Exception as error:  # Ray raises many kinds here, the bare one among them
+            ray.shutdown()
+            if not left:
+                raise InputError(
+                    f"Ray cannot be used at {crew.address or LOOPBACK}: {_first_sentence(error)}; Ray's and Python's "
+                    "versions and RAY_AUTH_MODE must be those of the cluster, and the machine not too busy"
+                ) from error
 
 
 def _check_answers(address: str) -> None:
@@ -125,5 +136,7 @@ def _check_answers(address: str) -> None:
             raise InputError(f"what answers at {address} is no Ray cluster; {hint}") from error
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+def _first_sentence(error: Exception) -> str:
+    """The first sentence of what Ray says, which is often a page."""
+    text = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    return text.partition(". ")[0].rstrip(".")

@@ -167,6 +167,35 @@ def test_a_chunk_that_always_kills_its_process_and_one_that_is_refused_are_told_
     assert refused == "chunk 7 is impossible"
 
 
+class SlowToStart:
+    """In Ray's place: it gives up a number of times, in Ray's words, as on a busy machine."""
+
+    def __init__(self, failures: int) -> None:
+        self.failures, self.starts = failures, 0
+
+    def init(self) -> None:
+        self.starts += 1
+        if self.starts <= self.failures:
+            raise Exception(
+                "The current node timed out during startup. This could happen because of much."
+            )  # as Ray does
+
+    def shutdown(self) -> None:
+        """Nothing was started."""
+
+
+def test_a_slow_start_is_tried_again_and_a_cluster_that_refuses_is_not():
+    from pickenv.study.ray_executor import STARTS, start
+
+    slow, hopeless, refusing = SlowToStart(STARTS - 1), SlowToStart(STARTS), SlowToStart(1)
+    start(slow, {}, Crew(1))
+    assert slow.starts == STARTS
+    for ray, crew, starts in ((hopeless, Crew(1), STARTS), (refusing, Crew(1, "host:1"), 1)):
+        with pytest.raises(InputError, match=r"cannot be used at .*: The current node timed out during startup; Ray's"):
+            start(ray, {}, crew)
+        assert ray.starts == starts
+
+
 @pytest.mark.parametrize("address", ["here", "host:0", "host:99999", "ray://", "host:six", ":6379"])
 def test_what_is_no_address_is_refused(address):
     run = load_executor("ray")
