@@ -1,6 +1,8 @@
 """Yields: every arm counts, failed ones as not within; Wilson's interval; any number of chunks."""
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.dataset as ds
 import pytest
 
 from pickenv.study.streaming import SETTING
@@ -21,6 +23,13 @@ def test_yields_are_counted_over_all_arms_and_chunks(written, failed):
         assert row["yield"] == good.sum() / 200
         assert row["it_grade"] == arms.it_grade.iloc[0]
     assert set(SETTING) < set(table[0])
+
+
+def test_the_required_share_itself_is_enough_and_an_arm_without_a_result_is_not(written):
+    table = written(1, 3).to_table().slice(0, 3)
+    shares = pa.array([REQUIRED, np.nextafter(REQUIRED, 0.0), np.nan])
+    rows = ds.dataset(table.set_column(table.schema.get_field_index("share_within"), "share_within", shares))
+    assert yields_of(rows, REQUIRED)["within"].to_pylist() == [1]
 
 
 def test_a_coarser_grade_has_the_lower_yield(written):
