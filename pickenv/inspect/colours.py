@@ -19,6 +19,8 @@ RED: Rgb = (208, 32, 38)
 """Reserved for the tolerance and for misses."""
 GREY: Rgb = (150, 150, 158)
 STEEL: Rgb = (190, 194, 204)
+WHITE: Rgb = (255, 255, 255)
+"""Of words in space: the viewer sets them on dark plates in its dark theme, on light grey ones in the light."""
 FRUIT: Rgb = (222, 202, 160)
 
 BY_KEY: dict[str, Rgb] = {

@@ -12,7 +12,7 @@ import numpy as np
 
 from pickenv.errors import InputError
 from pickenv.inspect.blueprint import comparison_blueprint
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, policy_colours, policy_key
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, policy_colours, policy_key
 from pickenv.inspect.comparison import Comparison, PolicyErrors
 from pickenv.inspect.detail_entities import send_details
 from pickenv.inspect.details import Details, details_of
@@ -132,7 +132,7 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
         rr.Arrows3D(
             origins=[corner] * 3,
             vectors=np.diag(size),
-            colors=[STEEL] * 3,
+            colors=[WHITE] * 3,
             labels=[f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)],
             radii=rr.Radius.ui_points(1.5),
         ),
@@ -229,7 +229,7 @@ def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None
     axes = rr.Arrows3D(
         origins=np.zeros((3, 3)),
         vectors=comparison.tolerance_mm * np.eye(3),
-        colors=[STEEL] * 3,
+        colors=[WHITE] * 3,
         labels=["x", "y", "z"],
         radii=rr.Radius.ui_points(1.0),
     )

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 from pickenv.files import write_whole
-from pickenv.inspect.colours import STEEL, Rgb, viridis
+from pickenv.inspect.colours import WHITE, Rgb, viridis
 from pickenv.inspect.links import capsules
 from pickenv.inspect.summary import ticks
 
@@ -200,5 +200,5 @@ def send_colour_bar(scribe: Scribe, entity: str, top: float, unit: str) -> None:
     at = ticks(top)
     positions = [(tick / top * width, height - 1.0) for tick in at]
     labels = [f"{tick:g}" for tick in at[:-1]] + [f"{at[-1]:g} {unit}"]
-    words = rr.Points2D(positions, labels=labels, radii=0.0, colors=[STEEL], show_labels=True)
+    words = rr.Points2D(positions, labels=labels, radii=0.0, colors=[WHITE], show_labels=True)
     scribe.still(f"{entity}/ticks", words)
