@@ -29,7 +29,7 @@ def viewer_picture(recording: Path) -> bytes | None:
     Args:
         recording: The .rrd file.
     """
-    with _viewer() as viewer:
+    with headless_viewer() as viewer:
         if viewer is None:
             return None
         try:
@@ -47,7 +47,7 @@ def viewer_picture(recording: Path) -> bytes | None:
 
 
 @contextmanager
-def _viewer() -> Iterator[Any]:
+def headless_viewer() -> Iterator[Any]:
     """A client of a viewer that has no window; None where there is no graphics adapter for it."""
     from rerun.experimental import ViewerClient
 

@@ -45,11 +45,11 @@ def screenshots(run_folder: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def blueprint(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Blueprint:
+def blueprint(recording: Path) -> Blueprint:
     """The recording's own layout, as a viewer understands it."""
     from tests.browser.native_viewer import look
 
-    return look(recording, tmp_path_factory.mktemp("viewer") / "log.txt", lambda viewer: viewer.blueprint)
+    return look(recording, lambda viewer: viewer.blueprint)
 
 
 @pytest.fixture(scope="session")

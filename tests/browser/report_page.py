@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -67,7 +68,7 @@ class Report:
 
 @contextmanager
 def open_report(browser: Any, path: Path, **options: Any) -> Iterator[Report]:
-    """Open the file ``path`` and wait until its figures have come alive.
+    """Open the file ``path`` and wait until its figures have come alive, or something has failed.
 
     Args:
         browser: Playwright's browser.
@@ -83,7 +84,10 @@ def open_report(browser: Any, path: Path, **options: Any) -> Iterator[Report]:
     )
     try:
         report.page.goto(path.resolve().as_uri(), timeout=PATIENCE_MS)
-        report.page.wait_for_function(READY, timeout=PATIENCE_MS)
+        end = time.monotonic() + PATIENCE_MS / 1e3
+        while not (report.page.evaluate(READY) or report.complaints):
+            assert time.monotonic() < end, "the figures did not come alive"
+            report.page.wait_for_timeout(200.0)
         yield report
     finally:
         context.close()

@@ -58,10 +58,8 @@ def walk(viewer: Viewer, screenshots: Path) -> tuple[list[str], list[str]]:
     return complaints, invisible
 
 
-def test_every_tab_shows_what_it_includes_and_nothing_complains(
-    recording: Path, screenshots: Path, tmp_path: Path
-) -> None:
-    complaints, invisible = look(recording, tmp_path / "viewer.txt", lambda viewer: walk(viewer, screenshots))
+def test_every_tab_shows_what_it_includes_and_nothing_complains(recording: Path, screenshots: Path) -> None:
+    complaints, invisible = look(recording, lambda viewer: walk(viewer, screenshots))
     assert complaints == []
     assert invisible == []
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -21,9 +23,11 @@ Open = Callable[[str], WebViewer]
 
 
 @pytest.fixture(scope="module")
-def address(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    with serve(recording, tmp_path_factory.mktemp("server") / "log.txt") as page:
+def address(run_folder: Path) -> Iterator[str]:
+    with serve(run_folder) as page:
         yield page
+    with pytest.raises(ConnectionRefusedError):  # Ctrl-C ended what was started
+        socket.create_connection((urlsplit(page).hostname, urlsplit(page).port), timeout=5.0)
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +42,8 @@ def open_in(browser: Any, address: str, blueprint: Blueprint) -> Iterator[Open]:
     def opened(theme: str) -> WebViewer:
         if theme not in page:
             close()
-            page[theme] = WebViewer.within(browser.new_context(viewport=SIZE, color_scheme=theme))
-            page[theme].open(address, theme, [title_of(blueprint, f"view/{view}") for view in tabs(blueprint)[0].views])
+            viewer = page[theme] = WebViewer.within(browser.new_context(viewport=SIZE, color_scheme=theme))
+            viewer.open(address, theme, [title_of(blueprint, f"view/{view}") for view in tabs(blueprint)[0].views])
         return page[theme]
 
     yield opened

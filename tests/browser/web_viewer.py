@@ -6,20 +6,25 @@ The page offers that tree as answers of egui's inspection protocol, MessagePack 
 from __future__ import annotations
 
 import base64
+import re
+import signal
+import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
-from urllib.parse import quote
+from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.browser.chromium import SIZE
 from tests.browser.pictures import Box, Picture, crop, decode, settled
-from tests.browser.processes import LOCALHOST, free_port, rerun
 
 FIELD_OF_VIEW = np.radians(55.0)
 """Vertical, of rerun's orbiting eye."""
@@ -50,12 +55,35 @@ class Widget:
 
 
 @contextmanager
-def serve(recording: Path, log: Path) -> Iterator[str]:
-    """Serve the web viewer with ``recording``; yields the page's address, to which options can be added."""
-    grpc, web = free_port(), free_port()
-    source = quote(f"rerun+http://{LOCALHOST}:{grpc}/proxy", safe="")
-    with rerun(recording, "--serve-web", "--port", str(grpc), "--web-viewer-port", str(web), log=log):
-        yield f"http://{LOCALHOST}:{web}/?url={source}&persist=0&hide_welcome_screen"
+def serve(run: Path) -> Iterator[str]:
+    """Serve a run's recording with `pickenv inspect --web`, and end it with Ctrl-C; yields the address it prints."""
+    command = [sys.executable, "-m", "pickenv.cli", "inspect", str(run), "--web"]
+    # A process that was started in the background ignores Ctrl-C, and would hand that on.
+    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=heed
+    ) as server:
+        assert server.stdout is not None
+        address = re.search(r"http://127\.0\.0\.1\S+", server.stdout.readline())
+        assert address is not None
+        try:
+            _wait_for(urlsplit(address[0]))
+            yield f"{address[0]}&persist=0&hide_welcome_screen"
+        finally:
+            server.send_signal(signal.SIGINT)
+            server.wait(timeout=30)
+
+
+def _wait_for(address: SplitResult) -> None:
+    """The address is printed when the server starts, a moment before it answers."""
+    end = time.monotonic() + PATIENCE_MS / 1e3
+    while True:
+        try:
+            socket.create_connection((address.hostname, address.port), timeout=5.0).close()
+            return
+        except ConnectionRefusedError:
+            assert time.monotonic() < end, "the server did not answer"
+            time.sleep(0.1)
 
 
 @dataclass(frozen=True)
@@ -83,7 +111,6 @@ class WebViewer:
         # The viewer logs some 18 000 debug lines; carrying them out of the browser costs more than drawing.
         self.page.add_init_script("console.debug = () => {}")
         self.page.on("console", lambda message: self.said.append(message.text))
-        # The server may still be starting.
         self.page.goto(f"{address}&theme={theme}", wait_until="commit", timeout=PATIENCE_MS)
         self.page.wait_for_function(
             f"names => !!window._handle && names.every(name => {STATE}.includes(name))",
