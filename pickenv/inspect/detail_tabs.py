@@ -83,7 +83,7 @@ def _day(comparison: Comparison, day: Day) -> Any:
         origin="/day",
         contents=["+ /day/**"],
         name=f"Position error over {day.hours[-1]:g} h of warming up, tilting and sinking as in '{day.plant}', mm | "
-        "commands as on firm ground | time line 'hours'",
+        f"commands as on firm ground | across: reaches, {60.0 * day.hours[0]:.0f} min apart; or choose 'hours'",
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),
     )
