@@ -32,7 +32,7 @@ test: lint
 	$(PYTEST) -n 2 $(ARGS)
 
 test-slow: $(DEVELOPMENT)
-	$(PYTEST) -m slow $(ARGS)
+	$(PYTEST) -m slow -n 2 $(ARGS)
 
 test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser

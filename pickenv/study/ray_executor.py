@@ -88,7 +88,7 @@ def _cluster(crew: Crew) -> Iterator[tuple[Any, int]]:
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     if crew.address is None:
         options |= {"num_cpus": crew.count(), "include_dashboard": False, "object_store_memory": STORE_BYTES}
-        options |= {"_node_ip_address": LOOPBACK}
+        options |= {"_node_ip_address": LOOPBACK, "address": "local"}  # never one that another program started
     else:
         options |= {"address": crew.address}
     start(ray, options, crew)

@@ -20,7 +20,7 @@ from pickenv.study.run import run_study
 from pickenv.study.table import chunk_path, read_rows
 
 ROOT = Path(__file__).parents[2]
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "RAY_ADDRESS": "127.0.0.1:1"}  # nothing answers there
 pytestmark = pytest.mark.skipif(find_spec("ray") is None, reason="the extra pickenv[ray] is not installed")
 
 LOCAL = """
@@ -39,7 +39,7 @@ def watch():  # as soon as a process works on a chunk: who listens where, and ki
         family = [me, *me.children(recursive=True)]
         for process in family[1:]:
             try:
-                if "_rows" in " ".join(process.cmdline()):
+                if " ".join(process.cmdline()).startswith("ray::_rows"):  # no child that is still this script
                     found["listens"] = [c.laddr.ip for p in family for c in p.net_connections() if c.status == "LISTEN"]
                     process.kill()
                     found["killed"] = process.pid
