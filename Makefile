@@ -15,9 +15,10 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 RUNTIME := $(VENV)/.runtime
 DEVELOPMENT := $(VENV)/.development
 BROWSER := $(VENV)/.browser
-# Chromium; Mesa's drivers that draw on the processor, for Vulkan (rerun's own viewer) and OpenGL (the browser); and a
-# library that playwright's driver needs.
-BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatomic1
+# Chromium; Mesa's drivers that draw on the processor, for Vulkan (rerun's own viewer) and OpenGL (the browser); a
+# library that playwright's driver needs; a screen that is none, and what the viewer's window needs on it.
+BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatomic1 \
+	xvfb libxkbcommon-x11-0 libxcursor1 libxi6
 
 # One thread per process: two test processes with as many threads as cores each would only wait for one another.
 TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
@@ -36,7 +37,7 @@ test-slow: $(DEVELOPMENT)
 
 test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser
-	$(PYTEST) -m browser tests/browser --durations=5 $(ARGS)
+	$(PYTEST) -m browser tests/browser tests/inspect --durations=5 $(ARGS)
 
 lint: $(DEVELOPMENT)
 	$(BIN)/ruff check

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import doctest
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -354,8 +353,7 @@ def test_without_a_screen_no_viewer_is_started(tmp_path: Path, monkeypatch: pyte
         run(reach(tmp_path, spawn=True), 1, 8)
 
 
-@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="no Xvfb to show a window on")
-@pytest.mark.slow
+@pytest.mark.browser
 def test_a_viewer_is_started_on_this_machine_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[subprocess.Popen[bytes]] = []
 
