@@ -22,7 +22,17 @@ from scipy.linalg.lapack import dgelss
 from calibration.truncated_solve import TruncatedSolver
 from pickenv.arm import Geometry, displace_pose, forward
 from pickenv.arm.geometry import Array, Pose
-from pickenv.arm.kinematics import Chain, Frame, Scalar, attach, chain_of, frames, split_joints, tool_frame
+from pickenv.arm.kinematics import (
+    Chain,
+    Frame,
+    Scalar,
+    attach,
+    chain_of,
+    frames,
+    split_joints,
+    tool_frame,
+    turn_between,
+)
 from pickenv.arm.task import RANK_TOLERANCE
 from pickenv.errors import InputError
 
@@ -203,14 +213,9 @@ def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Fra
 
 def error_components(m: ModuleType, reference: Frame, actual: Frame) -> list[Scalar]:
     """`pickenv.arm.pose_error` on components; errors of half a turn do not occur in a calibration."""
-    axx, axy, axz, ayx, ayy, ayz, azx, azy, azz, apx, apy, apz = actual
-    bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz, bpx, bpy, bpz = reference
-    sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
-    sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
-    sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
-    cosine = 0.5 * (
-        axx * bxx + axy * bxy + axz * bxz + ayx * byx + ayy * byy + ayz * byz + azx * bzx + azy * bzy + azz * bzz - 1.0
-    )
+    apx, apy, apz = actual[9:]
+    bpx, bpy, bpz = reference[9:]
+    sx, sy, sz, cosine = turn_between(reference, actual)
     sine = m.sqrt(sx * sx + sy * sy + sz * sz + 1e-40)
     scale = m.atan2(sine, cosine) / sine
     return [apx - bpx, apy - bpy, apz - bpz, scale * sx, scale * sy, scale * sz]

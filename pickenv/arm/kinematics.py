@@ -156,17 +156,25 @@ def tool_frame(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexur
     return attach(frames(m, chain, q, flexure)[-1], chain.tool)
 
 
-def frame_error(reference: Sequence[float], actual: Sequence[float]) -> tuple[float, ...]:
-    """`pickenv.arm.pose_error` on two frames of Python floats: (x, y, z, rx, ry, rz), m and rad, world axes."""
-    axx, axy, axz, ayx, ayy, ayz, azx, azy, azz, apx, apy, apz = actual
-    bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz, bpx, bpy, bpz = reference
-    # Half the sum of the cross products of corresponding axes is sin(angle) times the axis of R_actual R_reference^T.
+def turn_between(reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Sine of the angle times the axis of R_actual R_reference^T (world axes, three components), and the cosine."""
+    axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
+    bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
+    # Half the sum of the cross products of corresponding axes.
     sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
     sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
     sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
     cosine = 0.5 * (
         axx * bxx + axy * bxy + axz * bxz + ayx * byx + ayy * byy + ayz * byz + azx * bzx + azy * bzy + azz * bzz - 1.0
     )
+    return sx, sy, sz, cosine
+
+
+def frame_error(reference: Sequence[float], actual: Sequence[float]) -> tuple[float, ...]:
+    """`pickenv.arm.pose_error` on two frames of Python floats: (x, y, z, rx, ry, rz), m and rad, world axes."""
+    apx, apy, apz = actual[9:]
+    bpx, bpy, bpz = reference[9:]
+    sx, sy, sz, cosine = turn_between(reference, actual)
     sine = math.sqrt(sx * sx + sy * sy + sz * sz)
     if sine > 1e-7:
         scale = math.atan2(sine, cosine) / sine
