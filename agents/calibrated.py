@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from pickenv.arm.batch import plant_at, plant_count
 from pickenv.arm.geometry import Array
 from pickenv.arm.plant import Plant
 from pickenv.errors import InputError
+from pickenv.reservations import obey
 
 COMPENSATIONS = ("raw", "ls", "ls_bpnn", "best")
 """No calibration; least squares; with the paper's network; with the best residual model (Gaussian process)."""
@@ -116,13 +117,16 @@ def check_compensation(compensation: str) -> None:
         raise InputError(f"unknown compensation '{compensation}'; give one of {', '.join(COMPENSATIONS)}")
 
 
-def load_compensator(path: str | Path, arm: Arm) -> Compensate:
-    """The compensator of a calibration file.
+def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) -> Compensate:
+    """The compensator of a calibration file, for environments whose fruit stand in the arm's own base frame.
 
     Raises:
-        InputError: If the file is missing, damaged or of another arm.
+        InputError: If the file is missing, damaged or of another arm, or if something stands against its calibration
+            that ``allow`` does not name (`pickenv.reservations`).
     """
-    return Calibration.load(path, arm).compensator()
+    calibration = Calibration.load(path, arm)
+    obey(calibration.reservations(), allow)
+    return calibration.compensator()
 
 
 def _key(plant: Plant, compensation: str, protocol: Protocol, number: int) -> str:

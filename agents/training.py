@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from agents.calibrated import load_compensator
 from agents.hyperparams import check_algorithm, tuned
 from agents.learned import LearnedPolicy
 from agents.scaling import Scaling
-from calibration import Calibration
 from pickenv.envs.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.files import write_text
@@ -48,6 +48,7 @@ class Training:
         seed: Seed of everything random.
         arguments: Arguments of the environment.
         compensate: Calibration file to train behind, or None.
+        allow: Reservations of that calibration to accept, by name (`pickenv.reservations`).
         checkpoint_every: Environment steps between checkpoints.
         evaluate_every: Environment steps between evaluations.
         scaled_actions: Whether actions shrink with the gap (`agents.scaling`).
@@ -60,6 +61,7 @@ class Training:
     seed: int = 0
     arguments: dict[str, Any] = field(default_factory=dict)
     compensate: str | None = None
+    allow: list[str] = field(default_factory=list)
     checkpoint_every: int = 50_000
     evaluate_every: int = 50_000
     scaled_actions: bool = True
@@ -109,7 +111,7 @@ def make_environment(training: Training, count: int, mode: str) -> ReachVectorEn
     arguments = training.chosen.get("env_kwargs", {}) | training.arguments
     env = ENVIRONMENTS[training.env_id](count, autoreset_mode=mode, **arguments)
     if training.compensate is not None:
-        env.compensator = Calibration.load(training.compensate, env.task.plant.arm).compensator()
+        env.compensator = load_compensator(training.compensate, env.task.plant.arm, training.allow)
     return env
 
 

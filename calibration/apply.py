@@ -41,7 +41,7 @@ class Commands:
 
     Attributes:
         targets: The nominal joint targets ``(N, n)``, rad or m; for pose targets those that the inverse found.
-        joints: The commands ``(N, n)``, within the joint limits.
+        joints: The commands ``(N, n)``, within the joint limits; not to be used where the target is not reached.
         reached: Whether position and compensable attitude are met to 0.01 mm and 0.001 deg by prediction ``(N,)``.
         before: Predicted pose error without calibration ``(N, 6)``, m and rad: what the arm does if told the target.
         remaining: Predicted pose error with the command ``(N, 6)``.
@@ -69,7 +69,9 @@ class Commands:
         """Column names with units, and one row per target."""
         names = joint_columns(self.prismatic)
         scale = np.where(self.prismatic, 1e3, np.degrees(1.0))
-        columns: list[NDArray[np.object_]] = [*(self.joints * scale).T.astype(object)]
+        commands = (self.joints * scale).astype(object)
+        commands[~self.reached] = ""  # a cell that streams these columns must not drive to where nothing is reached
+        columns: list[NDArray[np.object_]] = [*commands.T]
         columns.append(np.where(self.reached, "yes", "no").astype(object))
         names.append("reached")
         parts = {"uncorrected": self.before, "predicted": self.remaining, "noncompensable": self.impossible}

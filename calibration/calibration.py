@@ -21,6 +21,7 @@ from pickenv.arm import Arm, Geometry, Pose
 from pickenv.arm.geometry import LINK_PARAMETERS, Array
 from pickenv.errors import InputError
 from pickenv.files import write_whole
+from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
 
 FORMAT = 1
 """Version of the file format; newer files are refused by older programs."""
@@ -106,7 +107,25 @@ class Calibration:
             learnt = learnt.in_single_precision()
         remainder = Remainder(self.model, learnt, conditions or Conditions())
         residual = remainder if remainder.parts() else None
-        return Compensator(self.nominal, self.identified, residual, iterations, single_precision)
+        return Compensator(self.nominal, self.identified, residual, iterations, single_precision, self.reservations())
+
+    def reservations(self) -> dict[str, str]:
+        """What stands against using it, by name, each a sentence that says what to do; empty where nothing does."""
+        found = {}
+        verdict = self.record.get("verdict")
+        if isinstance(verdict, Mapping) and verdict.get("grade") == "do not use":
+            found[DO_NOT_USE] = (
+                f"the verdict on this calibration is: do not use ({verdict.get('reason')}); measure again"
+            )
+        if self.record.get("frames") == "fitted":
+            interval = self.record.get("base_frame", {}).get("mean_ci95_mm")
+            size = f" ({interval[0]:.3g} to {interval[1]:.3g} mm of mean error there)" if interval else ""
+            found[FITTED_FRAMES] = (
+                "base and tool of this calibration were fitted, so what the arm does in its own base frame, where the "
+                f"fruit stand, is not known{size}; measure with the instrument registered to the base and calibrate "
+                "with --frames known"
+            )
+        return found
 
     def compensate(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Joint commands for joint targets ``(..., n)``, rad or m."""

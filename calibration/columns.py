@@ -7,8 +7,9 @@ what the file itself says about noise: repeat sigma and the size of its last dig
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from calibration.description import (
     own_description,
     shipped_descriptions,
 )
-from calibration.measurements import Measurements
+from calibration.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements
 from calibration.observations import (
     DistanceObservations,
     Observations,
@@ -30,6 +31,7 @@ from calibration.observations import (
     ReflectorObservations,
     SocketObservations,
 )
+from calibration.origins import Origins
 from calibration.table import Table, read_table
 from pickenv.arm import Geometry
 from pickenv.arm.arm_file import TO_SI
@@ -45,6 +47,10 @@ __all__ = [
     "read_observations",
     "shipped_descriptions",
 ]
+
+
+FARTHEST = 1e4
+"""No instrument sees a tool from farther away than this, m."""
 
 
 @dataclass(frozen=True)
@@ -131,9 +137,48 @@ def read_observations(paths: Sequence[str | Path], geometry: Geometry, columns: 
     conditions = _conditions(tables, given)
     source = tables[0].where if len(tables) == 1 else f"{tables[0].where} and {len(tables) - 1} more"
     groups = np.repeat(np.arange(len(tables)), [len(table.lines) for table in tables])
-    found = READERS[first.kind](tables, given, joints, conditions, geometry, source)
-    _refuse_duplicates(tables, joints, found)
+    lines = np.concatenate([np.array(table.lines, dtype=np.int64) for table in tables])
+    origins = Origins(tuple(table.where for table in tables), groups, lines)
+    _refuse_repeated_joints(given, joints, geometry)
+    frames: Frames = _frames(tables) if description is None else "fitted"
+    found: Any = READERS[first.kind](tables, given, joints, conditions, geometry, source)
+    if isinstance(found, PoseObservations):
+        found = PoseObservations(replace(found.measurements, origins=origins, frames=frames))
+    else:
+        found = replace(found, origins=origins)
+    _refuse_duplicates(joints, found, origins)
     return Reading(found, _floor(tables, given), groups)
+
+
+def _frames(tables: list[Table]) -> Frames:
+    """What files of our own format say about base and tool in every row; where they say nothing, both are fitted."""
+    said: dict[str, str] = {}
+    for table in tables:
+        if FRAMES_COLUMN not in table.header:
+            said.setdefault("fitted", table.where)
+            continue
+        index = table.index(FRAMES_COLUMN)
+        for row, line in zip(table.rows, table.lines, strict=True):
+            said.setdefault(row[index].strip() if index < len(row) else "", f"{table.where}: row {line}")
+    for text, place in said.items():
+        if text not in FRAMES:
+            raise InputError(f"{place}, column '{FRAMES_COLUMN}' holds '{text[:40]}'; give {' or '.join(FRAMES)}")
+    if len(said) > 1:
+        places = " but ".join(f"{place} says {text}" for text, place in said.items())
+        raise InputError(f"{places}: base and tool cannot be both; calibrate these rows one by one")
+    return "known" if "known" in said else "fitted"
+
+
+def _refuse_repeated_joints(given: list[ColumnDescription], joints: Array, geometry: Geometry) -> None:
+    """Two joints that read the same number in every row are one column read twice."""
+    for i in range(geometry.joints):
+        for j in range(i):
+            if len(joints) > 2 and np.ptp(joints[:, i]) > 0 and np.array_equal(joints[:, i], joints[:, j]):
+                names = [f"joint {k + 1} ({geometry.joint_names[k]}, column '{given[0].joints[k]}')" for k in (j, i)]
+                raise InputError(
+                    f"{given[0].where}: {names[0]} and {names[1]} hold the same number in every row; name each "
+                    "joint's own column"
+                )
 
 
 def _joints(table: Table, description: ColumnDescription, geometry: Geometry) -> Array:
@@ -171,6 +216,7 @@ def _poses(
     first, pairs = given[0], list(zip(tables, given, strict=True))
     position = np.concatenate([t.values(d.position) * TO_SI[d.position_unit] for t, d in pairs])
     for table, description in pairs:
+        _refuse_far(table, description)
         _refuse_origin(table, description)
     rotation = None
     if first.rotation:
@@ -320,6 +366,19 @@ READERS: dict[str, Callable[..., Observations]] = {
 """How each kind of `calibration.description.KINDS` is read."""
 
 
+def _refuse_far(table: Table, description: ColumnDescription) -> None:
+    """A coordinate beyond `FARTHEST` is no measurement of a tool."""
+    values = table.values(description.position)
+    far = np.argwhere(np.abs(values) * TO_SI[description.position_unit] > FARTHEST)
+    if len(far):
+        row, column = far[0]
+        raise InputError(
+            f"{table.where}: row {table.lines[row]}, column '{description.position[column]}' is "
+            f"{values[row, column]:.6g} {description.position_unit}, farther than any instrument sees; correct or "
+            "remove the row"
+        )
+
+
 def _refuse_origin(table: Table, description: ColumnDescription) -> None:
     """A position of exactly 0, 0, 0 is what trackers write when they have lost the reflector."""
     zero = (table.values(description.position) == 0).all(axis=1)
@@ -330,9 +389,8 @@ def _refuse_origin(table: Table, description: ColumnDescription) -> None:
         )
 
 
-def _refuse_duplicates(tables: list[Table], joints: Array, found: Observations) -> None:
+def _refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> None:
     """Refuse rows that repeat another to the last digit: they count twice, and leak into what is held out."""
-    lines = [(table.where, line) for table in tables for line in table.lines]
     rows = [joints]
     if isinstance(found, PoseObservations):
         rows.append(found.measurements.position)
@@ -347,9 +405,10 @@ def _refuse_duplicates(tables: list[Table], joints: Array, found: Observations) 
     again = np.setdiff1d(np.arange(len(whole)), first)
     if len(again):
         row = int(again[0])
-        where, line = lines[row]
+        where, line = origins.place(int(first[inverse.ravel()[row]]))
+        here, this = origins.place(row)
         raise InputError(
-            f"{where}: row {line} repeats row {lines[int(first[inverse.ravel()[row]])][1]} to the last digit "
+            f"{here}: row {this} repeats row {line}{'' if where == here else f' of {where}'} to the last digit "
             f"({int((count - 1).sum())} repeated rows in all); remove them, they would count twice"
         )
 

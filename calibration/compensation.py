@@ -9,8 +9,8 @@ the cost, so it is evaluated once, at the joints that geometry alone corrects.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from types import ModuleType
 from typing import Protocol
@@ -60,6 +60,7 @@ class Compensator:
             the picking arm with the paper's network one leaves 1.5 um of the predicted error on average, two 1 um: how
             much the residual changes by its own correction. Without a residual one leaves 1 um, two nothing.
         single_precision: Whether many poses at once are corrected in single precision: faster, and another 0.1 um.
+        reservations: What stands against using it, by name (`pickenv.reservations`).
     """
 
     nominal: Geometry
@@ -67,6 +68,7 @@ class Compensator:
     residual: ResidualModel | None = None
     iterations: int = 2
     single_precision: bool = False
+    reservations: Mapping[str, str] = field(default_factory=dict)
 
     def __call__(self, joints: ArrayLike) -> Array:
         """Joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m, within the joint limits.

@@ -1,79 +1,216 @@
-"""What is wrong with a data set as a whole: gross outliers, units mixed within a column, poses that show too little.
+"""What is wrong with a data set as a whole: rows far off, units mixed within a column, rows of another set-up.
 
-No single cell betrays these. A robust fit finds the poses that agree with each other; whatever the others have in
-common (one column that fits in another unit) is said, and so are the parameters that full-range poses would show.
+No single cell betrays these. A robust fit, always made, finds the poses that agree with each other; whatever the others
+have in common (one column that fits in another unit) is said. Held-out rows pass the same checks before they judge.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.arm_model import ArmModel, Conditions
-from calibration.error_model import ErrorModel, complete_model, frames_model, stacked_jacobian
-from calibration.identifiability import identifiability
-from calibration.measurements import Measurements, random_joints
-from calibration.observations import PoseObservations
-from calibration.robust import RobustIdentification, robust_align, robust_identify
-from pickenv.arm import Arm, Geometry
+from calibration.alignment import align
+from calibration.coverage import Coverage
+from calibration.error_model import frames_model, geometric_model
+from calibration.measurements import Measurements
+from calibration.observations import Observations
+from calibration.origins import named, origins_of
+from calibration.robust import OUTLIER_SIGMA, RobustIdentification, Sizes, robust_align, robust_identify
+from calibration.rows import rows_of_misses
+from calibration.splits import Rows
+from pickenv.arm import Arm, Geometry, Pose, rotation_matrix, rotation_vector
+from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
-
-SUSPICIOUS = 8.0
-"""A largest error beyond this many median errors calls for the robust fit."""
-
-GROSS = 30.0
-"""Errors beyond this many robust standard deviations of a coordinate are no measurements of this pose."""
 
 EXPLAINED = 8.0
 """A unit explains an outlier when it brings it within this many robust standard deviations."""
 
+ROBUST_ROWS = 2000
+"""The robust fit is made on so many rows at most, taken evenly; all rows are judged by it."""
+
 LOST_SHARE = 0.25
 """Poses that lose more than this share of the parameters that full-range poses show are refused."""
 
-
-def suspicious(model: ArmModel, measurements: Measurements) -> bool:
-    """Whether some errors are far larger than the median one."""
-    size = np.linalg.norm(PoseObservations(measurements).difference(model)[:, :3], axis=1)
-    return len(size) >= 12 and float(size.max()) > SUSPICIOUS * float(np.median(size))
+FEW = 4
+"""Fewer held-out rows than this are named one by one, and never taken for another set-up."""
 
 
-def robust_fit(arm: Arm, measurements: Measurements) -> RobustIdentification:
-    """Base, tool and geometry from the poses that agree with each other; the same every time."""
-    aligned = robust_align(arm.nominal, measurements, frames_model(arm.nominal), np.random.default_rng(0))
-    weighted = robust_identify(complete_model(arm.nominal), aligned.geometry, measurements)
-    return weighted
+@dataclass(frozen=True)
+class LeftOut:
+    """A row that does not fit the others and was left out.
+
+    Attributes:
+        file: Its file.
+        line: Its line there, from 1.
+        held_out: Whether it was among the held-out rows.
+        position: Size of its position error, m.
+        attitude: Size of its attitude error, rad; None where only positions were measured.
+        sigma: The larger of both in robust standard deviations of one coordinate.
+    """
+
+    file: str
+    line: int
+    held_out: bool
+    position: float
+    attitude: float | None
+    sigma: float
+
+    def text(self) -> str:
+        """For people."""
+        turned = "" if self.attitude is None else f", {np.degrees(self.attitude):.3g} deg"
+        part = "held out" if self.held_out else "training"
+        return f"{self.file}: row {self.line} ({part}): {self.position * 1e3:.3g} mm{turned}, {self.sigma:.0f} sigma"
 
 
-def gross_outliers(found: RobustIdentification) -> list[int]:
-    """Rows that are off beyond `GROSS`, largest first."""
-    return [outlier.row for outlier in found.outliers if outlier.sigma > GROSS]
-
-
-def refuse_gross_errors(arm: Arm, measurements: Measurements) -> None:
-    """Refuse a data set in which some rows are off by far more than the others, and say what they have in common.
+def robust_fit(arm: Arm, measurements: Measurements, known: bool = False) -> RobustIdentification:
+    """Geometry from the poses that agree with each other, with base and tool unless known; the same every time.
 
     Raises:
-        InputError: Names rows, how far they are off, and the column and unit if one explains them.
+        InputError: If there are too few poses, or no majority agrees.
     """
-    found = robust_fit(arm, measurements)
-    rows = gross_outliers(found)
-    if not rows:
+    data = measurements.select(np.unique(np.linspace(0, len(measurements) - 1, ROBUST_ROWS).astype(int)))
+    model = geometric_model(arm.nominal, known)
+    start = arm.nominal
+    if not known:
+        start = robust_align(arm.nominal, data, frames_model(arm.nominal), np.random.default_rng(0)).geometry
+    return robust_identify(model, start, data)
+
+
+def checked_rows(
+    arm: Arm, train: Measurements, test: Measurements, *, known: bool, robust: bool
+) -> tuple[Measurements, Measurements, tuple[LeftOut, ...]]:
+    """Training and held-out rows without those that are far off.
+
+    Args:
+        arm: The arm.
+        train: Rows to fit; the robust fit to them is the measure for both.
+        test: Rows to judge by.
+        known: Whether base and tool are known.
+        robust: Whether rows far off are left out; else they are refused.
+
+    Returns:
+        Both sets, and what was left out.
+
+    Raises:
+        InputError: Names file and line of rows that are far off and the column and unit if one explains them; or says
+            that the held-out rows come from another set-up.
+    """
+    try:
+        found = robust_fit(arm, train, known)
+    except InputError:
+        return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
+    sizes = (found.sizes(train), found.sizes(test))
+    far = tuple(np.flatnonzero(~(size.sigma <= OUTLIER_SIGMA)) for size in sizes)
+    if 2 * len(far[0]) >= len(train):
+        return train, test, ()
+    if len(test) >= FEW and 2 * len(far[1]) > len(test):
+        raise InputError(_other_set_up(arm, found, test, sizes[1]))
+    if not robust:
+        _refuse(arm, found, (train, test), sizes, far)
+    left_out = [
+        _left_out(data, size, int(row), data is test)
+        for data, size, rows in zip((train, test), sizes, far, strict=True)
+        for row in rows
+    ]
+    kept = [
+        data.select(np.setdiff1d(np.arange(len(data)), rows)) for data, rows in zip((train, test), far, strict=True)
+    ]
+    return kept[0], kept[1], tuple(sorted(left_out, key=lambda item: -item.sigma))
+
+
+def _left_out(data: Measurements, sizes: Sizes, row: int, held_out: bool) -> LeftOut:
+    file, line = origins_of(data).place(row)
+    attitude = None if sizes.attitude is None else float(sizes.attitude[row])
+    return LeftOut(file, line, held_out, float(sizes.position[row]), attitude, float(sizes.sigma[row]))
+
+
+def _refuse(
+    arm: Arm,
+    found: RobustIdentification,
+    sets: tuple[Measurements, Measurements],
+    sizes: tuple[Sizes, Sizes],
+    far: Sequence[Rows],
+) -> None:
+    """Refuse rows that are far off, and say what they have in common."""
+    places = [origins_of(data).place(int(row)) for data, rows in zip(sets, far, strict=True) for row in rows]
+    if not places:
         return
-    shown = ", ".join(str(row + 1) for row in sorted(rows)[:6]) + (" and more" if len(rows) > 6 else "")
-    worst = found.outliers[0]
-    unit = mixed_unit(arm, found, measurements, np.array(sorted(rows)))
-    noun = "row" if len(rows) == 1 else "rows"
-    if unit is not None:
-        raise InputError(
-            f"{measurements.source}: {noun} {shown} of the data (from 1) fit only if {unit}: units are mixed in one "
-            "column; write all its rows in one unit"
-        )
+    one = len(places) == 1
+    for data, rows in zip(sets, far, strict=True):
+        unit = mixed_unit(arm, found, data, rows) if len(rows) else None
+        if unit is not None:
+            raise InputError(
+                f"{named(places)} {'fits' if one else 'fit'} only if {unit}: units are mixed in one column; write all "
+                "its rows in one unit"
+            )
+    them = "it" if one else "them"
+    worst = max(float(size.position[rows].max(initial=0.0)) for size, rows in zip(sizes, far, strict=True))
     raise InputError(
-        f"{measurements.source}: {noun} {shown} of the data (from 1) are off by up to {worst.position * 1e3:.0f} mm "
-        f"where the others agree within {3 * found.position_scale * 1e3:.2g} mm; remove them, or fit with --robust"
+        f"{named(places)} {'is' if one else 'are'} off by {'' if one else 'up to '}{worst * 1e3:.3g} mm where the "
+        f"others agree within {3 * found.position_scale * 1e3:.2g} mm; remove {them}, or fit with --robust, which "
+        f"leaves {them} out"
     )
+
+
+def _other_set_up(arm: Arm, found: RobustIdentification, test: Measurements, sizes: Sizes) -> str:
+    """Why most held-out rows miss: another unit, another place of base or tool, or something else."""
+    files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test))))
+    unit = mixed_unit(arm, found, test, np.arange(len(test)))
+    if unit is not None:
+        return f"{files}: the held-out rows fit the training rows only if {unit}; write both in one unit"
+    away = f"{np.median(sizes.position) * 1e3:.3g} mm"
+    geometry = found.geometry
+    try:
+        moved = align(geometry, test, frames_model(geometry)).geometry
+    except InputError:
+        moved = geometry
+    arm_model = replace(found.identification.arm_model, geometry=moved)
+    there = replace(found, identification=replace(found.identification, arm_model=arm_model))
+    if float(np.median(there.sizes(test).sigma)) <= OUTLIER_SIGMA / 2:
+        base, tool = _apart(geometry.base, moved.base), _apart(geometry.tool, moved.tool)
+        return (
+            f"{files}: the held-out rows were measured in another set-up (they miss by {away}, median): with the base "
+            f"moved by {base} and the tool by {tool} they fit; hold out rows of the training rows' own set-up, or "
+            "calibrate this file by itself"
+        )
+    return (
+        f"{files}: most held-out rows miss by {away} (median), where the training rows agree within "
+        f"{3 * found.position_scale * 1e3:.2g} mm, and no other place of base or tool explains it; check that they are "
+        "of this arm, with the same units, joint signs and order of rows"
+    )
+
+
+def _apart(one: Pose, other: Pose) -> str:
+    angle = np.degrees(np.arccos(np.clip((np.trace(one.rotation.T @ other.rotation) - 1) / 2, -1, 1)))
+    return f"{np.linalg.norm(one.position - other.position) * 1e3:.3g} mm and {angle:.3g} deg"
+
+
+def refuse_misses(train: Observations, test: Observations, misses: tuple[Array, Array]) -> None:
+    """Refuse rows of reflectors, wires or sockets that miss by far more than the median training row.
+
+    Args:
+        train: Rows fitted.
+        test: Held-out rows.
+        misses: What the fitted model misses each by (`calibration.rows.misses`), m.
+
+    Raises:
+        InputError: Names file and line.
+    """
+    sizes = [np.linalg.norm(part, axis=1) for part in misses]
+    limit = 2.0 * OUTLIER_SIGMA * float(np.median(sizes[0]))
+    places, worst = [], 0.0
+    for data, size in zip((train, test), sizes, strict=True):
+        far = size > limit
+        worst = max(worst, float(size[far].max(initial=0.0)))
+        places += [origins_of(data).place(int(row)) for row in np.unique(rows_of_misses(data)[far])]
+    if places:
+        raise InputError(
+            f"{named(places)} {'misses' if len(places) == 1 else 'miss'} by up to {worst * 1e3:.3g} mm where half of "
+            f"the training rows miss by less than {limit / 2 / OUTLIER_SIGMA * 1e3:.2g} mm; check and remove"
+        )
 
 
 def mixed_unit(
@@ -81,11 +218,9 @@ def mixed_unit(
 ) -> str | None:
     """The column and unit that explain most of the outliers, in words; None if none does."""
     outliers = measurements.select(rows)
-    model = found.identification.arm_model
     best: tuple[float, str] | None = None
     for words, other in _readings(arm, outliers):
-        size = np.linalg.norm(PoseObservations(other).difference(model)[:, :3], axis=1) / found.position_scale
-        share = float(np.mean(size < EXPLAINED))
+        share = float(np.mean(found.sizes(other).sigma < EXPLAINED))
         if share >= 0.8 and (best is None or share > best[0]):
             best = (share, words)
     return best[1] if best else None
@@ -109,41 +244,25 @@ def _readings(arm: Arm, data: Measurements) -> list[tuple[str, Measurements]]:
             position[:, axes] *= scale
             words = f"{label} is read in {written} there and in {other} elsewhere"
             found.append((words, replace(data, position=position)))
+    if data.rotation is not None:
+        vectors = rotation_vector(data.rotation)
+        for written, other, factor in (("rad", "deg", np.pi / 180), ("deg", "rad", 180 / np.pi)):
+            turned = replace(data, rotation=rotation_matrix(vectors * factor))
+            found.append((f"the attitude is read in {written} there and in {other} elsewhere", turned))
     return found
 
 
-def lost_to_poses(model: ErrorModel, geometry: Geometry, measurements: Measurements) -> tuple[tuple[str, ...], int]:
-    """Parameters that these poses cannot show but poses over the whole joint ranges would, and how many those show.
-
-    Args:
-        model: The parameters.
-        geometry: The arm, aligned.
-        measurements: The poses and their kind.
+def refuse_lost(coverage: Coverage, geometry: Geometry, measurements: Measurements) -> None:
+    """Refuse poses that hide more than `LOST_SHARE` of what poses over the whole joint ranges would show.
 
     Raises:
-        InputError: If more than `LOST_SHARE` of them are lost.
+        InputError: Names the parameters, and joints that hardly move.
     """
-    here = identifiability(
-        stacked_jacobian(model, geometry, measurements), model.names, model.tolerance, len(measurements)
+    if coverage.full_rank - coverage.rank <= LOST_SHARE * coverage.full_rank:
+        return
+    still = [f"joint {i + 1} ({geometry.joint_names[i]})" for i in np.flatnonzero(coverage.used < 0.02)]
+    hint = f"; {', '.join(still)} hardly move" if still else ""
+    raise InputError(
+        f"{measurements.source}: these poses show {coverage.rank} of the {coverage.full_rank} parameters that full-"
+        f"range poses show, and lose {', '.join(coverage.lost[:8])}{hint}; measure poses that move every joint"
     )
-    count = max(60, min(len(measurements), 300))
-    rotation = None if measurements.rotation is None else np.broadcast_to(np.eye(3), (count, 3, 3))
-    joints = random_joints(geometry, count, np.random.default_rng(0))
-    probe = replace(
-        measurements, joints=joints, position=np.zeros((count, 3)), rotation=rotation, conditions=Conditions()
-    )
-    full = identifiability(stacked_jacobian(model, geometry, probe), model.names, model.tolerance, count)
-    lost = tuple(name for name in full.kept_names if name not in here.kept_names)
-    missing = full.rank - here.rank
-    if missing > LOST_SHARE * full.rank:
-        still = [
-            f"joint {i + 1} ({geometry.joint_names[i]})"
-            for i in range(geometry.joints)
-            if np.ptp(measurements.joints[:, i]) < 0.02 * (geometry.upper[i] - geometry.lower[i])
-        ]
-        hint = f"; {', '.join(still)} hardly move" if still else ""
-        raise InputError(
-            f"{measurements.source}: these poses show {here.rank} of the {full.rank} parameters that full-range poses "
-            f"show, and lose {', '.join(lost[:8])}{hint}; measure poses that move every joint"
-        )
-    return (lost[: max(missing, 0)] if missing > 0 else ()), full.rank

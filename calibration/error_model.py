@@ -57,6 +57,11 @@ def complete_model(geometry: Geometry) -> ErrorModel:
     return _model(geometry, frames + links + betas)
 
 
+def geometric_model(geometry: Geometry, known_frames: bool) -> ErrorModel:
+    """What is identified: the links alone where base and tool are known, else base and tool with them."""
+    return link_model(geometry) if known_frames else complete_model(geometry)
+
+
 def frames_model(geometry: Geometry) -> ErrorModel:
     """Base and tool pose only: what must be fitted before a nominal error can be stated honestly."""
     return _model(geometry, [name for name in geometry.parameter_names if name.startswith(("base_", "tool_"))])

@@ -14,7 +14,7 @@ from calibration.alignment import align, refuse_another_arm
 from calibration.arm_model import ArmModel, Term
 from calibration.bpnn import BpnnSettings, train_bpnn
 from calibration.calibration import Calibration
-from calibration.error_model import ErrorModel, complete_model, frames_model, link_model, with_terms
+from calibration.error_model import frames_model, geometric_model, with_terms
 from calibration.least_squares import Identification, identify_surely
 from calibration.measurements import Measurements
 from calibration.observations import PoseObservations
@@ -55,8 +55,9 @@ def fit(
         arm: The arm.
         measurements: Poses for the identification (the paper: 100).
         residual_measurements: Poses for the network (the paper: 200), or None for geometry alone.
-        known_frames: True if the instrument measures in the arm's own base frame with the tool known (simulation);
-            then the paper's 24 parameters are identified. Else base, tool and Hayati's beta are fitted too.
+        known_frames: True if the instrument measures the arm's own tool in the arm's own base frame (registered, or
+            simulated); then the paper's 24 parameters are identified. Else base, tool and Hayati's beta are fitted too,
+            and what the arm does in its own base frame stays unknown.
         terms: Parametric non-geometric effects to identify with the geometry.
         residual: Residual model by name: "bpnn", "rbf", "gp" or "trees".
         rng: Seeds the residual model; needed with ``residual_measurements``.
@@ -68,10 +69,10 @@ def fit(
     """
     aligned = None
     nominal = arm.nominal
-    model: ErrorModel = link_model(nominal)
+    model = geometric_model(nominal, known_frames)
     if not known_frames:
         aligned = align(nominal, measurements, frames_model(nominal))
-        nominal, model = aligned.geometry, complete_model(nominal)
+        nominal = aligned.geometry
     else:
         refuse_another_arm(nominal, measurements, "with base and tool taken as known")
     start = ArmModel.of(nominal, terms)
@@ -94,6 +95,7 @@ def fit(
         "data_fingerprint": measurements.fingerprint(),
         "poses": len(measurements),
         "kind": measurements.kind,
+        "frames": "known" if known_frames else "fitted",
         "rank": found.identifiability.rank,
         "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
         "residual": trained,

@@ -13,21 +13,19 @@ from typing import Any
 import numpy as np
 
 from calibration.arm_model import ArmModel, Term
-from calibration.columns import NoiseFloor
-from calibration.diagnosis import gross_outliers, lost_to_poses, refuse_gross_errors, robust_fit, suspicious
-from calibration.error_model import complete_model
+from calibration.coverage import pose_coverage
+from calibration.diagnosis import checked_rows, refuse_lost, refuse_misses
+from calibration.error_model import geometric_model
 from calibration.fitting import Fit, fit
 from calibration.gate import GateReport, judge_residuals
 from calibration.least_squares import identify
-from calibration.measurements import Measurements
-from calibration.metrics import ErrorStatistics, error_statistics
+from calibration.measurements import Frames, Measurements
 from calibration.observations import Observations, PoseObservations
 from calibration.other_kinds import fit_kind
 from calibration.residual_models import FITTERS, Fitter, fit_residual
-from calibration.robust import RobustIdentification
+from calibration.result import Result, assess
 from calibration.rows import misses, unknowns_of
 from calibration.term_choice import TermChoice, choose_terms, identify_terms, terms_of
-from calibration.uncertainty import held_out_errors
 from pickenv.arm import Arm
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
@@ -52,6 +50,7 @@ class Choices:
         force: Whether a named residual model is used even if it does not win.
         robust: Whether gross outliers are left out (and listed) instead of refused.
         seed: Seeds everything random.
+        frames: Whether base and tool are "known" or "fitted"; as the data say when None.
     """
 
     terms: str = "auto"
@@ -59,146 +58,43 @@ class Choices:
     force: bool = False
     robust: bool = False
     seed: int = 0
+    frames: Frames | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """A calibration and its held-out errors.
-
-    Attributes:
-        arm: Name of the arm.
-        fit: The best calibration and its evidence.
-        geometric: The calibration of the geometry alone.
-        train_rows: Rows used for the fit.
-        test_rows: Rows held out.
-        position: Held-out position errors by model, mm: "nominal", "geometric", then what was added.
-        attitude: The same for attitude, deg; empty where no attitude was measured.
-        best_model: Name of the best model, chosen without the held-out rows.
-        terms: How terms were chosen; None where they were not.
-        gate: The residual models' verdicts; None where none was judged.
-        floor: What the files say about noise; None if not read from files.
-        lost: Parameters that full-range poses would show and these do not.
-        outliers: Gross outliers left out; None without ``robust``.
-    """
-
-    arm: str
-    fit: Fit
-    geometric: Fit
-    train_rows: int
-    test_rows: int
-    position: Mapping[str, ErrorStatistics]
-    attitude: Mapping[str, ErrorStatistics]
-    best_model: str
-    terms: TermChoice | None = None
-    gate: GateReport | None = None
-    floor: NoiseFloor | None = None
-    lost: tuple[str, ...] = ()
-    outliers: RobustIdentification | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        found = self.geometric.identification
-        nominal, geometric = self.position["nominal"], self.position["geometric"]
-        best = list(self.position.values())[-1]
-        held_out: dict[str, Any] = {
-            "nominal_rms_mm": nominal.rms,
-            "geometric_rms_mm": geometric.rms,
-            "geometric_mean_mm": geometric.mean,
-            "geometric_mean_ci95_mm": geometric.mean_ci95,
-            "best_rms_mm": best.rms,
-            "best_mean_mm": best.mean,
-            "best_model": self.best_model,
-            **{f"{name}_mm": statistics.as_dict() for name, statistics in self.position.items()},
-            **{f"{name}_deg": statistics.as_dict() for name, statistics in self.attitude.items()},
-        }
-        floor = self.floor
-        return {
-            "arm": self.arm,
-            "measurement_kind": found.kind,
-            "rows": {"train": self.train_rows, "test": self.test_rows},
-            "parameters": len(found.identifiability.names),
-            "rank": found.identifiability.rank,
-            "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
-            "lost_to_poses": list(self.lost),
-            "condition": found.identifiability.condition,
-            "converged": found.converged,
-            "solve_seconds": found.solve_seconds,
-            "unknowns_mm": {name: value * 1e3 for name, value in found.unknowns.items()},
-            "held_out": held_out,
-            "noise_floor_mm": None
-            if floor is None
-            else {key: None if value is None else value * 1e3 for key, value in vars(floor).items()},
-            "terms": None
-            if self.terms is None
-            else {
-                "chosen": self.terms.chosen,
-                "blocked_rms_mm": {name: value * 1e3 for name, value in self.terms.blocked_rms.items()},
-            },
-            "gate": {} if self.gate is None else self.gate.as_dict()["models"],
-            "outlier_rows": None if self.outliers is None else gross_outliers(self.outliers),
-        }
-
-    def report(self) -> str:
-        """A report for people."""
-        found = self.geometric.identification
-        lines = [found.report()]
-        if self.lost:
-            lines.append(f"full-range poses would also show {', '.join(self.lost)}; these poses do not")
-        if self.outliers is not None:
-            lines.append(self.outliers.report())
-        if self.terms is not None:
-            tried = ", ".join(f"{name} {value * 1e3:.4f}" for name, value in self.terms.blocked_rms.items())
-            lines.append(f"terms: {self.terms.chosen} (RMS on blocks of the training rows, mm: {tried})")
-        if self.gate is not None:
-            lines.append(self.gate.report())
-        lines += [
-            f"held out: {self.test_rows} rows (trained on {self.train_rows}), solved in "
-            f"{1e3 * found.solve_seconds:.0f} ms; best model: {self.best_model}",
-            f"{'':>30}  {'RMS mm':>8}  {'mean mm':>8}  {'95 % interval':>16}  {'p95 mm':>8}  {'max mm':>8}",
-        ]
-        labels = {"nominal": "nominal, base and tool fitted", "geometric": "calibrated geometry"}
-        for name, position in self.position.items():
-            low, high = position.mean_ci95
-            line = f"{labels.get(name, name):>30}  {position.rms:8.4f}  {position.mean:8.4f}  {low:7.4f}..{high:7.4f}"
-            line += f"  {position.p95:8.4f}  {position.max:8.4f}"
-            attitude = self.attitude.get(name)
-            lines.append(line + (f"  attitude mean {attitude.mean:.4f} deg" if attitude else ""))
-        if self.floor is not None:
-            lines.append(f"noise floor of a position: {self.floor.text()}")
-        return "\n".join(lines)
-
-
-def judge(arm: Arm, train: Observations, test: Observations, choices: Choices | None = None) -> Judged:
-    """Calibrate on ``train``, in the order measured, and state the errors on ``test``; data of any kind.
+def judge(arm: Arm, train: Observations, test: Observations, choices: Choices | None = None) -> Result:
+    """Calibrate on ``train``, in the order measured, and judge on ``test``; data of any kind.
 
     Raises:
-        InputError: As `calibration.fit`; if rows are grossly off or show too few parameters; if a name is unknown.
+        InputError: As `calibration.fit`; if rows are far off, held out or not, or show too few parameters; if a name is
+            unknown, or an option does not apply to this kind of measurement.
     """
     choices = choices or Choices()
     if isinstance(train, PoseObservations) and isinstance(test, PoseObservations):
         return _judge_poses(arm, train.measurements, test.measurements, choices)
+    _refuse_options(train, choices)
     geometric = best = fit_kind(arm, train)
-    assert geometric.aligned is not None
-    found, name = {"nominal": geometric.aligned, "geometric": geometric.identification}, "geometry"
+    found = geometric.identification
+    missed = [misses(part, found.arm_model, unknowns_of(found, train)) for part in (train, test)]
+    refuse_misses(train, test, (missed[0], missed[1]))
     chosen, terms = _terms(arm, train, geometric, choices)
+    steps = {}
     if terms:
-        best = _with_terms(geometric, terms, train)
-        name += f"+{chosen.chosen if chosen else choices.terms}"
-        found[name] = best.identification
-    return Judged(
-        arm=arm.name,
-        fit=best,
-        geometric=geometric,
-        train_rows=len(train.joints),
-        test_rows=len(test.joints),
-        position={
-            key: error_statistics(misses(test, item.arm_model, unknowns_of(item, train)) * 1e3)
-            for key, item in found.items()
-        },
-        attitude={},
-        best_model=name,
-        terms=chosen,
-    )
+        added = _with_terms(geometric, terms, train)
+        if added.identification.converged:
+            best = added
+            steps[f"geometry+{chosen.chosen if chosen else choices.terms}"] = best
+    return assess(arm, best, train, test, geometric=geometric, steps=steps, terms=chosen)
+
+
+def _refuse_options(train: Observations, choices: Choices) -> None:
+    """Refuse what is there for poses and positions only."""
+    given = {"--robust": choices.robust, "--frames known": choices.frames == "known"}
+    given[f"--residual {choices.residual}"] = choices.residual not in ("auto", "none")
+    for option, wanted in given.items():
+        if wanted:
+            raise InputError(
+                f"{option} is for poses and positions, but {train.source} holds {train.kind}; leave it out"
+            )
 
 
 def _terms(
@@ -207,77 +103,57 @@ def _terms(
     """The terms asked for, or chosen within the training rows."""
     if choices.terms != "auto":
         return None, terms_of(choices.terms, arm, train)
-    if len(train.joints) < ENOUGH or geometric.aligned is None:
+    if len(train.joints) < ENOUGH:
         return None, ()
-    chosen = choose_terms(arm, geometric.aligned.geometry, train)
+    chosen = choose_terms(arm, geometric.calibration.nominal, train, geometric.aligned is None)
     return chosen, terms_of(chosen.chosen, arm, train)
 
 
 def _with_terms(geometric: Fit, terms: tuple[Term, ...], train: Observations) -> Fit:
     """The calibration with parametric terms."""
-    found = identify_terms(terms, geometric.identification, train)
+    found = identify_terms(terms, geometric.identification, train, geometric.aligned is None)
     names = sorted({term.specification()["kind"] for term in terms})
     record = {**geometric.calibration.record, "terms": names}
     return Fit(replace(geometric.calibration, model=found.arm_model, record=record), found, geometric.aligned)
 
 
-def _judge_poses(arm: Arm, train: Measurements, test: Measurements, choices: Choices) -> Judged:
-    outliers = None
-    if choices.robust:
-        outliers = robust_fit(arm, train)
-        train = train.select(np.setdiff1d(np.arange(len(train)), gross_outliers(outliers)))
-    try:
-        geometric = fit(arm, train)
-    except InputError:
-        if len(train) >= 12 and not choices.robust:
-            _told_apart(arm, train)
-        raise
-    if not choices.robust and suspicious(geometric.identification.arm_model, train):
-        refuse_gross_errors(arm, train)
-    assert geometric.aligned is not None
-    lost, _ = lost_to_poses(complete_model(arm.nominal), geometric.aligned.geometry, train)
-    position_errors = {
-        "nominal": held_out_errors(replace(geometric.calibration, model=ArmModel.of(geometric.aligned.geometry)), test),
-        "geometric": held_out_errors(geometric.calibration, test),
-    }
-    best, name = geometric, "geometry"
+def _judge_poses(arm: Arm, train: Measurements, test: Measurements, choices: Choices) -> Result:
+    if choices.frames is None and train.frames != test.frames:
+        raise InputError(
+            f"{train.source} says that base and tool are {train.frames}, {test.source} that they are {test.frames}; "
+            "give --frames"
+        )
+    known = (choices.frames or train.frames) == "known"
+    train, test, left_out = checked_rows(arm, train, test, known=known, robust=choices.robust)
+    geometric = best = fit(arm, train, known_frames=known)
+    start = geometric.calibration.nominal
+    coverage = pose_coverage(geometric_model(start, known), start, train)
+    refuse_lost(coverage, start, train)
+    steps, name = {}, "geometry"
     chosen, terms = _terms(arm, PoseObservations(train), geometric, choices)
     if terms:
-        best = _with_terms(geometric, terms, PoseObservations(train))
-        name += f"+{chosen.chosen if chosen else choices.terms}"
-        position_errors[name] = held_out_errors(best.calibration, test)
+        added = _with_terms(geometric, terms, PoseObservations(train))
+        if added.identification.converged:
+            best, name = added, f"{name}+{chosen.chosen if chosen else choices.terms}"
+            steps[name] = best
+        else:
+            terms = ()
     gate, selected = _gate(train, best, terms, choices)
     if selected is not None:
-        best = _with_residual(best, train, selected, choices.seed)
-        name += f"+{selected}"
-        position_errors[name] = held_out_errors(best.calibration, test)
-    full = test.rotation is not None
-    return Judged(
-        arm=arm.name,
-        fit=best,
+        best, name = _with_residual(best, train, selected, choices.seed), f"{name}+{selected}"
+        steps[name] = best
+    return assess(
+        arm,
+        best,
+        PoseObservations(train),
+        PoseObservations(test),
         geometric=geometric,
-        train_rows=len(train),
-        test_rows=len(test),
-        position={key: error_statistics(values[:, :3] * 1e3) for key, values in position_errors.items()},
-        attitude={key: error_statistics(np.degrees(values[:, 3:])) for key, values in position_errors.items()}
-        if full
-        else {},
-        best_model=name,
+        steps=steps,
         terms=chosen,
         gate=gate,
-        lost=lost,
-        outliers=outliers,
+        left_out=left_out,
+        coverage=coverage,
     )
-
-
-def _told_apart(arm: Arm, data: Measurements) -> None:
-    """After a fit that failed: if most rows agree with each other, say what is wrong with the others."""
-    try:
-        found = robust_fit(arm, data)
-    except InputError:
-        return  # no majority agrees: the first complaint stands
-    if 2 * len(found.outliers) < len(data):
-        refuse_gross_errors(arm, data)
 
 
 def _gate(
@@ -292,12 +168,11 @@ def _gate(
         return None, choices.residual if choices.force and choices.residual != "auto" else None
     names = tuple(FITTERS) if choices.residual == "auto" else (choices.residual,)
     data = train.select(np.unique(np.linspace(0, len(train) - 1, GATE_ROWS).astype(int)))
-    assert best.aligned is not None
-    aligned = best.aligned.geometry
+    start, known = best.calibration.nominal, best.aligned is None
 
     def refit(rows: Measurements) -> ArmModel:
-        bare = identify(complete_model(aligned), aligned, rows)
-        return identify_terms(terms, bare, PoseObservations(rows)).arm_model if terms else bare.arm_model
+        bare = identify(geometric_model(start, known), start, rows)
+        return identify_terms(terms, bare, PoseObservations(rows), known).arm_model if terms else bare.arm_model
 
     report = judge_residuals(data, refit, np.random.default_rng(choices.seed), models=names, fitters=quick_fitters())
     report = surest(report)

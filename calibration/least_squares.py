@@ -229,7 +229,7 @@ def _identify(
         iterates=tuple(iterates),
         solve_seconds=time.perf_counter() - begin,
         poses=poses,
-        kind="+".join(dict.fromkeys(part.kind for part in sets)),
+        kind="+".join(dict.fromkeys(part.kind for part in sets if len(part.joints))),
     )
 
 

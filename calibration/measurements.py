@@ -11,11 +11,13 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calibration.arm_model import Conditions
+from calibration.origins import Origins
 from pickenv.arm import Geometry, Plant, Pose, rotation_vector
 from pickenv.arm.geometry import Array
 from pickenv.files import write_whole
@@ -25,6 +27,15 @@ POSITION_STD = 15e-6
 
 ATTITUDE_STD = 2e-4
 """Standard uncertainty of an attitude when a file states none, rad: a 100 mm reflector triad."""
+
+
+Frames = Literal["known", "fitted"]
+"""Whether an instrument measures the arm's own tool in its own base frame, or base and tool must be fitted."""
+
+FRAMES: tuple[Frames, ...] = get_args(Frames)
+
+FRAMES_COLUMN = "frames"
+"""Column of our own CSV format that says so, in every row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +51,9 @@ class Measurements:
         attitude_std: Standard uncertainty of one attitude coordinate, rad.
         source: Where the data come from, as messages name it.
         conditions: Payload, temperature and torques of each pose, where known.
+        origins: File and line of each row; None where they come from no file.
+        frames: "known" if these are poses of the arm's own tool in its own base frame; "fitted" if the instrument
+            stood anywhere and saw a target anywhere on the tool.
     """
 
     joints: Array
@@ -50,6 +64,8 @@ class Measurements:
     attitude_std: float = ATTITUDE_STD
     source: str = "measurements"
     conditions: Conditions = field(default_factory=Conditions)
+    origins: Origins | None = None
+    frames: Frames = "fitted"
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -69,9 +85,13 @@ class Measurements:
         """The data set that holds only the given rows (indices or a mask)."""
         rows = np.asarray(rows)
         rotation = None if self.rotation is None else self.rotation[rows]
-        conditions = self.conditions.select(rows)
         return replace(
-            self, joints=self.joints[rows], position=self.position[rows], rotation=rotation, conditions=conditions
+            self,
+            joints=self.joints[rows],
+            position=self.position[rows],
+            rotation=rotation,
+            conditions=self.conditions.select(rows),
+            origins=None if self.origins is None else self.origins.select(rows),
         )
 
     def positions_only(self) -> Measurements:
@@ -96,9 +116,15 @@ class Measurements:
         return names, np.concatenate(columns, axis=1)
 
     def write_csv(self, path: str | Path) -> Path:
-        """Write our own CSV format, whole or not at all; `calibration.columns.read_measurements` reads it back."""
+        """Write our own CSV format, whole or not at all; `calibration.columns.read_measurements` reads it back.
+
+        Where the frames are known, a last column says so in every row.
+        """
         names, values = self.table()
-        return write_table(path, names, values)
+        if self.frames == "fitted":
+            return write_table(path, names, values)
+        known = np.full((len(self), 1), self.frames, dtype=object)
+        return write_table(path, [*names, FRAMES_COLUMN], np.concatenate([values.astype(object), known], axis=1))
 
 
 def joint_columns(prismatic: Sequence[bool]) -> list[str]:
@@ -124,7 +150,7 @@ def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> A
 
 
 def simulated_tracker(plant: Plant, joints: ArrayLike, rng: np.random.Generator) -> Measurements:
-    """What a laser tracker with the plant's measurement noise sees at ``joints`` ``(N, n)``."""
+    """What a laser tracker with the plant's measurement noise, registered to base and tool, sees at ``joints``."""
     joints = np.asarray(joints, dtype=float)
     pose: Pose = plant.measured_pose(joints, rng)
     noise = plant.measurement_noise
@@ -136,4 +162,5 @@ def simulated_tracker(plant: Plant, joints: ArrayLike, rng: np.random.Generator)
         position_std=noise.position_std if noise and noise.position_std else POSITION_STD,
         attitude_std=noise.attitude_std if noise and noise.attitude_std else ATTITUDE_STD,
         source=f"simulated tracker on plant {plant.name}",
+        frames="known",
     )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calibration.arm_model import ArmModel, Conditions
 from calibration.error_model import row_weights
 from calibration.measurements import Measurements
+from calibration.origins import Origins
 from pickenv.arm import pose_error
 from pickenv.arm.geometry import Array, Pose
 
@@ -43,6 +44,11 @@ class Observations(Protocol):
     @property
     def kind(self) -> str:
         """Name of the kind."""
+        ...
+
+    @property
+    def origins(self) -> Origins | None:
+        """File and line of each row; None where they come from no file."""
         ...
 
     @property
@@ -87,6 +93,11 @@ class PoseObservations:
     def conditions(self) -> Conditions:
         """Payload, temperature and torques, where known."""
         return self.measurements.conditions
+
+    @property
+    def origins(self) -> Origins | None:
+        """File and line of each row; None where they come from no file."""
+        return self.measurements.origins
 
     @property
     def kind(self) -> str:
@@ -136,6 +147,7 @@ class ReflectorObservations:
         covariance: Of one point, m^2: ``(3, 3)``, or ``(N, k, 3, 3)`` for an anisotropic tracker.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
+        origins: File and line of each row; None where they come from no file.
     """
 
     joints: Array
@@ -146,6 +158,7 @@ class ReflectorObservations:
     source: str = "reflectors"
     kind: str = "reflectors"
     framed: bool = True
+    origins: Origins | None = None
 
     def unknowns(self) -> tuple[str, ...]:
         """Reflector positions in the tool's frame."""
@@ -193,6 +206,7 @@ class DistanceObservations:
         std: Standard uncertainty of a length, m.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
+        origins: File and line of each row; None where they come from no file.
     """
 
     joints: Array
@@ -202,6 +216,7 @@ class DistanceObservations:
     source: str = "wire lengths"
     kind: str = "distance"
     framed: bool = False
+    origins: Origins | None = None
 
     def unknowns(self) -> tuple[str, ...]:
         """The anchor."""
@@ -240,6 +255,7 @@ class SocketObservations:
         spacing_std: Standard uncertainty of a spacing, m.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
+        origins: File and line of each row; None where they come from no file.
     """
 
     joints: Array
@@ -252,6 +268,7 @@ class SocketObservations:
     source: str = "sockets"
     kind: str = "sockets"
     framed: bool = False
+    origins: Origins | None = None
 
     def unknowns(self) -> tuple[str, ...]:
         """Positions of the sockets."""

@@ -31,6 +31,7 @@ def fit_kind(arm: Arm, observations: Observations) -> Fit:
         "source": observations.source,
         "poses": len(observations.joints),
         "kind": observations.kind,
+        "frames": "fitted",
         "rank": found.identifiability.rank,
         "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
         "unknowns": found.unknowns,

@@ -35,6 +35,7 @@ class Prior:
     kind: str = "prior"
     framed: bool = False
     conditions: Conditions = field(default_factory=Conditions)
+    origins: None = None
 
     @property
     def joints(self) -> Array:

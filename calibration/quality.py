@@ -6,16 +6,19 @@ and degrees on screens, SI inside.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
 
 from calibration.coverage import Coverage
+from calibration.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
 from calibration.identifiability import Identifiability
 from calibration.least_squares import Identification, is_angle
 from calibration.observability import Observability, observability_of
+from calibration.prior import EXPECTED
 from pickenv.arm.geometry import Array
 
 CORRELATED = 0.9
@@ -35,7 +38,13 @@ SIGNIFICANCE = 0.05
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
-Grade = Literal["good", "usable with care", "do not use"]
+ENOUGH = 3
+"""Fewer held-out rows than this judge nothing."""
+
+INFORMED = 0.5
+"""A term counts as measured where the data bring its standard deviation below this share of the expected one."""
+
+Grade = Literal["good", "with care", "do not use"]
 
 
 @dataclass(frozen=True)
@@ -47,12 +56,14 @@ class Completeness:
         degrees_of_freedom: Equations minus parameters.
         p_value: Chance of a chi^2 this large if the model were complete and the noise as stated.
         p_small: Chance of a chi^2 this small.
+        noise: What the noise is called: stated, or assumed where the files state none.
     """
 
     chi_square: float
     degrees_of_freedom: int
     p_value: float
     p_small: float
+    noise: str = "stated noise"
 
     @property
     def reduced(self) -> float:
@@ -71,21 +82,22 @@ class Completeness:
         said = f"reduced chi^2 {self.reduced:.3g}, {self.degrees_of_freedom} degrees of freedom"
         if not self.complete:
             return (
-                f"what remains is {np.sqrt(self.reduced):.2g} times the stated noise ({said}): effects beyond the "
-                "model are left, or the stated noise is too small"
+                f"what remains is {np.sqrt(self.reduced):.2g} times the {self.noise} ({said}): effects beyond the "
+                "model are left, or that noise is too small"
             )
         if self.p_small < SIGNIFICANCE / 2:
-            return f"what remains is smaller than the stated noise ({said}), which is probably stated too large"
-        return f"what remains is the stated noise ({said}, p = {self.p_value:.2g}): the model is complete for it"
+            return f"what remains is smaller than the {self.noise} ({said}), which is probably too large"
+        return f"what remains is the {self.noise} ({said}, p = {self.p_value:.2g}): the model is complete for it"
 
 
-def completeness(found: Identification) -> Completeness:
+def completeness(found: Identification, noise: str = "stated noise") -> Completeness:
     """The chi^2 test of an identification."""
     freedom = found.degrees_of_freedom
     if freedom <= 0:
-        return Completeness(found.chi_square, freedom, float("nan"), float("nan"))
+        return Completeness(found.chi_square, freedom, float("nan"), float("nan"), noise)
     law = stats.chi2(freedom)
-    return Completeness(found.chi_square, freedom, float(law.sf(found.chi_square)), float(law.cdf(found.chi_square)))
+    sizes = float(law.sf(found.chi_square)), float(law.cdf(found.chi_square))
+    return Completeness(found.chi_square, freedom, *sizes, noise)
 
 
 def correlated_pairs(found: Identification, limit: float = CORRELATED) -> tuple[tuple[str, str, float], ...]:
@@ -145,7 +157,8 @@ def axis_errors(errors: Array) -> tuple[AxisErrors, ...]:
     """Statistics of pose errors ``(N, 6)`` or position errors ``(N, 3)``, m and rad, per degree of freedom."""
     scale = np.repeat([1e3, np.degrees(1.0)], 3)[: errors.shape[1]]
     rows = []
-    for axis, column in zip(AXES, (errors * scale).T, strict=False):
+    axes = AXES if errors.shape[1] > 1 else ("length",)
+    for axis, column in zip(axes, (errors * scale).T, strict=False):
         rmse = float(np.sqrt(np.mean(column**2)))
         unit = "deg" if axis.startswith("r") else "mm"
         rows.append(
@@ -167,64 +180,151 @@ class Finding:
     text: str
 
 
+MEASURED, HELD, LOST = "measured", "held by its prior", "lost in others"
+
+
+@dataclass(frozen=True)
+class States:
+    """What became of each parameter of a model: `MEASURED`, `HELD` or `LOST`.
+
+    Attributes:
+        geometry: By parameter of links, base and tool, and by unknown of the measurements themselves.
+        terms: By coefficient of the further terms.
+    """
+
+    geometry: Mapping[str, str]
+    terms: Mapping[str, str]
+
+    def of(self, name: str) -> str:
+        """What became of one parameter."""
+        return self.terms.get(name) or self.geometry[name]
+
+    def text(self) -> str:
+        """For people."""
+        return "; ".join(
+            f"{label}: {list(states.values()).count(MEASURED)} of {len(states)} measured"
+            + "".join(
+                f", {list(states.values()).count(state)} {words}"
+                for state, words in ((HELD, "held by their prior"), (LOST, LOST))
+                if state in states.values()
+            )
+            for label, states in (("geometry", self.geometry), ("further terms", self.terms))
+            if states
+        )
+
+    def as_dict(self) -> dict[str, dict[str, str]]:
+        """For JSON."""
+        return {"geometry": dict(self.geometry), "terms": dict(self.terms)}
+
+
+def parameter_states(found: Identification, bare: Identification) -> States:
+    """Which parameters were measured, which are held by their prior, and which are lost.
+
+    A link's parameter that the data know less well than parts are made (1 mm, 1 mrad) is lost in others, even where the
+    rank has room for it; a term's coefficient is held by its prior unless the data know it twice as well.
+
+    Args:
+        found: The identification, with terms.
+        bare: The one without, whose scatter weighs the prior (`calibration.prior.coefficients_prior`).
+    """
+    model = found.arm_model
+    count = len(model.geometry.parameter_names)
+    prior = model.term_tolerances * EXPECTED * _scatter(found) / max(_scatter(bare), 1e-300)
+    expected = dict(zip(model.parameter_names[count:], prior, strict=True))
+    geometry: dict[str, str] = {}
+    terms: dict[str, str] = {}
+    for each in (bare, found):
+        for name, std in zip(each.identifiability.names, each.standard_deviation, strict=True):
+            kept = name in each.identifiability.kept_names
+            if name in expected:
+                terms[name] = LOST if not kept else MEASURED if std < INFORMED * expected[name] else HELD
+            else:
+                free = name.startswith(("base_", "tool_")) or name in each.unknowns
+                made = np.inf if free else ANGLE_TOLERANCE if is_angle(name) else LENGTH_TOLERANCE
+                geometry[name] = LOST if not kept or std > made else MEASURED
+    return States(geometry, terms)
+
+
+def _scatter(found: Identification) -> float:
+    """What remains, in claimed standard uncertainties."""
+    return float(np.sqrt(found.chi_square / max(found.degrees_of_freedom, 1)))
+
+
 @dataclass(frozen=True, eq=False)
 class Quality:
     """A calibration's quality.
 
     Attributes:
         grade: The verdict.
-        findings: Why, the gravest first.
-        nominal: Held-out errors per axis before (base and tool fitted).
+        reason: The one thing that it rests on most, in one clause.
+        findings: All that a reader must know, the gravest first.
+        nominal: Held-out errors per axis before (base and tool fitted, unless known).
         calibrated: Held-out errors per axis after.
-        observability: Of the kept parameters on the training poses.
+        observability: Of the kept geometric parameters on the training poses.
         completeness: The chi^2 test.
         pairs: Correlated parameters.
+        states: What became of each parameter.
         coverage: What the poses hide, where known.
     """
 
     grade: Grade
+    reason: str
     findings: tuple[Finding, ...]
     nominal: tuple[AxisErrors, ...]
     calibrated: tuple[AxisErrors, ...]
     observability: Observability
     completeness: Completeness
     pairs: tuple[tuple[str, str, float], ...]
+    states: States
     coverage: Coverage | None
 
-    def report(self) -> str:
-        """For people: verdict, reasons, errors per degree of freedom, condition, correlations."""
-        lines = [f"verdict: {self.grade.upper()}"]
-        lines += [f"  {finding.weight}: {finding.text}" for finding in self.findings]
-        lines.append(f"{'held out':>9}  {'mean':>9}  {'std':>9}  {'RMSE':>9}  {'max':>9}  {'RMSE before':>11}")
-        for before, after in zip(self.nominal, self.calibrated, strict=True):
-            numbers = "  ".join(f"{value:9.4f}" for value in (after.mean, after.std, after.rmse, after.max))
-            lines.append(f"{after.axis + ' ' + after.unit:>9}  {numbers}  {before.rmse:11.4f}")
-        seen = self.observability
-        lines.append(
-            f"condition {seen.condition:.1f}; O1 {seen.o1:.3g}, O2 {seen.o2:.3g}, O3 {seen.o3:.3g}, O4 {seen.o4:.3g}, "
-            f"O5 {seen.o5:.3g}"
-        )
-        for first, second, rho in self.pairs[:10]:
-            lines.append(f"correlated: {first}, {second} ({rho:+.3f})")
-        return "\n".join(lines)
+    @property
+    def others(self) -> tuple[Finding, ...]:
+        """The findings that the reason does not say already."""
+        return tuple(finding for finding in self.findings if finding.text != self.reason)
+
+    def verdict(self) -> str:
+        """Grade and reason in one line."""
+        return f"{self.grade}: {self.reason}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """The verdict for JSON, and for a calibration's record."""
+        findings = [{"weight": finding.weight, "text": finding.text} for finding in self.findings]
+        return {"grade": self.grade, "reason": self.reason, "findings": findings}
 
 
 def judge_quality(
-    found: Identification, trained: Array, before: Array, after: Array, coverage: Coverage | None = None
+    found: Identification,
+    trained: Array,
+    before: Array,
+    after: Array,
+    coverage: Coverage | None = None,
+    *,
+    geometric: Identification | None = None,
+    parametric: Array | None = None,
+    noise: str = "stated noise",
 ) -> Quality:
     """Grade a calibration.
 
     Args:
         found: The identification.
-        trained: Errors left on the rows it was fitted to ``(N, 6)`` or ``(N, 3)``, m and rad.
-        before: Held-out errors of the nominal arm with base and tool fitted ``(M, 6)`` or ``(M, 3)``.
+        trained: Errors left on the rows it was fitted to, without a learnt residual, ``(N, 6)``, ``(N, 3)`` or
+            ``(N, 1)``, m and rad.
+        before: Held-out errors of the nominal arm with base and tool fitted (unless known), ``(M, 6)`` or narrower.
         after: Held-out errors of the calibrated arm.
         coverage: From `calibration.coverage.pose_coverage`.
+        geometric: The identification without further terms, whose parameters' condition is stated; ``found`` if there
+            are none.
+        parametric: Held-out errors without a learnt residual, which are set against ``trained``; ``after`` if there is
+            none.
+        noise: What the instrument's noise is called.
     """
-    seen = observability_of(found.identifiability, found.poses)
-    test = completeness(found)
-    pairs = correlated_pairs(found) if np.isfinite(found.covariance).all() else ()
-    findings = [*_failures(found, before, after), *_cautions(found, trained, after, seen, coverage)]
+    bare = geometric or found
+    seen = observability_of(bare.identifiability, bare.poses)
+    test = completeness(found, noise)
+    pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
+    unlearnt = after if parametric is None else parametric
+    findings = [*_failures(found, before, after), *_cautions(found, trained, unlearnt, seen, coverage)]
     findings.append(Finding("note", test.sentence()))
     if pairs:
         worst = f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f})"
@@ -236,8 +336,24 @@ def judge_quality(
             )
         )
     weights = {finding.weight for finding in findings}
-    grade: Grade = "do not use" if "fail" in weights else "usable with care" if "caution" in weights else "good"
-    return Quality(grade, tuple(findings), axis_errors(before), axis_errors(after), seen, test, pairs, coverage)
+    grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
+    reason = findings[0].text
+    if grade == "good":
+        reason = (
+            f"on {len(after)} held-out rows the error falls from {_rms_mm(before):#.4g} to {_rms_mm(after):#.4g} mm RMS"
+        )
+    return Quality(
+        grade=grade,
+        reason=reason,
+        findings=tuple(findings),
+        nominal=axis_errors(before),
+        calibrated=axis_errors(after),
+        observability=seen,
+        completeness=test,
+        pairs=pairs,
+        states=parameter_states(found, bare),
+        coverage=coverage,
+    )
 
 
 def _rms_mm(errors: Array) -> float:
@@ -248,15 +364,36 @@ def _failures(found: Identification, before: Array, after: Array) -> list[Findin
     failures = []
     if not found.converged:
         failures.append(Finding("fail", "the identification did not converge, so its parameters mean nothing"))
-    if _rms_mm(after) >= _rms_mm(before):
+    if len(after) < ENOUGH:
+        rows = "1 row was" if len(after) == 1 else f"{len(after)} rows were"
+        failures.append(
+            Finding("fail", f"only {rows} held out, which judges nothing; measure more, or give others with --test")
+        )
+    elif _rms_mm(after) >= _rms_mm(before):
         failures.append(
             Finding(
                 "fail",
-                f"on held-out poses the calibrated arm is no better ({_rms_mm(after):.3f} mm RMS) than the nominal one "
-                f"({_rms_mm(before):.3f} mm RMS); check units, conventions and the order of rows",
+                f"on held-out rows the calibrated arm is no better ({_rms_mm(after):#.4g} mm RMS) than the nominal one "
+                f"({_rms_mm(before):#.4g} mm RMS); check units, conventions and the order of rows",
+            )
+        )
+    elif _chance(before, after) > SIGNIFICANCE:
+        failures.append(
+            Finding(
+                "fail",
+                f"on {len(after)} held-out rows the calibrated arm ({_rms_mm(after):#.4g} mm RMS) cannot be told from "
+                f"the nominal one ({_rms_mm(before):#.4g} mm RMS); measure more rows, or with less noise",
             )
         )
     return failures
+
+
+def _chance(before: Array, after: Array) -> float:
+    """Chance of a gain this large, pose by pose, if the calibration changed nothing (one-sided paired t test)."""
+    gain = np.linalg.norm(before[:, :3], axis=1) - np.linalg.norm(after[:, :3], axis=1)
+    if np.ptp(gain) == 0:
+        return 0.0 if gain[0] > 0 else 1.0
+    return float(stats.ttest_1samp(gain, 0.0, alternative="greater").pvalue)
 
 
 def _cautions(
@@ -269,7 +406,7 @@ def _cautions(
         cautions.append(
             Finding(
                 "caution",
-                f"the condition number is {seen.condition:.0f}: some parameter combinations are hardly seen; plan the "
+                f"the condition number is {seen.condition:.1f}: some parameter combinations are hardly seen; plan the "
                 "poses with `pickenv plan-poses`",
             )
         )
@@ -277,7 +414,7 @@ def _cautions(
         cautions.append(
             Finding(
                 "caution",
-                f"held-out errors ({_rms_mm(after):.3f} mm RMS) are {_rms_mm(after) / _rms_mm(trained):.1f} times as "
+                f"held-out errors ({_rms_mm(after):#.4g} mm RMS) are {_rms_mm(after) / _rms_mm(trained):.1f} times as "
                 "large as on the training rows: measure more poses, or poses like those that will be used",
             )
         )

@@ -90,20 +90,9 @@ class RobustIdentification:
         """Rows that are no outliers, in order."""
         return np.setdiff1d(np.arange(len(self.weights)), [outlier.row for outlier in self.outliers])
 
-    def report(self, most: int = 20) -> str:
-        """The outliers for people, largest first: row, mm, degrees, sigma."""
-        scale = f"{self.position_scale * 1e3:.4g} mm"
-        if self.attitude_scale is not None:
-            scale += f" and {np.degrees(self.attitude_scale):.3g} deg"
-        lines = [f"{len(self.outliers)} outliers in {len(self.weights)} poses; one sigma of a coordinate is {scale}"]
-        for outlier in self.outliers[:most]:
-            turned = "" if outlier.attitude is None else f", {np.degrees(outlier.attitude):.3g} deg"
-            lines.append(
-                f"  row {outlier.row} (from 0): {outlier.position * 1e3:.3g} mm{turned}, {outlier.sigma:.0f} sigma"
-            )
-        if len(self.outliers) > most:
-            lines.append(f"  and {len(self.outliers) - most} more")
-        return "\n".join(lines)
+    def sizes(self, measurements: Measurements) -> Sizes:
+        """Sizes of the errors of any rows by this arm's identified model, in the standard deviations found here."""
+        return _sizes(self.identification.arm_model, measurements, (self.position_scale, self.attitude_scale))
 
 
 def robust_identify(
@@ -192,8 +181,15 @@ def robust_align(
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
-    """Sizes of all poses: position norms, attitude norms, and both in robust standard deviations."""
+class Sizes:
+    """Sizes of the errors of N poses.
+
+    Attributes:
+        position: Of the positions ``(N,)``, m.
+        attitude: Of the attitudes ``(N,)``, rad; None where only positions were measured.
+        position_scale: Standard deviation of one position coordinate, m.
+        attitude_scale: Of one attitude coordinate, rad.
+    """
 
     position: Array
     attitude: Array | None
@@ -218,17 +214,23 @@ class _Judged:
         return LOSSES[loss](np.sqrt(squares))
 
 
-def _judged(arm: ArmModel, measurements: Measurements) -> _Judged:
-    """Sizes of the residuals; a scale never falls below the instrument's own uncertainty."""
+def _judged(arm: ArmModel, measurements: Measurements) -> Sizes:
+    """Sizes of the residuals in their own robust standard deviations."""
+    return _sizes(arm, measurements, None)
+
+
+def _sizes(arm: ArmModel, measurements: Measurements, scales: tuple[float, float | None] | None) -> Sizes:
+    """Sizes in given standard deviations, or robust ones that never fall below the instrument's own uncertainty."""
     left = PoseObservations(measurements).difference(arm)
     position = np.linalg.norm(left[:, :3], axis=1)
-    position_scale = max(float(np.median(position)) / MEDIAN_NORM, measurements.position_std)
-    if measurements.rotation is None:
-        return _Judged(position, None, position_scale, None)
-    attitude = np.linalg.norm(left[:, 3:], axis=1)
-    return _Judged(
-        position, attitude, position_scale, max(float(np.median(attitude)) / MEDIAN_NORM, measurements.attitude_std)
-    )
+    attitude = None if measurements.rotation is None else np.linalg.norm(left[:, 3:], axis=1)
+    if scales is None:
+        position_scale = max(float(np.median(position)) / MEDIAN_NORM, measurements.position_std)
+        attitude_scale = (
+            None if attitude is None else max(float(np.median(attitude)) / MEDIAN_NORM, measurements.attitude_std)
+        )
+        scales = (position_scale, attitude_scale)
+    return Sizes(position, attitude if scales[1] is not None else None, *scales)
 
 
 def _row_factors(weights: Array, measurements: Measurements) -> Array:
@@ -236,7 +238,7 @@ def _row_factors(weights: Array, measurements: Measurements) -> Array:
 
 
 def _result(
-    found: Identification, judged: _Judged, weights: Array, sigma: float, rounds: int, settled: bool
+    found: Identification, judged: Sizes, weights: Array, sigma: float, rounds: int, settled: bool
 ) -> RobustIdentification:
     sizes = judged.sigma
     rows = [int(row) for row in np.argsort(-sizes, kind="stable") if sizes[row] > sigma]

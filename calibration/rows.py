@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,17 +28,19 @@ def select(observations: Observations, rows: NDArray[np.int64]) -> Observations:
         return PoseObservations(observations.measurements.select(rows))
     if not isinstance(observations, ReflectorObservations | DistanceObservations | SocketObservations):
         raise TypeError(f"rows of {type(observations).__name__} cannot be selected")
-    joints, conditions = observations.joints[rows], observations.conditions.select(rows)
+    common: dict[str, Any] = {
+        "joints": observations.joints[rows],
+        "conditions": observations.conditions.select(rows),
+        "origins": None if observations.origins is None else observations.origins.select(rows),
+    }
     if isinstance(observations, ReflectorObservations):
         covariance = observations.covariance
         covariance = covariance[rows] if covariance.ndim > 2 else covariance
         points, seen = observations.points[rows], observations.seen[rows]
-        return replace(
-            observations, joints=joints, points=points, seen=seen, covariance=covariance, conditions=conditions
-        )
+        return replace(observations, points=points, seen=seen, covariance=covariance, **common)
     if isinstance(observations, DistanceObservations):
-        return replace(observations, joints=joints, length=observations.length[rows], conditions=conditions)
-    return replace(observations, joints=joints, socket=observations.socket[rows], conditions=conditions)
+        return replace(observations, length=observations.length[rows], **common)
+    return replace(observations, socket=observations.socket[rows], **common)
 
 
 def misses(observations: Observations, model: ArmModel, unknowns: Array) -> Array:
@@ -55,6 +58,13 @@ def misses(observations: Observations, model: ArmModel, unknowns: Array) -> Arra
         rest = observations.residual(model, unknowns)[: 3 * len(observations.joints)]
         return np.asarray(rest.reshape(-1, 3) * observations.std)
     raise TypeError(f"{type(observations).__name__} has no position errors")
+
+
+def rows_of_misses(observations: Observations) -> Rows:
+    """The row that each of `misses` belongs to ``(R,)``."""
+    if isinstance(observations, ReflectorObservations):
+        return np.nonzero(observations.seen)[0]
+    return np.arange(len(observations.joints))
 
 
 def unknowns_of(found: Identification, observations: Observations) -> Array:

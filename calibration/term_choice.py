@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.arm_model import ArmModel, Term
-from calibration.error_model import complete_model, with_terms
+from calibration.error_model import geometric_model, with_terms
 from calibration.least_squares import Identification, identify
 from calibration.observations import Observations
 from calibration.prior import coefficients_prior
@@ -76,15 +76,17 @@ def terms_of(name: str, arm: Arm, observations: Observations) -> tuple[Term, ...
     return tuple(terms)
 
 
-def identify_terms(terms: tuple[Term, ...], bare: Identification, observations: Observations) -> Identification:
+def identify_terms(
+    terms: tuple[Term, ...], bare: Identification, observations: Observations, known: bool = False
+) -> Identification:
     """Identify geometry and terms, from a geometry identified without them; coefficients have `calibration.prior`."""
     start = ArmModel.of(bare.geometry, terms)
-    model = with_terms(complete_model(bare.geometry), start)
+    model = with_terms(geometric_model(bare.geometry, known), start)
     scatter = float(np.sqrt(bare.chi_square / max(bare.degrees_of_freedom, 1)))
     return identify(model, start, [observations, coefficients_prior(start, scatter)], max_iterations=60)
 
 
-def choose_terms(arm: Arm, aligned: Geometry, observations: Observations) -> TermChoice:
+def choose_terms(arm: Arm, aligned: Geometry, observations: Observations, known: bool = False) -> TermChoice:
     """Choose terms by blocked cross-validation within training rows, in the order they were measured.
 
     One after the other, what every arm has first (weight), and each only if it wins over those before it. The order is
@@ -92,21 +94,24 @@ def choose_terms(arm: Arm, aligned: Geometry, observations: Observations) -> Ter
 
     Args:
         arm: The arm.
-        aligned: Its geometry with base and tool fitted.
+        aligned: Its geometry with base and tool fitted, or known.
         observations: Training rows.
+        known: Whether base and tool are known.
     """
     count = len(observations.joints)
     data = select(observations, np.unique(np.linspace(0, count - 1, ROWS).astype(int)))
     folds = []
     for train, test in blocks(data, FOLDS):
         here = select(data, train)
-        folds.append((identify(complete_model(aligned), aligned, [here]), here, select(data, test)))
+        folds.append((identify(geometric_model(aligned, known), aligned, [here]), here, select(data, test)))
 
     def score(name: str) -> float:
         missed = []
         for bare, here, there in folds:
             terms = terms_of(name, arm, data)
-            found = identify_terms(terms, bare, here) if terms else bare
+            found = identify_terms(terms, bare, here, known) if terms else bare
+            if not found.converged:
+                return float("inf")  # a model that does not converge is never chosen
             missed.append(misses(there, found.arm_model, unknowns_of(found, there)))
         return float(np.sqrt(np.mean(np.sum(np.concatenate(missed) ** 2, axis=1))))
 

@@ -140,8 +140,11 @@ app.command()(study)
 def main() -> None:
     """Run the command line; bad input ends with one sentence and exit code 2, an interrupt with 130."""
     try:
-        if app(standalone_mode=False) == INTERRUPTED:  # typer turns Ctrl-C into this return value
+        code = app(standalone_mode=False)  # typer turns Ctrl-C and exit codes into return values
+        if code == INTERRUPTED:
             raise KeyboardInterrupt
+        if code:
+            sys.exit(code)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

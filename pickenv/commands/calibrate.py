@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from pickenv.errors import InputError
+
+if TYPE_CHECKING:
+    from calibration.result import Result
+
+DO_NOT_USE = 3
+"""Exit code of a calibration whose verdict is "do not use", and of targets that cannot be reached."""
 
 
 def calibrate(
@@ -18,8 +25,16 @@ def calibrate(
     ],
     arm: Annotated[str, typer.Option(help="Arm name, arm file (.toml) or URDF (file.urdf#tip).", show_default=False)],
     columns: Annotated[str | None, typer.Option(help="Column description, by name or path; ours if left out.")] = None,
+    frames: Annotated[
+        Literal["known", "fitted"] | None,
+        typer.Option(
+            help="known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are "
+            "fitted too. As the files say if left out, which is fitted unless they have a column 'frames'.",
+            show_default=False,
+        ),
+    ] = None,
     test_rows: Annotated[int | None, typer.Option(help="Rows to hold out; a fifth if left out.", min=1)] = None,
-    split: Annotated[str, typer.Option(help="How rows are held out: random or blocked.")] = "random",
+    split: Annotated[Literal["random", "blocked"], typer.Option(help="How rows are held out.")] = "random",
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     test: Annotated[list[Path] | None, typer.Option(help="Held-out rows from other files instead.")] = None,
     terms: Annotated[
@@ -29,7 +44,10 @@ def calibrate(
     force: Annotated[
         bool, typer.Option("--force", help="Use the named residual model even if it does not win.")
     ] = False,
-    robust: Annotated[bool, typer.Option("--robust", help="Leave gross outliers out and list them.")] = False,
+    robust: Annotated[
+        bool, typer.Option("--robust", help="Leave rows that are far off out and list them, held out or not.")
+    ] = False,
+    unit: Annotated[str | None, typer.Option(help="Serial number of the robot, kept in the calibration.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Write the fitted calibration to this file (.npz).")] = None,
     report: Annotated[Path | None, typer.Option(help="Write a one-page report (.html).")] = None,
@@ -38,19 +56,24 @@ def calibrate(
         typer.Option(help="Run folder: calibration, report, and what `pickenv figures` draws."),
     ] = None,
 ) -> None:
-    """Identify a real arm from measurements of any kind, base and tool included, and judge it on held-out rows."""
+    """Identify a real arm from measurements of any kind and judge it on held-out rows.
+
+    The verdict comes first: good, with care, or do not use; then the exit code is 3.
+    """
     import numpy as np
 
     from calibration.columns import read_observations
     from calibration.held_out import Choices, judge
     from calibration.observations import PoseObservations
     from calibration.rows import choose, select
-    from calibration.uncertainty import with_uncertainty
     from pickenv.arm import load_arm
-    from pickenv.commands.calibrations import write_run
-    from pickenv.files import write_text
-    from pickenv.inspect.calibration_report import gather, write_calibration_report
+    from pickenv.files import separate, write_text
+    from pickenv.inspect.calibration_report import write_calibration_report
 
+    separate(
+        {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
+        {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run},
+    )
     chosen = load_arm(arm)
     reading = read_observations(files, chosen.nominal, columns)
     train = reading.observations
@@ -59,39 +82,66 @@ def calibrate(
     else:
         train_rows, held_rows = choose(train, split, test_rows, np.random.default_rng(seed))
         train, held_out = select(train, np.sort(train_rows)), select(train, np.sort(held_rows))
-    poses = train.measurements if isinstance(train, PoseObservations) else None
-    held_poses = held_out.measurements if isinstance(held_out, PoseObservations) else None
     for option, path in (("--report", report), ("--run", run)):
-        if path is not None and (poses is None or held_poses is None):
+        if path is not None and not (isinstance(train, PoseObservations) and isinstance(held_out, PoseObservations)):
             raise InputError(f"{option} shows poses and positions, but {train.source} holds {train.kind}; leave it out")
-    choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed)
-    judged = replace(judge(chosen, train, held_out, choices), floor=reading.floor)
-    print(judged.report())
+    choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed, frames=frames)
+    result = replace(judge(chosen, train, held_out, choices), floor=reading.floor, unit=unit)
+    seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
+    written = []
     if out is not None:
-        found = judged.fit
-        calibration = found.calibration
-        if held_poses is not None:
-            calibration = with_uncertainty(calibration, found.identification, held_poses)
-        print(f"wrote {calibration.save(out)}")
-    if (report is not None or run is not None) and poses is not None and held_poses is not None:
-        gate = None if judged.gate is None else judged.gate.as_dict()
-        seeds = {"split": split, "seed": seed, "held-out rows": len(held_poses)}
-        evidence = gather(chosen, judged.fit, poses, held_poses, gate)
-        if report is not None:
-            print(f"wrote {write_calibration_report(report, evidence, seeds)}")
-        if run is not None:
-            options = {"columns": columns, "test-rows": test_rows, "split": split, "seed": seed, "terms": terms}
-            options |= {"residual": residual, "force": force or None, "robust": robust or None}
-            for path in write_run(run, _command(files, arm, test or [], options), seed, evidence, judged, seeds):
-                print(f"wrote {path}")
+        written.append(result.calibration.save(out))
+    if report is not None:
+        written.append(write_calibration_report(report, result, seeds))
+    if run is not None:
+        options = {"columns": columns, "frames": frames, "test-rows": test_rows, "split": split, "seed": seed}
+        options |= {"terms": terms, "residual": residual, "force": force or None, "robust": robust or None}
+        written += write_run(run, _command(files, arm, test or [], options | {"unit": unit}), seed, result, seeds)
     if json_file is not None:
-        print(f"wrote {write_text(json_file, json.dumps(judged.as_dict(), indent=2) + chr(10))}")
+        written.append(write_text(json_file, json.dumps(result.as_dict(), indent=2) + "\n"))
+    print(result.report())
+    for path in written:
+        print(f"wrote {path}")
+    if result.quality.grade == "do not use":
+        raise typer.Exit(DO_NOT_USE)
+
+
+def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
+    """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
+    from calibration.observations import PoseObservations
+    from pickenv.files import write_text
+    from pickenv.inspect.calibration_report import write_calibration_report
+    from pickenv.inspect.calibration_trace import trace_of
+    from pickenv.inspect.run_folder import REPORT, recorded_run, save_trace
+
+    assert isinstance(result.train, PoseObservations) and isinstance(result.test, PoseObservations)
+    stages = list(result.errors.values())
+    errors = {"nominal": stages[0], "calibrated": stages[1]}
+    if len(stages) > 2:
+        errors[result.best_model] = stages[-1]
+    trace = trace_of(
+        result.fit, {"identification": result.train.measurements, "test": result.test.measurements}, errors
+    )
+    with recorded_run(folder, "calibration", command, seed):
+        return [
+            result.calibration.save(folder / "calibration"),
+            save_trace(folder, trace, seed),
+            write_text(folder / "figures.json", json.dumps(result.as_dict(), indent=2) + "\n"),
+            write_calibration_report(folder / REPORT, result, seeds),
+        ]
+
+
+def _npz(path: Path | None) -> Path | None:
+    """The file that a calibration saved under this name goes to."""
+    return path if path is None or path.suffix == ".npz" else path.with_name(f"{path.name}.npz")
 
 
 def _command(files: list[Path], arm: str, test: list[Path], options: dict[str, Any]) -> str:
-    """The command line that makes the same calibration; options that are None were not given."""
-    words = ["pickenv calibrate", *map(str, files), "--arm", arm, *(f"--test {path}" for path in test)]
-    words += [
-        f"--{key}" if value is True else f"--{key} {value}" for key, value in options.items() if value is not None
-    ]
-    return " ".join(words)
+    """The command line that makes the same calibration, quoted; options that are None were not given."""
+    words = ["pickenv", "calibrate", *map(str, files), "--arm", arm]
+    for path in test:
+        words += ["--test", str(path)]
+    for key, value in options.items():
+        if value is not None:
+            words += [f"--{key}"] if value is True else [f"--{key}", str(value)]
+    return shlex.join(words)

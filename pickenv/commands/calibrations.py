@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 
 from pickenv.errors import InputError
-
-if TYPE_CHECKING:
-    from calibration.held_out import Judged
-    from pickenv.inspect.calibration_report import Evidence
+from pickenv.reservations import DO_NOT_USE, obey
 
 ARM = typer.Option(help="Arm name or arm file (.toml, .urdf).", show_default=False)
+UNIT = typer.Option(help="Serial number of the robot, which must be the calibration's.", show_default=False)
+ALLOW = typer.Option(help="Use the calibration in spite of this reservation: do-not-use.", show_default=False)
+UNREACHED = 3
+"""Exit code where targets cannot be reached."""
+
 CALIBRATION = typer.Argument(help="Calibration file (.npz).", show_default=False)
 
 
@@ -43,8 +44,9 @@ def plan_poses(
     from calibration.planning import plan_poses as plan
     from calibration.targets import joints_of, read_targets
     from pickenv.arm import load_arm
-    from pickenv.files import write_text
+    from pickenv.files import separate, write_text
 
+    separate({"--at": at, "--arm": arm}, {"--out": out, "--json": json_file})
     if frames not in ("fitted", "known"):
         raise InputError(f"frames is '{frames}'; give fitted or known")
     chosen = load_arm(arm)
@@ -65,30 +67,6 @@ def plan_poses(
         print(f"wrote {write_text(json_file, json.dumps(planned.as_dict(), indent=2) + chr(10))}")
 
 
-def write_run(
-    folder: Path, command: str, seed: int, evidence: Evidence, judged: Judged, seeds: Mapping[str, Any]
-) -> list[Path]:
-    """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
-    from calibration.uncertainty import with_uncertainty
-    from pickenv.files import write_text
-    from pickenv.inspect.calibration_report import write_calibration_report
-    from pickenv.inspect.calibration_trace import trace_of
-    from pickenv.inspect.run_folder import REPORT, recorded_run, save_trace
-
-    errors = {"nominal": evidence.before, "calibrated": evidence.after}
-    if evidence.best is not None:
-        errors["with residual"] = evidence.best
-    calibration = evidence.fit.calibration
-    trace = trace_of(evidence.fit, {"identification": evidence.train, "test": evidence.test}, errors)
-    with recorded_run(folder, "calibration", command, seed):
-        return [
-            with_uncertainty(calibration, evidence.fit.identification, evidence.test).save(folder / "calibration"),
-            save_trace(folder, trace, seed),
-            write_text(folder / "figures.json", json.dumps(judged.as_dict(), indent=2) + "\n"),
-            write_calibration_report(folder / REPORT, evidence, seeds),
-        ]
-
-
 def apply(
     calibration: Annotated[Path, CALIBRATION],
     targets: Annotated[
@@ -101,16 +79,24 @@ def apply(
     ] = "controller",
     payload_kg: Annotated[float | None, typer.Option(help="Mass held, where the calibration asks for it.")] = None,
     temperature_k: Annotated[float | None, typer.Option(help="Temperature rise above the reference, likewise.")] = None,
+    unit: Annotated[str | None, UNIT] = None,
+    allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
-    """Turn nominal joint or pose targets into corrected joint commands, with the error and uncertainty to expect."""
+    """Turn nominal joint or pose targets into corrected joint commands, with the error and uncertainty to expect.
+
+    Where a target cannot be reached its command stays empty, and the exit code is 3.
+    """
     from calibration.apply import apply_calibration
     from calibration.arm_model import Conditions
     from calibration.calibration import Calibration
     from calibration.targets import read_targets
     from pickenv.arm import load_arm
+    from pickenv.files import separate
 
+    separate({"CALIBRATION": calibration, "TARGETS": targets, "--arm": arm}, {"--out": out})
     chosen = load_arm(arm)
-    loaded = Calibration.load(calibration, chosen)
+    loaded = Calibration.load(calibration, chosen, unit)
+    obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
     conditions = Conditions(
         payload=None if payload_kg is None else np.array(payload_kg),
         temperature=None if temperature_k is None else np.array(temperature_k),
@@ -118,8 +104,11 @@ def apply(
     commands = apply_calibration(
         loaded, chosen, read_targets(targets, chosen.nominal), frame=frame, conditions=conditions
     )
+    written = commands.write_csv(out)
     print(commands.report())
-    print(f"wrote {commands.write_csv(out)}")
+    print(f"wrote {written}")
+    if not commands.reached.all():
+        raise typer.Exit(UNREACHED)
 
 
 def export(
@@ -128,16 +117,24 @@ def export(
     toml: Annotated[Path | None, typer.Option(help="Write the corrected arm as an arm file (.toml).")] = None,
     urdf: Annotated[Path | None, typer.Option(help="Write the corrected arm as URDF.")] = None,
     onnx: Annotated[Path | None, typer.Option(help="Write the learnt network as ONNX.")] = None,
+    unit: Annotated[str | None, UNIT] = None,
+    allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
     """Write the corrected arm as TOML or URDF, and its learnt residual as ONNX, for other programs."""
     from calibration.calibration import Calibration
     from calibration.export import write_arm_toml, write_arm_urdf, write_onnx
     from pickenv.arm import load_arm
+    from pickenv.files import separate
 
     if toml is None and urdf is None and onnx is None:
         raise InputError("nothing to write; give --toml, --urdf or --onnx with a file name")
+    separate(
+        {"CALIBRATION": calibration, "--arm": arm},
+        {"--toml": toml, "--urdf": urdf, "--onnx": onnx},
+    )
     chosen = load_arm(arm)
-    loaded = Calibration.load(calibration, chosen)
+    loaded = Calibration.load(calibration, chosen, unit)
+    obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
     if toml is not None:
         print(f"wrote {write_arm_toml(loaded, chosen, toml)}")
     if urdf is not None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from calibration.least_squares import is_angle
-
 LINK_WORDS = {
     "alpha": "twist between the axes of {before} and {after}",
     "a": "distance between the axes of {before} and {after}",
@@ -51,12 +49,3 @@ def parameter_words(name: str, joint_names: Sequence[str]) -> str:
         after = joint_names[place] if place < len(joint_names) else ""
         return EFFECT_WORDS[found[1]].format(after=after)
     return ""
-
-
-def unit_of(name: str, geometric: Sequence[str]) -> tuple[str, float]:
-    """Unit of a parameter on screens, and the factor from SI; coefficients of effects stay in SI."""
-    if name in geometric:
-        return ("deg", 180.0 / 3.141592653589793) if is_angle(name) else ("mm", 1e3)
-    if name.startswith(("reflector", "anchor", "socket")):
-        return "mm", 1e3
-    return "SI", 1.0

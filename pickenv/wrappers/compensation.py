@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Protocol, TypeVar
 
 import gymnasium as gym
@@ -12,6 +12,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
 from pickenv.errors import InputError
+from pickenv.reservations import obey
 
 Observation = TypeVar("Observation")
 Action = TypeVar("Action")
@@ -44,15 +45,23 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
      * v0.1.0 - Added.
     """
 
-    def __init__(self, env: gym.Env[Observation, Action], compensator: Compensator) -> None:
+    def __init__(
+        self, env: gym.Env[Observation, Action], compensator: Compensator, allow: Collection[str] = ()
+    ) -> None:
         """Install ``compensator`` in ``env``.
 
+        Args:
+            env: The environment; its fruit stand in the arm's own base frame.
+            compensator: The compensator.
+            allow: Reservations of the calibration to accept, by name: "fitted-frames", "do-not-use".
+
         Raises:
-            InputError: If the environment has no compensation seam, or already holds a compensator.
+            InputError: If the environment has no compensation seam, or already holds a compensator; or if something
+                stands against the calibration that ``allow`` does not name.
         """
-        RecordConstructorArgs.__init__(self, compensator=compensator)
+        RecordConstructorArgs.__init__(self, compensator=compensator, allow=allow)
         gym.Wrapper.__init__(self, env)
-        _install([env.unwrapped], compensator)
+        _install([env.unwrapped], compensator, allow)
 
     def close(self) -> None:
         """Close the environment and remove the compensator."""
@@ -75,15 +84,21 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
      * v0.1.0 - Added.
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, Any], compensator: Compensator) -> None:
+    def __init__(self, env: VectorEnv[Any, Any, Any], compensator: Compensator, allow: Collection[str] = ()) -> None:
         """Install ``compensator`` in every environment of ``env``.
 
+        Args:
+            env: The environments; their fruit stand in the arm's own base frame.
+            compensator: The compensator.
+            allow: Reservations of the calibration to accept, by name: "fitted-frames", "do-not-use".
+
         Raises:
-            InputError: If an environment has no compensation seam, or already holds a compensator.
+            InputError: If an environment has no compensation seam, or already holds a compensator; or if something
+                stands against the calibration that ``allow`` does not name.
         """
-        RecordConstructorArgs.__init__(self, compensator=compensator)
+        RecordConstructorArgs.__init__(self, compensator=compensator, allow=allow)
         VectorWrapper.__init__(self, env)
-        _install(_seams(env), compensator)
+        _install(_seams(env), compensator, allow)
 
     def close(self, **arguments: Any) -> None:
         """Close the environments and remove the compensator."""
@@ -97,7 +112,8 @@ def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:
     return [single.unwrapped for single in inner.envs] if hasattr(inner, "envs") else [inner]
 
 
-def _install(seams: Sequence[Any], compensator: Compensator) -> None:
+def _install(seams: Sequence[Any], compensator: Compensator, allow: Collection[str]) -> None:
+    obey(getattr(compensator, "reservations", {}), allow)
     for seam in seams:
         if not hasattr(seam, "compensator"):
             raise InputError(f"{type(seam).__name__} has no compensation seam; wrap a pickenv environment")

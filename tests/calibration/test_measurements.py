@@ -36,8 +36,8 @@ def test_the_file_names_every_unit(noisy, tmp_path):
     assert names == [*joints, "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
     with noisy.write_csv(tmp_path / "tracker.csv").open(newline="", encoding="utf-8") as file:
         rows = list(csv.reader(file))
-    assert rows[0] == names
-    assert np.array_equal(np.array(rows[1:], dtype=float), values)
+    assert rows[0] == [*names, "frames"] and {row[-1] for row in rows[1:]} == {"known"}
+    assert np.array_equal(np.array([row[:-1] for row in rows[1:]], dtype=float), values)
     np.testing.assert_allclose(values[:, -3:], np.degrees(rotation_vector(noisy.rotation)))
 
 
