@@ -263,7 +263,8 @@ def _preamble(entry: Mapping[str, Any]) -> bytes:
 
 def _size(entry: Mapping[str, Any]) -> int:
     """Bytes of an array's numbers."""
-    return math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize
+    size: int = math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize
+    return size
 
 
 def _array(name: str, content: bytes, preamble: bytes, entry: Mapping[str, Any]) -> NDArray[Any]:
