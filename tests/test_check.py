@@ -2,15 +2,18 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from agents.calibrated import Protocol, compensators
 from agents.learned import BASELINES
 from calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.arm import load_plant
@@ -19,6 +22,8 @@ from pickenv.container import write_container
 from pickenv.files import write_text
 from pickenv.inspect.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.run_folder import recorded_run, save_trace
+from pickenv.study.config import load_study
+from pickenv.study.run import run_study
 
 NAMES = ("calibration.npz", "calibration_trace.npz", "figures.json")
 
@@ -176,3 +181,89 @@ def test_the_exit_code_reaches_the_shell(folder: Path) -> None:
     assert subprocess.run(command, capture_output=True, check=False).returncode == 0
     flip(folder / "calibration.npz", np.random.default_rng(0))
     assert subprocess.run(command, capture_output=True, check=False).returncode == 3
+
+
+STUDY = """
+plant = "qiao2026"
+seed = 3
+arms = 4
+chunk = 2
+[picking]
+fruit = 8
+[specification]
+radius_mm = 1.0
+share = 0.75
+[tolerances]
+classes = ["medium"]
+it_grades = [8]
+[calibration]
+methods = ["raw", "ls"]
+poses = [12]
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two studies that differ in their seed alone."""
+    path = tmp_path_factory.mktemp("studies")
+    write_text(path / "config.toml", STUDY)
+    config = load_study(path / "config.toml")
+    run_study(config, path / "one", executor="batched")
+    run_study(replace(config, seed=4), path / "other", executor="batched")
+    return path
+
+
+@pytest.fixture
+def study(finished: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(finished / "one", tmp_path / "study"))
+
+
+def refused_lines(study: Path) -> str:
+    code, lines = checked(study)
+    assert code == 3
+    return "\n".join(line for line in lines if line.startswith("REFUSED"))
+
+
+def test_a_sound_study_passes_and_an_exchanged_or_stray_chunk_is_named(study: Path, finished: Path) -> None:
+    assert checked(study)[0] == 0
+    chunks = sorted((study / "rows").glob("*.parquet"))
+    assert checked(*chunks)[0] == 0
+    shutil.copy(chunks[0], study / "rows" / "chunk-00007.parquet")
+    assert "chunk-00007.parquet" in refused_lines(study)
+    (study / "rows" / "chunk-00007.parquet").unlink()
+    shutil.copy(finished / "other" / "rows" / chunks[0].name, chunks[0])
+    assert chunks[0].name in refused_lines(study)
+    assert checked(chunks[0])[0] == 0  # it is sound by itself
+
+
+def test_an_edited_study_is_refused(study: Path) -> None:
+    text = (study / "study.toml").read_text()
+    write_text(study / "study.toml", text.replace("radius_mm = 1.0", "radius_mm = 5.0"))
+    assert "study.toml" in refused_lines(study)
+
+
+@pytest.mark.parametrize("count", [5, pytest.param(500, marks=pytest.mark.slow)])
+def test_one_flipped_bit_anywhere_in_a_chunk_is_refused(study: Path, count: int) -> None:
+    chunk = min((study / "rows").glob("*.parquet"))
+    whole = chunk.read_bytes()
+    for number in range(count):
+        chunk.write_bytes(whole)
+        flip(chunk, np.random.default_rng([7, number]))
+        assert checked(chunk)[0] == 3
+        code, lines = checked(study)
+        assert code == 3
+        assert any(chunk.name in line for line in lines if line.startswith("REFUSED"))
+
+
+def test_calibrations_that_changed_places_in_a_cache_are_refused(tmp_path: Path) -> None:
+    protocol = Protocol(identification_poses=30)
+    for name in ("qiao2026", "geometry_only"):
+        compensators(load_plant(name), "ls", protocol, tmp_path)
+    one, other = sorted(tmp_path.glob("*.npz"))
+    assert checked(tmp_path)[0] == 0
+    first, second = one.read_bytes(), other.read_bytes()
+    one.write_bytes(second)
+    other.write_bytes(first)
+    code, lines = checked(tmp_path)
+    assert code == 3
+    assert all("is the calibration of another arm or protocol than its name says" in line for line in lines[:2])

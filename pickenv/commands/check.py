@@ -18,8 +18,6 @@ REFUSED = 3
 """Exit code where something is damaged or foreign."""
 
 REMAKE = "make it anew with the command that made it"
-ORIGIN = "evaluated_arm_sha256"
-"""In the record of a calibration that `pickenv evaluate --cache` keeps: hash of what it belongs to."""
 SEALED = (".npz", ".pt", ".parquet")
 """Suffixes of the files that carry a seal."""
 
@@ -152,6 +150,7 @@ def _foreign(path: Path, what: str) -> tuple[int | None, str]:
 
 
 def _calibration(path: Path) -> tuple[int | None, str]:
+    from agents.calibrated import ORIGIN
     from calibration.calibration import FORMAT, Calibration
 
     found = Calibration.load(path)
