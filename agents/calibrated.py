@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
 from pickenv.arm.arm_file import Arm
 from pickenv.arm.batch import plant_at, plant_count
+from pickenv.arm.content import content_sha256
 from pickenv.arm.geometry import Array
 from pickenv.arm.plant import Plant
 from pickenv.errors import InputError
+from pickenv.provenance import code_fingerprint
 from pickenv.reservations import obey
 
 COMPENSATIONS = ("raw", "ls", "ls_bpnn", "best")
 """No calibration; least squares; with the paper's network; with the best residual model (Gaussian process)."""
 
 RESIDUALS = {"ls_bpnn": "bpnn", "best": "gp"}
+
+ORIGIN = "evaluated_arm_sha256"
+"""In a kept calibration's record: hash of the arm and of how it was calibrated."""
 
 Compensate = Callable[[Array], Array]
 
@@ -81,6 +86,9 @@ def compensators(
         protocol: How they are measured and fitted.
         folder: Where calibrations are kept for the next time, or None.
         progress: Told how many are done, and how many there are.
+
+    Raises:
+        InputError: If a kept calibration is damaged, or of another arm or protocol than its name says.
     """
     check_compensation(compensation)
     if compensation == "raw":
@@ -89,13 +97,10 @@ def compensators(
     found: list[Compensate] = []
     for number in range(count or 1):
         plant = plants if count is None else plant_at(plants, number)
-        path = folder / f"{_key(plant, compensation, protocol, number)}.npz" if folder is not None else None
-        if path is not None and path.is_file():
-            calibration = Calibration.load(path, plant.arm)
-        else:
+        if folder is None:
             calibration = calibrate_arm(plant, compensation, protocol, number)
-            if path is not None:
-                calibration.save(path)
+        else:
+            calibration = _kept(folder, plant, compensation, protocol, number)
         found.append(calibration.compensator())
         if progress is not None:
             progress(number + 1, count or 1)
@@ -129,11 +134,22 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
     return calibration.compensator()
 
 
-def _key(plant: Plant, compensation: str, protocol: Protocol, number: int) -> str:
-    """A name that changes with whatever the calibration depends on."""
-    import hashlib
+def _kept(folder: Path, plant: Plant, compensation: str, protocol: Protocol, number: int) -> Calibration:
+    """The calibration of an arm from a folder, where it is made if it is not there.
 
-    probe: ArrayLike = random_joints(plant.arm.nominal, 20, np.random.default_rng(0))
-    position = plant.tool_pose(probe).position
-    digest = hashlib.sha256(np.rint(position * 1e9).astype(np.int64).tobytes() + repr((protocol, number)).encode())
-    return f"{plant.name}-{compensation}-{digest.hexdigest()[:16]}"
+    A file belongs to the arm's own numbers, to the protocol and to the code that fits; its record says so as well.
+    """
+    origin = content_sha256(plant, compensation, protocol, number, code_fingerprint())
+    path = folder / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', plant.name)}-{compensation}-{origin[:16]}.npz"
+    if not path.is_file():
+        calibration = calibrate_arm(plant, compensation, protocol, number)
+        calibration = replace(calibration, record={**calibration.record, ORIGIN: origin})
+        calibration.save(path)
+        return calibration
+    calibration = Calibration.load(path, plant.arm)
+    if calibration.record.get(ORIGIN) != origin:
+        raise InputError(
+            f"{path} is the calibration of another arm or protocol than its name says; delete it, or give another "
+            "--cache"
+        )
+    return calibration

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.checkpoints import save_checkpoint
 from agents.learned import LearnedPolicy
-from agents.training import Training, actor_of, judge, write_evaluations
+from agents.training import Inputs, Training, actor_of, check_inputs, judge, write_evaluations
 from pickenv.wrappers.sb3 import Sb3Vec
 
 
@@ -22,9 +21,11 @@ def following(steps: int, every: int) -> int:
 class Checkpoints(BaseCallback):
     """Write a checkpoint every so many steps, between an update and the next rollout, when nothing is half done."""
 
-    def __init__(self, training: Training, path: Path, env: Sb3Vec) -> None:
+    def __init__(
+        self, training: Training, inputs: Inputs, path: Path, env: Sb3Vec, evaluations: list[dict[str, float]]
+    ) -> None:
         super().__init__()
-        self.what, self.path, self.env = training, path, env
+        self.what, self.inputs, self.path, self.env, self.evaluations = training, inputs, path, env, evaluations
         self._next = 0
 
     def _on_training_start(self) -> None:
@@ -32,7 +33,7 @@ class Checkpoints(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         if self.model.num_timesteps >= self._next:
-            save_checkpoint(self.path, self.model, self.env, asdict(self.what))
+            save_checkpoint(self.path, self.model, self.env, self.what, self.inputs, self.evaluations)
             self._next = following(self.model.num_timesteps, self.what.checkpoint_every)
 
     def _on_step(self) -> bool:
@@ -42,9 +43,9 @@ class Checkpoints(BaseCallback):
 class Evaluations(BaseCallback):
     """Judge the policy on held-out episodes every so many steps; draws nothing that the training draws from."""
 
-    def __init__(self, training: Training, out: Path, rows: list[dict[str, float]]) -> None:
+    def __init__(self, training: Training, inputs: Inputs, out: Path, rows: list[dict[str, float]]) -> None:
         super().__init__()
-        self.what, self.out, self.rows = training, out, rows
+        self.what, self.inputs, self.out, self.rows = training, inputs, out, rows
         self._next = 0
 
     def _on_training_start(self) -> None:
@@ -62,7 +63,12 @@ class Evaluations(BaseCallback):
         return True
 
     def judge(self, policy: LearnedPolicy, steps: int) -> dict[str, float]:
-        """Judge a policy and add a row."""
+        """Judge a policy and add a row.
+
+        Raises:
+            InputError: If the files that the training was begun with have changed.
+        """
+        check_inputs(self.what, self.inputs)
         self.rows[:] = [row for row in self.rows if row["steps"] < steps]
         self.rows.append({"steps": float(steps)} | judge(policy, self.what))
         write_evaluations(self.out, self.rows)

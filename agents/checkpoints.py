@@ -1,45 +1,91 @@
 """Checkpoints from which training goes on as if it had never stopped: weights, optimisers, randomness, environments.
 
-Tensors and plain values only, so that a checkpoint is read without executing code; written whole or not at all.
+A checkpoint is a container (`pickenv.container`): every byte is sealed, and the state inside it, tensors and plain
+values only, is read without executing code. Its header says which training it is of, and of which files.
 """
 
 from __future__ import annotations
 
+import io
 import json
-import pickle
-import zipfile
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
 import torch
 
+from agents.training import Inputs, Training
+from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
-from pickenv.files import write_whole
 from pickenv.wrappers.sb3 import Sb3Vec
 
-FORMAT = 1
+KIND, FORMAT = "checkpoint", 2
+STATE = "state.pt"
+AGAIN = "start the training again"
+
+LIMIT = 1 << 35
+"""Bytes that a checkpoint may have (32 GiB): the replay buffer is in it."""
 
 BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", "_current_ep_start")
 """Arrays of a replay buffer, where it has them; observations come in one or two more."""
 
+COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
+PARTS = {
+    *("parameters", "variables", "counts", "torch_random", "numpy_random", "action_random"),
+    *("last", "starts", "env", "buffer"),
+}
+"""What a state consists of."""
 
-def save_checkpoint(path: Path, model: Any, env: Sb3Vec, settings: dict[str, Any]) -> Path:
-    """Write everything that the rest of a training depends on.
+TYPES: dict[str, tuple[type, ...]] = {
+    **dict.fromkeys(("algorithm", "env_id"), (str,)),
+    **dict.fromkeys(("seed", "checkpoint_every", "evaluate_every"), (int,)),
+    **dict.fromkeys(("arguments", "parameters"), (dict,)),
+    "steps": (int, NoneType),
+    "compensate": (str, NoneType),
+    "scaled_actions": (bool,),
+}
+"""Types of a training's settings."""
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A checkpoint as it was read.
+
+    Attributes:
+        path: Its file.
+        training: What is trained.
+        inputs: Which calibration and arms it was begun with.
+        evaluations: The evaluations so far.
+        state: Everything that the rest of the training depends on.
+    """
+
+    path: Path
+    training: Training
+    inputs: Inputs
+    evaluations: list[dict[str, float]]
+    state: dict[str, Any]
+
+
+def save_checkpoint(
+    path: Path, model: Any, env: Sb3Vec, training: Training, inputs: Inputs, evaluations: list[dict[str, float]]
+) -> Path:
+    """Write everything that the rest of a training depends on, whole or not at all.
 
     Args:
         path: The file.
         model: The algorithm, between an update and the next rollout.
         env: Its environments.
-        settings: JSON that describes the training.
+        training: What is trained.
+        inputs: Which calibration and arms it was begun with.
+        evaluations: The evaluations so far.
     """
     name, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
-    content = {
-        "format": FORMAT,
-        "settings": json.dumps(settings),
+    state = {
         "parameters": model.get_parameters(),
         "variables": {key: getattr(model, key).detach().clone() for key in model._get_torch_save_params()[1]},
-        "counts": {key: getattr(model, key) for key in ("num_timesteps", "_n_updates", "_episode_num")},
+        "counts": {key: getattr(model, key) for key in COUNTS},
         "torch_random": torch.get_rng_state(),
         "numpy_random": [name, _tensor(keys), int(position), int(has_gauss), float(gauss)],
         "action_random": json.dumps(model.action_space.np_random.bit_generator.state),
@@ -48,37 +94,58 @@ def save_checkpoint(path: Path, model: Any, env: Sb3Vec, settings: dict[str, Any
         "env": _tensors(env.state()),
         "buffer": _buffer(model),
     }
-    return write_whole(path, lambda temporary: torch.save(content, temporary))
+    stored = io.BytesIO()
+    torch.save(state, stored)
+    header = {"training": asdict(training), "inputs": asdict(inputs), "evaluations": evaluations}
+    return write_container(path, KIND, header, {}, {STATE: stored.getvalue()}, version=FORMAT)
 
 
-def read_checkpoint(path: Path) -> dict[str, Any]:
-    """The content of a checkpoint.
+def read_checkpoint(path: Path) -> Checkpoint:
+    """The content of a checkpoint; nothing in it is executed.
 
     Raises:
-        InputError: If it is missing, damaged, or newer than this program.
+        InputError: If it is missing, damaged in any byte, or of another version.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"there is no checkpoint {path} to go on from; start the training without --resume")
+    container = read_container(path, KIND, remake=AGAIN, version=FORMAT, limit=LIMIT)
+    with refusing_damage(path, "a checkpoint", AGAIN):
+        header, settings = container.header, container.header["training"]
+        sound = {name for name, value in settings.items() if type(value) in TYPES[name]}
+        if sound != {field.name for field in fields(Training)}:
+            raise ValueError("its settings are not those of a training")
+        state = torch.load(io.BytesIO(container.blobs[STATE]), weights_only=True)
+        if set(state) != PARTS:
+            raise ValueError("its state is not that of a training")
+        rows = [{str(key): float(value) for key, value in row.items()} for row in header["evaluations"]]
+        return Checkpoint(path, Training(**settings), Inputs(**header["inputs"]), rows, state)
+
+
+def check_checkpoint(path: str | Path) -> str | None:
+    """Verify a checkpoint from end to end: None, or the sentence that says why it is refused."""
     try:
-        content: dict[str, Any] = torch.load(path, weights_only=True)
-        json.loads(content["settings"])
-        newer = int(content["format"]) > FORMAT
-    except (OSError, EOFError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        raise InputError(f"checkpoint {path} is damaged ({_short(error)}); start the training again") from error
-    except (zipfile.BadZipFile, pickle.UnpicklingError) as error:
-        raise InputError(f"{path} is not a checkpoint of pickenv ({_short(error)}); start again") from error
-    if newer:
-        raise InputError(f"checkpoint {path} has format {content['format']}, we read {FORMAT}; update pickenv")
-    return content
+        read_checkpoint(Path(path))
+    except InputError as error:
+        return str(error)
+    return None
 
 
-def take_checkpoint(content: dict[str, Any], model: Any, env: Sb3Vec) -> None:
-    """Bring a freshly made training to where the checkpoint was written."""
+def take_checkpoint(checkpoint: Checkpoint, model: Any, env: Sb3Vec) -> None:
+    """Bring a freshly made training to where the checkpoint was written.
+
+    Raises:
+        InputError: If the state does not fit the training.
+    """
+    with refusing_damage(checkpoint.path, "a checkpoint of this training", AGAIN):
+        _take(checkpoint.state, model, env)
+
+
+def _take(content: dict[str, Any], model: Any, env: Sb3Vec) -> None:
     model.set_parameters(content["parameters"], exact_match=True)
     for key, value in content["variables"].items():
         getattr(model, key).data.copy_(value)
-    for key, value in content["counts"].items():
-        setattr(model, key, value)
+    for key in COUNTS:
+        setattr(model, key, content["counts"][key])
     model._last_obs = _arrays(content["last"])
     model._last_episode_starts = content["starts"].numpy().copy()
     env.take_state(_arrays(content["env"]))
@@ -131,7 +198,3 @@ def _arrays(values: Any) -> Any:
     if isinstance(values, dict):
         return {key: value.numpy().copy() for key, value in values.items()}
     return values.numpy().copy()
-
-
-def _short(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:100]

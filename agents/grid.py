@@ -24,7 +24,7 @@ from agents.servo import ServoReach
 from agents.statistics import Paired, interquartile_mean, interval, paired
 from pickenv.arm.geometry import Array
 from pickenv.arm.tolerances import draw_plants, load_tolerances
-from pickenv.envs.task import CONTROL_PERIOD, FEEDBACK, check_choice, load_true_arm
+from pickenv.envs.task import CONTROL_PERIOD, FEEDBACK, check_choice, check_number, load_true_arm
 from pickenv.errors import InputError
 from pickenv.orchard.gripper import Gripper, load_gripper
 
@@ -104,6 +104,8 @@ class GridSettings:
             check_compensation(compensation)
         for feedback in self.feedback:
             check_choice("feedback", feedback, FEEDBACK)
+        for name in ("camera_noise_mm", "fruit_noise_mm", "tolerance_mm"):
+            check_number(name, getattr(self, name))
         if self.arms < 1 or self.episodes < 1:
             raise InputError(f"there are {self.arms} arms and {self.episodes} episodes; give at least one of each")
 
@@ -231,7 +233,7 @@ def run_grid(
         progress: Called with (stage, done, in all).
 
     Raises:
-        InputError: If a name is unknown.
+        InputError: If a name is unknown, or no policy can be run as asked.
     """
     report = progress or (lambda stage, done, total: None)
     grippers = {name: load_gripper(name) for name in settings.grippers}
@@ -244,6 +246,8 @@ def run_grid(
         for name, kind in kinds.items()
         if feedback in kind.feedback and not (kind.raw_only and compensation != "raw")
     ]
+    if not jobs:
+        raise InputError(_nothing_fits(settings, kinds))
     cells: list[Cell] = []
     fitted: dict[tuple[str, str], Any] = {}
     for done, (plant, compensation, feedback, name) in enumerate(jobs):
@@ -281,6 +285,18 @@ def population(settings: GridSettings, plant: str) -> Any:
 def policy_name(name: str) -> str:
     """How a policy is called in tables: files by the end of their path."""
     return "/".join(Path(name).with_suffix("").parts[-3:]) if name.endswith(".npz") else name
+
+
+def _nothing_fits(settings: GridSettings, kinds: Mapping[str, Kind]) -> str:
+    """Why there is nothing to compare."""
+    able = (
+        f"{name} needs feedback {' or '.join(kind.feedback)}{' and compensation raw' if kind.raw_only else ''}"
+        for name, kind in kinds.items()
+    )
+    return (
+        f"no policy can be run with feedback {' or '.join(settings.feedback)} and compensation "
+        f"{' or '.join(settings.compensations)}: {', '.join(able)}; change one of them"
+    )
 
 
 def _told(report: Callable[[str, int, int], None], stage: str) -> Callable[[int, int], None]:

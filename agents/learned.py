@@ -1,10 +1,7 @@
-"""Learned policies as files: the actor's weights in a NumPy archive, run by NumPy, loaded without executing code."""
+"""Learned policies as files: the actor's weights in one verified file, run by NumPy, loaded without executing code."""
 
 from __future__ import annotations
 
-import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,14 +13,14 @@ from numpy.typing import NDArray
 from agents.scaling import Scaling, flattened
 from pickenv.arm import Arm
 from pickenv.arm.geometry import Array
+from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
-from pickenv.files import write_whole
 
-FORMAT = 1
-"""Version of the file format."""
+KIND = "policy"
+FORMAT = 2
+"""Version of the file's content."""
 
-DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error)
-"""What reading a file that is no policy can raise."""
+REMAKE = "run `pickenv train` to make one anew"
 
 
 def _relu(values: Array) -> Array:
@@ -95,10 +92,8 @@ class LearnedPolicy:
         return np.concatenate(parts, axis=-1)
 
     def save(self, path: str | Path) -> Path:
-        """Write one file (NumPy archive, no pickle), whole or not at all; ``.npz`` is appended if missing."""
+        """Write one verified file (see `pickenv.container`), whole or not at all; ``.npz`` is appended if missing."""
         header = {
-            "format": FORMAT,
-            "kind": "policy",
             "algorithm": self.algorithm,
             "arm": self.arm,
             "arm_fingerprint": self.arm_fingerprint,
@@ -109,13 +104,9 @@ class LearnedPolicy:
         }
         arrays = {f"weight{i}": np.asarray(value, dtype=np.float32) for i, value in enumerate(self.weights)}
         arrays |= {f"bias{i}": np.asarray(value, dtype=np.float32) for i, value in enumerate(self.biases)}
-
-        def write(temporary: Path) -> None:
-            with temporary.open("wb") as file:
-                np.savez(file, allow_pickle=False, header=np.array(json.dumps(header)), **arrays)
-
         path = Path(path)
-        return write_whole(path if path.suffix == ".npz" else path.with_name(path.name + ".npz"), write)
+        path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
+        return write_container(path, KIND, header, arrays, version=FORMAT)
 
 
 def shipped_baselines() -> list[str]:
@@ -141,32 +132,37 @@ def load_policy(name: str | Path, arm: Arm | None = None) -> LearnedPolicy:
             f"unknown policy '{name}'; give one of {', '.join(shipped_baselines()) or 'none shipped'}, or a file "
             "(.npz) that `pickenv train` wrote"
         )
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-        header = json.loads(str(arrays.pop("header")))
-        if header["kind"] != "policy":
-            raise KeyError("kind")
-        newer = int(header["format"]) > FORMAT
-        layers = sum(key.startswith("weight") for key in arrays)
-        policy = LearnedPolicy(
-            algorithm=header["algorithm"],
-            arm=header["arm"],
-            arm_fingerprint=header["arm_fingerprint"],
-            scaling=Scaling(**header["scaling"]),
-            activation=header["activation"],
-            squashed=bool(header["squashed"]),
-            weights=tuple(arrays[f"weight{i}"].astype(float) for i in range(layers)),
-            biases=tuple(arrays[f"bias{i}"].astype(float) for i in range(layers)),
-            record=header["record"],
-        )
-        fits = layers > 0 and policy.weights[0].shape[0] == policy.scaling.features
-        if not fits or policy.activation not in ACTIVATIONS:
-            raise ValueError("its layers do not fit together")
-    except DAMAGE as error:
-        raise InputError(f"{path} is not a policy file or is damaged ({error}); train it again") from error
-    if newer:
-        raise InputError(f"{path} has format {header['format']}, this program reads up to {FORMAT}; update pickenv")
+    found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
+    with refusing_damage(path, f"a {KIND} file", REMAKE):
+        policy = _from_parts(found.header, found.arrays)
     if arm is not None and policy.arm_fingerprint != arm.fingerprint():
         raise InputError(f"{path} was trained for arm '{policy.arm}', not for '{arm.name}'; train one for this arm")
     return policy
+
+
+def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> LearnedPolicy:
+    """The policy that a file's parts make; raises anything at all where they make none."""
+    layers = len(arrays) // 2
+    scaling = Scaling(**header["scaling"])
+    weights, biases = ([arrays[f"{name}{i}"] for i in range(layers)] for name in ("weight", "bias"))
+    widths = [scaling.features, *(len(bias) for bias in biases)]
+    if layers == 0 or len(arrays) != 2 * layers or widths[-1] != scaling.joints:
+        raise InputError(f"its layers have {widths} numbers, but must lead to {scaling.joints} joints")
+    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        if weight.shape != (widths[i], widths[i + 1]) or bias.shape != (widths[i + 1],):
+            raise InputError(f"its layer {i + 1} does not fit to the layer before")
+        if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+            raise InputError(f"its layer {i + 1} holds numbers that are not finite")
+    if header["activation"] not in ACTIVATIONS:
+        raise InputError(f"its activation is {header['activation']!r}, not {' or '.join(ACTIVATIONS)}")
+    return LearnedPolicy(
+        algorithm=str(header["algorithm"]),
+        arm=str(header["arm"]),
+        arm_fingerprint=str(header["arm_fingerprint"]),
+        scaling=scaling,
+        activation=header["activation"],
+        squashed=bool(header["squashed"]),
+        weights=tuple(weight.astype(float) for weight in weights),
+        biases=tuple(bias.astype(float) for bias in biases),
+        record=dict(header["record"]),
+    )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -21,9 +20,11 @@ from agents.calibrated import load_compensator
 from agents.hyperparams import check_algorithm, tuned
 from agents.learned import LearnedPolicy
 from agents.scaling import Scaling
+from pickenv.arm.content import content_sha256
 from pickenv.envs.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.files import write_text
+from pickenv.provenance import file_sha256
 
 ENVIRONMENTS: dict[str, type[ReachVectorEnv]] = {
     "pickenv/Reach-v0": ReachVectorEnv,
@@ -33,6 +34,7 @@ ENVIRONMENTS: dict[str, type[ReachVectorEnv]] = {
 UNREWARDED_TURN = 1e9
 """Goal environments do not reward the attitude, so it is no part of the gap there."""
 
+CHECKPOINT = "checkpoint.pt"
 HELD_OUT = 2**62
 """Seeds of evaluation episodes start here; training seeds are below."""
 
@@ -85,6 +87,19 @@ class Training:
         return self.steps or int(self.chosen["n_timesteps"])
 
 
+@dataclass(frozen=True)
+class Inputs:
+    """What a training is made with besides its options.
+
+    Attributes:
+        arms: Hash of the numbers of its true arms: plant, arm and tolerance class.
+        calibration: SHA-256 of the calibration file, or None.
+    """
+
+    arms: str
+    calibration: str | None
+
+
 @dataclass(frozen=True, eq=False)
 class Trained:
     """The end of a training.
@@ -131,7 +146,8 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
         progress: Whether to draw a progress bar.
 
     Raises:
-        InputError: If an argument is impossible, or there is no sound checkpoint to go on from.
+        InputError: If an argument is impossible, there is no sound checkpoint to go on from, or a file that the
+            training was begun with has changed.
     """
     import time
 
@@ -139,28 +155,32 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
     from agents.checkpoints import read_checkpoint, save_checkpoint, take_checkpoint
 
     out = Path(out)
-    path = out / "checkpoint.pt"
-    content = read_checkpoint(path) if resume else None
-    if content is not None and json.loads(content["settings"]) != asdict(training):
-        raise InputError(f"checkpoint {path} is of another training; resume it with the options it was started with")
+    path = out / CHECKPOINT
+    begun = read_checkpoint(path) if resume else None
+    if begun is not None:
+        if begun.training != training:
+            raise InputError(
+                f"checkpoint {path} is of another training; resume it with the options it was started with"
+            )
+        check_inputs(training, begun.inputs)
+    inputs = inputs_of(training) if begun is None else begun.inputs
     with one_thread():
         model, env = make_model(training, out)
-        done: list[dict[str, float]] = []
-        if content is not None:
-            take_checkpoint(content, model, env)
-            done = [row for row in _evaluations(out) if row["steps"] <= model.num_timesteps]
-        evaluations = Evaluations(training, out, done)
-        callbacks = [evaluations, Checkpoints(training, path, env)]  # a checkpoint follows its evaluation
+        if begun is not None:
+            take_checkpoint(begun, model, env)
+        evaluations = Evaluations(training, inputs, out, [] if begun is None else begun.evaluations)
+        # a checkpoint follows its evaluation
+        callbacks = [evaluations, Checkpoints(training, inputs, path, env, evaluations.rows)]
         begin, first = time.perf_counter(), model.num_timesteps
         if model.num_timesteps < training.total:
             model.learn(
                 training.total - model.num_timesteps,
                 callback=callbacks,
-                reset_num_timesteps=content is None,
+                reset_num_timesteps=begun is None,
                 tb_log_name=training.algorithm,
                 progress_bar=progress,
             )
-            save_checkpoint(path, model, env, asdict(training))
+            save_checkpoint(path, model, env, training, inputs, evaluations.rows)
         rate = (model.num_timesteps - first) / max(time.perf_counter() - begin, 1e-9)
         policy = actor_of(model, training, env)
         policy.save(out / "policy.npz")
@@ -177,7 +197,40 @@ def resumed(out: str | Path) -> Training:
     """
     from agents.checkpoints import read_checkpoint
 
-    return Training(**json.loads(read_checkpoint(Path(out) / "checkpoint.pt")["settings"]))
+    return read_checkpoint(Path(out) / CHECKPOINT).training
+
+
+def inputs_of(training: Training) -> Inputs:
+    """What a training is made with, as it is now.
+
+    Raises:
+        InputError: If the calibration is missing or of another arm, or a plant is impossible.
+    """
+    arms = make_environment(training, 1, "Disabled").task.plant
+    calibration = None if training.compensate is None else file_sha256(_calibration_file(training.compensate))
+    return Inputs(content_sha256(arms), calibration)
+
+
+def check_inputs(training: Training, begun: Inputs) -> None:
+    """Refuse to go on with other files than a training was begun with.
+
+    Raises:
+        InputError: If the calibration or the plant has changed or is missing; names it.
+    """
+    restore = "put back what the training was begun with, or begin another with another --out"
+    if training.compensate is not None:
+        path = _calibration_file(training.compensate)
+        if not path.is_file():
+            raise InputError(f"calibration {path} (--compensate) is missing; {restore}")
+        if file_sha256(path) != begun.calibration:
+            raise InputError(f"calibration {path} (--compensate) is another file than it was; {restore}")
+    if inputs_of(training).arms != begun.arms:
+        plant = training.arguments.get("plant", "of the environment")
+        raise InputError(f"plant {plant} (--plant, or its tolerances) has other numbers than it had; {restore}")
+
+
+def _calibration_file(name: str) -> Path:
+    return Path(name) if name.endswith(".npz") else Path(f"{name}.npz")
 
 
 def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
@@ -260,12 +313,6 @@ def judge(policy: LearnedPolicy, training: Training, episodes: int = 256, steps:
 def write_evaluations(out: Path, rows: list[dict[str, float]]) -> None:
     """Write the evaluations of a run."""
     write_text(out / "evaluations.json", json.dumps(rows, indent=2) + "\n")
-
-
-def _evaluations(out: Path) -> list[dict[str, float]]:
-    path = out / "evaluations.json"
-    rows: list[dict[str, float]] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
-    return [row for row in rows if math.isfinite(row["mean_mm"])]
 
 
 def _versions() -> dict[str, str]:

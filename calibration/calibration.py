@@ -1,33 +1,33 @@
-"""A fitted calibration: predict, compensate, save and load. One file, no pickle, refused on another arm."""
+"""A fitted calibration: predict, compensate, save and load. One verified file, refused on another arm."""
 
 from __future__ import annotations
 
-import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from calibration.arm_model import ArmModel, Conditions
 from calibration.compensation import Compensator
+from calibration.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
 from calibration.residual_models import LearntResidual
 from calibration.terms import term_from
 from pickenv.arm import Arm, Geometry, Pose
-from pickenv.arm.geometry import LINK_PARAMETERS, Array
+from pickenv.arm.geometry import Array, geometry_fingerprint
+from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
-from pickenv.files import write_whole
 from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
 
-FORMAT = 1
-"""Version of the file format; newer files are refused by older programs."""
+KIND = "calibration"
+FORMAT = 2
+"""Version of the file's content."""
 
-DAMAGE = (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error)
-"""What reading a file that is no calibration can raise."""
+REMAKE = "run `pickenv calibrate` (or `pickenv demo`) to make one anew"
+GEOMETRIES = ("arm", "nominal", "identified")
+"""The geometries in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Calibration:
 
     Attributes:
         arm_name: Name of the arm.
-        arm_fingerprint: Hash of the arm's nominal geometry; `load` refuses another arm's calibration.
+        arm: The arm's own nominal geometry, as its file gives it; `load` refuses another arm's calibration.
         nominal: What the controller believes; where base and tool were fitted, with the fitted base and tool.
         model: The calibrated geometry with its parametric terms.
         learnt: Learnt residual, or None.
@@ -75,11 +75,22 @@ class Calibration:
     """
 
     arm_name: str
-    arm_fingerprint: str
+    arm: Geometry
     nominal: Geometry
     model: ArmModel
     learnt: LearntResidual | None
     record: Mapping[str, Any]
+
+    @property
+    def arm_fingerprint(self) -> str:
+        """Hash of the arm's own nominal geometry."""
+        return geometry_fingerprint(self.arm)
+
+    @property
+    def unit(self) -> str | None:
+        """Serial number of the robot that was measured; None where none was given."""
+        unit = self.record.get("unit")
+        return None if unit is None else str(unit)
 
     @property
     def identified(self) -> Geometry:
@@ -140,78 +151,103 @@ class Calibration:
         return replace(self, learnt=None)
 
     def save(self, path: str | Path) -> Path:
-        """Write one file (NumPy archive, no pickle), whole or not at all; ``.npz`` is appended if missing."""
-        arrays: dict[str, Array] = {}
-        for key, geometry in (("nominal", self.nominal), ("identified", self.identified)):
-            arrays |= {f"{key}/{name}": value for name, value in geometry_arrays(geometry).items()}
+        """Write one verified file (see `pickenv.container`), whole or not at all; ``.npz`` is appended if missing.
+
+        Raises:
+            InputError: If the file cannot be written, or `load` would refuse it.
+        """
+        arrays: dict[str, NDArray[Any]] = {}
+        for key in GEOMETRIES:
+            arrays |= {f"{key}/{name}": value for name, value in geometry_arrays(getattr(self, key)).items()}
         arrays["coefficients"] = self.model.coefficients
         if self.learnt is not None:
             arrays |= {f"learnt/{name}": value for name, value in self.learnt.arrays().items()}
         header = {
-            "format": FORMAT,
             "arm": self.arm_name,
             "arm_fingerprint": self.arm_fingerprint,
             "joint_names": self.nominal.joint_names,
             "prismatic": self.nominal.prismatic,
             "terms": [term.specification() for term in self.model.terms],
+            "residual": None if self.learnt is None else self.learnt.kind,
             "record": self.record,
         }
-
-        def write(temporary: Path) -> None:
-            with temporary.open("wb") as file:
-                np.savez(file, allow_pickle=False, header=np.array(json.dumps(header)), **arrays)
-
-        return write_whole(_with_suffix(path), write)
+        _from_parts(header, arrays)
+        return write_container(_with_suffix(path), KIND, header, arrays, version=FORMAT)
 
     @staticmethod
-    def load(path: str | Path, arm: Arm | None = None) -> Calibration:
+    def load(path: str | Path, arm: Arm | None = None, unit: str | None = None) -> Calibration:
         """Read a file that `save` wrote; nothing in it is executed.
 
         Args:
             path: The file, with or without its suffix.
-            arm: If given, the arm that it must belong to.
+            arm: If given, the arm that it must belong to, known by its nominal geometry.
+            unit: If given, the serial number of the robot that it must belong to; two robots of one model are alike
+                on paper, and only this tells them apart.
 
         Raises:
-            InputError: If the file is missing, damaged, newer than this program, or of another arm.
+            InputError: If the file is missing, damaged in any byte, holds what cannot move an arm (numbers that are
+                not finite, a base that is no rotation), is of another version, of another arm or of another unit.
         """
         path = _with_suffix(path)
-        if not path.is_file():
+        found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
+        with refusing_damage(path, f"a {KIND} file", REMAKE):
+            calibration = _from_parts(found.header, found.arrays)
+        if arm is not None and calibration.arm_fingerprint != arm.fingerprint():
             raise InputError(
-                f"calibration file {path} does not exist; run `pickenv demo` or `pickenv calibrate` to make one"
-            )
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                arrays = {key: archive[key] for key in archive.files}
-            header = json.loads(str(arrays.pop("header")))
-            file_format = int(header["format"])
-        except DAMAGE as error:
-            raise _damaged(path, error) from error
-        if file_format > FORMAT:
-            raise InputError(f"{path} has format {file_format}, this program reads up to {FORMAT}; update pickenv")
-        if arm is not None and header.get("arm_fingerprint") != arm.fingerprint():
-            raise InputError(
-                f"{path} belongs to arm '{header.get('arm')}' with another geometry than '{arm.name}'; "
+                f"{path} belongs to arm '{calibration.arm_name}' with another geometry than '{arm.name}'; "
                 "fit it for this arm"
             )
-        try:
-            names, prismatic = tuple(header["joint_names"]), tuple(header["prismatic"])
-            learnt = _part(arrays, "learnt")
-            identified = geometry_from_arrays(_part(arrays, "identified"), names, prismatic)
-            terms = tuple(term_from(term) for term in header["terms"])
-            return Calibration(
-                arm_name=header["arm"],
-                arm_fingerprint=header["arm_fingerprint"],
-                nominal=geometry_from_arrays(_part(arrays, "nominal"), names, prismatic),
-                model=ArmModel(identified, terms, arrays["coefficients"]),
-                learnt=LearntResidual.from_arrays(learnt) if learnt else None,
-                record=header["record"],
-            )
-        except DAMAGE as error:
-            raise _damaged(path, error) from error
+        if unit is not None and calibration.unit != unit:
+            whose = "names no unit" if calibration.unit is None else f"belongs to unit '{calibration.unit}'"
+            raise InputError(f"{path} {whose}, but unit '{unit}' is asked for; calibrate that robot by its own file")
+        return calibration
 
 
-def _damaged(path: Path, error: Exception) -> InputError:
-    return InputError(f"{path} is not a calibration file or is damaged ({error}); fit it again")
+def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Calibration:
+    """The calibration that a file's parts make; raises anything at all where they make none."""
+    names, prismatic, record = header["joint_names"], header["prismatic"], header["record"]
+    arm, nominal, identified = (geometry_from_arrays(_part(arrays, key), names, prismatic, key) for key in GEOMETRIES)
+    if geometry_fingerprint(arm) != header["arm_fingerprint"]:
+        raise InputError(f"its arm's geometry is not the one of fingerprint {header['arm_fingerprint']}")
+    if geometry_fingerprint(replace(nominal, base=arm.base, tool=arm.tool)) != header["arm_fingerprint"]:
+        raise InputError("its nominal geometry differs from its arm's by more than base and tool")
+    terms = tuple(term_from(term) for term in header["terms"])
+    count = sum(len(term.names(identified)) for term in terms)
+    calibration = Calibration(
+        arm_name=str(header["arm"]),
+        arm=arm,
+        nominal=nominal,
+        model=ArmModel(identified, terms, finite(arrays, "coefficients", (count,), "terms")),
+        learnt=_learnt(header["residual"], _part(arrays, "learnt"), identified),
+        record=dict(record),
+    )
+    uncertainty = record.get("uncertainty")
+    if uncertainty is not None:
+        size = len(uncertainty["parameters"])
+        finite({"covariance": np.array(uncertainty["covariance"], dtype=float)}, "covariance", (size, size), "record")
+        if not set(uncertainty["parameters"]) <= set(calibration.model.parameter_names):
+            raise InputError("its covariance is of parameters that its arm does not have")
+    return calibration
+
+
+def _learnt(kind: str | None, arrays: Mapping[str, NDArray[Any]], geometry: Geometry) -> LearntResidual | None:
+    """The learnt residual that the header names, tried once in the middle of the joints' ranges."""
+    if kind is None:
+        if arrays:
+            raise InputError("it holds a learnt residual that its header does not name")
+        return None
+    for name, value in arrays.items():
+        if value.dtype.kind == "f":
+            finite({name: value.astype(float)}, name, value.shape, "learnt")
+    if str(arrays["kind"]) != kind:
+        raise InputError(f"its learnt residual is '{arrays['kind']}', but its header names '{kind}'")
+    learnt = LearntResidual.from_arrays(arrays)
+    conditions = np.zeros(learnt.inputs.conditions) if learnt.inputs.conditions else None
+    with np.errstate(all="ignore"):
+        tried = learnt.predict((geometry.lower + geometry.upper) / 2, conditions)
+    if tried.shape not in ((3,), (6,)) or not np.isfinite(tried).all():
+        raise InputError(f"its learnt residual gives {tried.shape} numbers, not 3 or 6 finite ones")
+    return learnt
 
 
 def _with_suffix(path: str | Path) -> Path:
@@ -219,23 +255,5 @@ def _with_suffix(path: str | Path) -> Path:
     return path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
 
 
-def _part(arrays: Mapping[str, Array], prefix: str) -> dict[str, Array]:
+def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
     return {key.partition("/")[2]: value for key, value in arrays.items() if key.startswith(f"{prefix}/")}
-
-
-def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
-    """A geometry's numbers by name, for saving."""
-    named = {name: getattr(geometry, name) for name in (*LINK_PARAMETERS, "lower", "upper")}
-    for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
-        named |= {f"{key}_position": pose.position, f"{key}_rotation": pose.rotation}
-    return named
-
-
-def geometry_from_arrays(
-    named: Mapping[str, Array], joint_names: tuple[str, ...], prismatic: tuple[bool, ...]
-) -> Geometry:
-    """The inverse of `geometry_arrays`."""
-    numbers = {name: named[name] for name in (*LINK_PARAMETERS, "lower", "upper")}
-    base = Pose(named["base_position"], named["base_rotation"])
-    tool = Pose(named["tool_position"], named["tool_rotation"])
-    return Geometry(joint_names, prismatic, **numbers, base=base, tool=tool)

@@ -101,7 +101,7 @@ def fit(
         "residual": trained,
         "versions": _versions("torch", "scikit-learn") if trained else _versions(),
     }
-    calibration = Calibration(arm.name, arm.fingerprint(), nominal, found.arm_model, learnt, record)
+    calibration = Calibration(arm.name, arm.nominal, nominal, found.arm_model, learnt, record)
     return Fit(calibration, found, aligned)
 
 

@@ -37,7 +37,7 @@ def fit_kind(arm: Arm, observations: Observations) -> Fit:
         "unknowns": found.unknowns,
         "residual": None,
     }
-    calibration = Calibration(arm.name, arm.fingerprint(), framed.geometry, found.arm_model, None, record)
+    calibration = Calibration(arm.name, arm.nominal, framed.geometry, found.arm_model, None, record)
     return Fit(calibration, found, framed)
 
 

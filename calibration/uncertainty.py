@@ -106,7 +106,9 @@ def with_uncertainty(calibration: Calibration, found: Identification, held_out: 
         held_out: Rows that took no part in the fit; what the calibration misses them by is one reach's scatter.
     """
     errors = held_out_errors(calibration, held_out)
-    record = {**calibration.record, "uncertainty": pose_uncertainty(found, errors).as_record()}
+    known = pose_uncertainty(found, errors)
+    spare = np.isfinite(known.covariance).all()  # without spare equations there is none
+    record = {**calibration.record, "uncertainty": known.as_record() if spare else None}
     return replace(calibration, record=record)
 
 

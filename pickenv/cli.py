@@ -12,6 +12,7 @@ import typer
 
 from pickenv.commands import agents, calibrations, inspection, plants, reports
 from pickenv.commands.calibrate import calibrate
+from pickenv.commands.check import check
 from pickenv.commands.study import study
 from pickenv.errors import InputError
 
@@ -135,6 +136,7 @@ app.command()(reports.figures)
 app.command()(reports.report)
 app.command()(inspection.inspect)
 app.command()(study)
+app.command()(check)
 
 
 def main() -> None:

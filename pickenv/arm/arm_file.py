@@ -6,8 +6,6 @@ lie in `pickenv/arm/arms`.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -17,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm.geometry import LINK_PARAMETERS, Array, Geometry, Pose, from_standard_dh
+from pickenv.arm.geometry import Array, Geometry, Pose, from_standard_dh, geometry_fingerprint
 from pickenv.arm.pose_error import rotation_matrix
 from pickenv.errors import InputError
 
@@ -47,11 +45,7 @@ class Arm:
 
     def fingerprint(self) -> str:
         """Hash of the nominal geometry: a calibration fitted to one arm is refused on another."""
-        g = self.nominal
-        numbers = [getattr(g, name).tolist() for name in LINK_PARAMETERS]
-        numbers += [v.tolist() for v in (*g.base, *g.tool)]
-        text = json.dumps([list(g.prismatic), numbers])
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+        return geometry_fingerprint(self.nominal)
 
 
 def shipped_arms() -> list[str]:

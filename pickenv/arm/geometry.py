@@ -6,6 +6,8 @@ beta added for consecutive parallel axes (zero in every nominal table). Units: m
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -117,6 +119,14 @@ class Geometry:
             turn = Rotation.from_matrix(theirs.rotation @ mine.rotation.T).as_rotvec()
             frames += [theirs.position - mine.position, turn]
         return np.concatenate(links + frames)
+
+
+def geometry_fingerprint(geometry: Geometry) -> str:
+    """Hash of the joint types, the link parameters, base and tool: what is fitted to one arm is refused on another."""
+    numbers = [getattr(geometry, name).tolist() for name in LINK_PARAMETERS]
+    numbers += [v.tolist() for v in (*geometry.base, *geometry.tool)]
+    text = json.dumps([list(geometry.prismatic), numbers])
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def move_pose(pose: Pose, delta: Array) -> Pose:

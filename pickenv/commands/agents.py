@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from pickenv.errors import InputError
 
+if TYPE_CHECKING:
+    from agents.training import Training
+
+
+NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
+
 
 def train(
+    context: typer.Context,
     algo: Annotated[str, typer.Option(help="Algorithm: ppo, sac or tqc.")] = "ppo",
     env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
     compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
@@ -39,7 +46,10 @@ def train(
 
     if resume:
         training = resumed(out)
+        _refuse_changes(context, training, out)
     else:
+        if _was_given(context, "camera_noise") and feedback != "camera":
+            raise InputError(NO_CAMERA)
         if (out / "checkpoint.pt").exists():
             raise InputError(f"{out} holds a training already; go on with --resume, or give another --out")
         arguments: dict[str, Any] = {}
@@ -77,7 +87,43 @@ def train(
         print(f"wrote {out / name}")
 
 
+def _refuse_changes(context: typer.Context, begun: Training, out: Path) -> None:
+    """Refuse options on the command line that say something else than the training that is to go on."""
+    options = {
+        "algo": begun.algorithm,
+        "env": begun.env_id,
+        "compensate": begun.compensate,
+        "plant": begun.arguments.get("plant"),
+        "feedback": begun.arguments.get("feedback", "encoders"),
+        "camera_noise": begun.arguments.get("camera_noise_mm", 0.0),
+        "fruit_noise": begun.arguments.get("fruit_noise_mm", 0.0),
+        "randomise": begun.arguments.get("tolerances"),
+        "steps": begun.total,
+        "seed": begun.seed,
+        "checkpoint_every": begun.checkpoint_every,
+        "evaluate_every": begun.evaluate_every,
+    }
+    changed = [
+        f"without --{word}" if value is None else f"with --{word} {value}, not {given}"
+        for name, value in options.items()
+        for word, given in [(name.replace("_", "-"), context.params[name])]
+        if _was_given(context, name) and (str(given) if isinstance(given, Path) else given) != value
+    ]
+    if changed:
+        raise InputError(
+            f"the training in {out} was begun {', '.join(changed)}; leave out what was not said then, or give "
+            "another --out"
+        )
+
+
+def _was_given(context: typer.Context, name: str) -> bool:
+    """Whether an option stands on the command line; Typer may bring a click of its own, so it is asked by name."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
 def evaluate(
+    context: typer.Context,
     policy: Annotated[
         list[str] | None, typer.Option(help="Policy, baseline or policy file; may be given several times.")
     ] = None,
@@ -100,7 +146,7 @@ def evaluate(
 ) -> None:
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit."""
     from agents.calibrated import Protocol
-    from agents.grid import GridSettings, run_grid
+    from agents.grid import GridSettings, kind_of, run_grid
     from agents.tables import print_grid, write_grid, write_json, write_rows
 
     given: dict[str, Any] = {"policies": policy, "compensations": compensation, "feedback": feedback, "plants": plant}
@@ -116,6 +162,10 @@ def evaluate(
         protocol=Protocol(epochs=epochs, seed=seed),
         **names,
     )
+
+    seen = "camera" in settings.feedback and any("camera" in kind_of(name).feedback for name in settings.policies)
+    if _was_given(context, "camera_noise") and not seen:
+        raise InputError(NO_CAMERA)
 
     def report(stage: str, done: int, total: int) -> None:
         if sys.stderr.isatty():

@@ -51,14 +51,16 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
     Raises:
         InputError: If there is no such run, or nothing in it that can be recorded.
     """
-    from pickenv.inspect.run_folder import read_run
+    from pickenv.inspect.run_folder import added_to, read_run
 
     if run.is_file() or run.suffix == ".rrd":
         return [run]
     there = sorted(run.glob("*.rrd"))
     if there and policy is None:
         return there
-    return [_record(read_run(run), policy)]
+    found = read_run(run)
+    with added_to(found):
+        return [_record(found, policy)]
 
 
 def _record(run: Run, policy: str | None) -> Path:

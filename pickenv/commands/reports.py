@@ -21,11 +21,13 @@ def figures(
 ) -> None:
     """Draw every figure that a run's numbers allow, for papers and reports; say which are left out, and why."""
     from pickenv.inspect.drawings import LeftOut, write_drawings
-    from pickenv.inspect.run_folder import read_run
+    from pickenv.inspect.run_folder import added_to, read_run
 
     found, folder = read_run(run), out or run / "figures"
     drawings = drawings_of(found)
-    for path in write_drawings(drawings, folder, formats.split(",")):
+    with added_to(found):
+        written = write_drawings(drawings, folder, formats.split(","))
+    for path in written:
         print(f"wrote {path}")
     for drawing in drawings:
         if isinstance(drawing, LeftOut):
@@ -41,7 +43,7 @@ def report(
 ) -> None:
     """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
     from pickenv.files import write_text
-    from pickenv.inspect.run_folder import read_run
+    from pickenv.inspect.run_folder import added_to, read_run
 
     found = read_run(run)
     path = out or run / "report.html"
@@ -50,7 +52,8 @@ def report(
 
         print(f"wrote {study_report(run, path)}")
         return
-    print(f"wrote {write_text(path, page_of(found, picture))}")
+    with added_to(found):
+        print(f"wrote {write_text(path, page_of(found, picture))}")
 
 
 def drawings_of(run: Run) -> Drawings:

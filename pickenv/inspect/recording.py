@@ -17,7 +17,6 @@ from pickenv.inspect.comparison import Comparison, PolicyErrors
 from pickenv.inspect.detail_entities import send_details
 from pickenv.inspect.details import Details, details_of
 from pickenv.inspect.links import drawn_parts, nominal_points, true_points
-from pickenv.inspect.saved import versions
 from pickenv.inspect.scribe import (
     Scribe,
     f32,
@@ -31,6 +30,7 @@ from pickenv.inspect.scribe import (
 )
 from pickenv.inspect.summary import cell_means, colour_scale_mm, field_mm, histogram_edges_mm, summary_markdown
 from pickenv.inspect.view import cut_away
+from pickenv.provenance import versions
 
 TIME_LINE = "reach"
 FRUIT_RADIUS = 0.008

@@ -1,24 +1,28 @@
 """Run folders: what kind of run a folder holds, how it was made, and the numbers behind its figures and its report.
 
-`run.json` is taken away when a run begins to write and written last, so where it stands the run is complete.
+`run.json` is taken away when a run begins to write and written last, so where it stands the run is complete. It lists
+every file that the run wrote with its SHA-256, and carries its own.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from calibration.calibration import DAMAGE
+from pickenv.container import refusing_damage
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect.calibration_trace import CalibrationTrace
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.harvest_trace import HarvestTrace
-from pickenv.inspect.saved import load, save, versions
+from pickenv.inspect.saved import load, save
+from pickenv.provenance import code_fingerprint, file_sha256, versions
 
 RECORD = "run.json"
 COMPARISON = "comparison.npz"
@@ -29,7 +33,7 @@ REPORT = "report.html"
 STUDY = "study.toml"
 """The configuration in a study's folder, which has no `run.json`."""
 
-FORMAT = 1
+FORMAT = 2
 
 MADE_BY: Mapping[str, str] = {
     "demo": "pickenv demo --out RUN",
@@ -52,6 +56,9 @@ class Run:
         command: Command line that makes the same numbers again.
         seed: Seed of everything random; None where there is none, or several.
         versions: Versions of what computed it, by package.
+        code: Fingerprint of the code that computed it (`pickenv.provenance.code_fingerprint`).
+        files: SHA-256 of each file that the run wrote, by its path inside the folder; None while it writes, and for a
+            study, whose chunks carry their own.
     """
 
     folder: Path
@@ -59,6 +66,8 @@ class Run:
     command: str
     seed: int | None
     versions: Mapping[str, str]
+    code: str = ""
+    files: Mapping[str, str] | None = None
 
     @property
     def made_by(self) -> str:
@@ -76,19 +85,66 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
         command: Command line that makes the same numbers again.
         seed: Seed of everything random.
     """
-    run = Run(folder, kind, command, seed, versions())
+    run = Run(folder, kind, command, seed, versions(), code_fingerprint())
     if (folder / RECORD).is_file():
         (folder / RECORD).unlink()
+    before = _stamps(folder)
     yield run
-    content = {"format": FORMAT, "kind": kind, "command": command, "seed": seed, "versions": run.versions}
-    write_text(folder / RECORD, json.dumps(content, indent=2) + "\n")
+    _write_record(replace(run, files=_changed_since(folder, before)))
+
+
+@contextmanager
+def added_to(run: Run) -> Iterator[None]:
+    """Write further files into a complete run's folder, such as figures; `run.json` then lists them too."""
+    before = _stamps(run.folder)
+    yield
+    changed = _changed_since(run.folder, before)
+    if run.files is not None and changed:
+        _write_record(replace(run, files={**run.files, **changed}))
+
+
+def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
+    """What tells whether a file was written again, for every file of a folder; hidden files are not its own."""
+    found = {}
+    for root, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        for path in (Path(root, name) for name in names if not name.startswith(".")):
+            if path.is_file():
+                state = path.stat()
+                found[path.relative_to(folder).as_posix()] = (state.st_ino, state.st_mtime_ns, state.st_size)
+    return found
+
+
+def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]:
+    """SHA-256 of the files that were written since."""
+    now = _stamps(folder)
+    return {name: file_sha256(folder / name) for name in sorted(now) if now[name] != before.get(name)}
+
+
+def _write_record(run: Run) -> Path:
+    return write_text(run.folder / RECORD, _record_text(run))
+
+
+def _record_text(run: Run) -> str:
+    """The only text that `run.json` may hold for this run: its own hash stands in it."""
+    content = {
+        "format": FORMAT,
+        "kind": run.kind,
+        "command": run.command,
+        "seed": run.seed,
+        "versions": dict(run.versions),
+        "code": run.code,
+        "files": dict(run.files or {}),
+    }
+    own = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    return json.dumps(content | {"sha256": own}, indent=2) + "\n"
 
 
 def read_run(folder: str | Path) -> Run:
     """What kind of run ``folder`` holds.
 
     Raises:
-        InputError: If it is no run folder, is incomplete, damaged, or newer than this program.
+        InputError: If it is no run folder, is incomplete, damaged, edited, or of another version.
     """
     folder = Path(folder)
     record = folder / RECORD
@@ -99,16 +155,50 @@ def read_run(folder: str | Path) -> Run:
         if (folder / STUDY).is_file():
             return Run(folder, "study", MADE_BY["study"], None, {})
         raise InputError(f"{folder} holds no {RECORD}, so it holds no complete run; make one with one of {ways}")
-    try:
-        content = json.loads(record.read_text(encoding="utf-8"))
-        file_format, kind, command = int(content["format"]), str(content["kind"]), str(content["command"])
-        made_with = {str(name): str(version) for name, version in content["versions"].items()}
-        seed = None if content["seed"] is None else int(content["seed"])
-    except DAMAGE as error:
-        raise InputError(f"{record} is damaged ({error}); make the run again with one of {ways}") from error
+    remake = f"make the run again with one of {ways}"
+    with refusing_damage(record, "a run's record", remake):
+        text = record.read_text(encoding="utf-8")
+        content = json.loads(text)
+        file_format, kind = int(content["format"]), str(content["kind"])
     if file_format > FORMAT or kind not in MADE_BY:
-        raise InputError(f"{record} is of a newer pickenv (format {file_format}, kind '{kind}'); update pickenv")
-    return Run(folder, kind, command, seed, made_with)
+        raise InputError(f"{record} is of a newer pickenv (format {file_format}, kind '{kind[:40]}'); update pickenv")
+    if file_format < FORMAT:
+        raise InputError(f"{record} was written by an earlier version, without hashes of the run's files; {remake}")
+    with refusing_damage(record, "a run's record", remake):
+        made_with = {str(name): str(version) for name, version in content["versions"].items()}
+        files = {str(name): str(hashed) for name, hashed in content["files"].items()}
+        seed = None if content["seed"] is None else int(content["seed"])
+        run = Run(folder, kind, str(content["command"]), seed, made_with, str(content["code"]), files)
+        if text != _record_text(run):
+            raise ValueError("it was edited: its own hash is another")
+    return run
+
+
+def faults_of(run: Run) -> list[tuple[Path, str | None]]:
+    """Every file that ``run`` lists or that lies in its folder, and what is wrong with it; None where nothing is.
+
+    A file may be missing, edited, or stray: in the folder, but not written by this run.
+    """
+    listed, there = run.files or {}, _stamps(run.folder)
+    found: list[tuple[Path, str | None]] = []
+    for name in sorted({*listed, *there} - {RECORD}):
+        path, reason = run.folder / name, None
+        if name not in there:
+            reason = "is missing; the run wrote it"
+        elif name not in listed:
+            reason = "is stray: this run did not write it"
+        elif file_sha256(path) != listed[name]:
+            reason = "was edited since the run wrote it"
+        found.append((path, reason))
+    return found
+
+
+def _unedited(run: Run, name: str) -> Path:
+    """The path of one of the run's files; refused where it is not what the run wrote."""
+    path = run.folder / name
+    if run.files is not None and path.is_file() and file_sha256(path) != run.files.get(name):
+        raise InputError(f"{path} is not what the run wrote, it was edited or exchanged; `{run.made_by}` makes it anew")
+    return path
 
 
 def save_comparison(folder: Path, comparison: Comparison) -> Path:
@@ -128,7 +218,7 @@ def save_trace(folder: Path, trace: CalibrationTrace, seed: int | None = None) -
 
 def load_trace(run: Run) -> CalibrationTrace:
     """The calibration's trace of a run folder, to the bit; raises `InputError` as `pickenv.inspect.saved.load`."""
-    return load(run.folder / TRACE, CalibrationTrace, run.made_by)
+    return load(_unedited(run, TRACE), CalibrationTrace, run.made_by)
 
 
 def save_harvest(folder: Path, trace: HarvestTrace, seed: int) -> Path:
@@ -138,7 +228,7 @@ def save_harvest(folder: Path, trace: HarvestTrace, seed: int) -> Path:
 
 def load_harvest(run: Run) -> HarvestTrace:
     """The harvester's trace of a run folder; raises `InputError` as `pickenv.inspect.saved.load`."""
-    return load(run.folder / HARVEST, HarvestTrace, run.made_by)
+    return load(_unedited(run, HARVEST), HarvestTrace, run.made_by)
 
 
 def load_iso9283(run: Run) -> dict[str, Any]:
@@ -147,12 +237,10 @@ def load_iso9283(run: Run) -> dict[str, Any]:
     Raises:
         InputError: If the file is missing or damaged.
     """
-    path = run.folder / ISO9283
-    try:
+    path = _unedited(run, ISO9283)
+    with refusing_damage(path, "an ISO 9283 result", f"`{run.made_by}` makes it anew"):
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         found["raw"]["poses"], found["settings"], found["plant"], found["standard"]
-    except DAMAGE as error:
-        raise InputError(f"{path} is missing or damaged ({error}); `{run.made_by}` makes it anew") from error
     return found
 
 
@@ -162,7 +250,7 @@ def written_report(run: Run) -> str:
     Raises:
         InputError: If there is none.
     """
-    path = run.folder / REPORT
+    path = _unedited(run, REPORT)
     if not path.is_file():
         raise InputError(f"{path} does not exist: measurements of this kind have no report page; see `pickenv figures`")
     return path.read_text(encoding="utf-8")

@@ -1,13 +1,11 @@
 """Frozen dataclasses of numbers and arrays as one file each, read back to the bit; nothing in a file is executed.
 
-A NumPy archive: a header in JSON, in which arrays are named, and the arrays. What may be rebuilt is what the type hints
-of the asked-for class lead to, and nothing else.
+A container (`pickenv.container`): a header in JSON, in which arrays are named, and the arrays. What may be rebuilt is
+what the type hints of the asked-for class lead to, and nothing else.
 """
 
 from __future__ import annotations
 
-import json
-import platform
 import typing
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -16,20 +14,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-import pickenv
-from calibration.calibration import DAMAGE
-from pickenv.errors import InputError
-from pickenv.files import write_whole
+from pickenv.container import read_container, refusing_damage, write_container
 
-FORMAT = 1
-"""Version of the file format; newer files are refused by older programs."""
+FORMAT = 2
+"""Version of the files' content."""
 
 Saved = TypeVar("Saved")
-
-
-def versions() -> dict[str, str]:
-    """Versions of what computed the numbers."""
-    return {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
 
 
 def save(path: str | Path, value: Any, *, seed: int | None = None) -> Path:
@@ -44,14 +34,8 @@ def save(path: str | Path, value: Any, *, seed: int | None = None) -> Path:
         InputError: If the file cannot be written.
     """
     arrays: dict[str, np.ndarray] = {}
-    header = {"format": FORMAT, "kind": type(value).__name__, "seed": seed, "versions": versions()}
-    text = json.dumps(header | {"content": _pack(value, arrays)})
-
-    def write(temporary: Path) -> None:
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, header=np.array(text), **arrays)
-
-    return write_whole(path, write)
+    header = {"seed": seed, "content": _pack(value, arrays)}
+    return write_container(path, type(value).__name__, header, arrays, version=FORMAT, compressed=True)
 
 
 def load(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
@@ -63,31 +47,15 @@ def load(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
         made_by: The command that makes such a file, for error messages.
 
     Raises:
-        InputError: If the file is missing, damaged, of another kind, or newer than this program.
+        InputError: If the file is missing, damaged in any byte, of another kind, or of another version.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path} does not exist; `{made_by}` makes it")
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
-        header = json.loads(str(arrays.pop("header")))
-        file_format, found = int(header["format"]), str(header["kind"])
-    except DAMAGE as error:
-        raise _damaged(path, made_by, error) from error
-    if file_format > FORMAT:
-        raise InputError(f"{path} has format {file_format}, this program reads up to {FORMAT}; update pickenv")
-    if found != kind.__name__:
-        raise InputError(f"{path} holds a {found}, not a {kind.__name__}; `{made_by}` makes the right one")
-    try:
-        content: Saved = _unpack(header["content"], arrays, _classes(kind))
-    except DAMAGE as error:
-        raise _damaged(path, made_by, error) from error
+    remake = f"`{made_by}` makes it anew"
+    found = read_container(path, kind.__name__, remake=remake, version=FORMAT)
+    with refusing_damage(path, f"a {kind.__name__} file", remake):
+        content = _unpack(found.header["content"], found.arrays, _classes(kind))
+        if not isinstance(content, kind):
+            raise TypeError(f"it holds a {type(content).__name__}")
     return content
-
-
-def _damaged(path: Path, made_by: str, error: Exception) -> InputError:
-    return InputError(f"{path} is damaged or of another version ({error}); `{made_by}` makes it anew")
 
 
 def _pack(value: Any, arrays: dict[str, np.ndarray]) -> Any:

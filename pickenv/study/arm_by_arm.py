@@ -117,7 +117,7 @@ def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, number: int) -
     targets = PoseObservations(further).difference(found.arm_model)
     learnt = fit_residual(kind, further.joints, targets, further.prismatic, rng)
     calibration = Calibration(
-        protocol.design.arm.name, "", protocol.nominal, ArmModel.of(found.geometry), learnt, record={}
+        protocol.design.arm.name, protocol.nominal, protocol.nominal, ArmModel.of(found.geometry), learnt, record={}
     )
     return calibration.compensator(), iterations
 

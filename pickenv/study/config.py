@@ -5,20 +5,18 @@ Files and columns are in mm, deg and kg, and every name says so.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from calibration.measurements import ATTITUDE_STD, POSITION_STD
 from calibration.residual_models import FITTERS
 from pickenv.arm.arm_file import read_toml, refuse_unknown
+from pickenv.arm.content import content_sha256
 from pickenv.arm.plant import Plant
 from pickenv.arm.plant_file import load_plant
 from pickenv.arm.tables import Table
@@ -163,9 +161,7 @@ class StudyConfig:
         Raises:
             InputError: If plant or tolerance class are unknown or impossible.
         """
-        classes = [_plain(tolerances) for tolerances in self.load_tolerances().values()]
-        parts = [VERSION, asdict(self), _plain(self.load_plant()), classes]
-        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+        return content_sha256(VERSION, self, self.load_plant(), list(self.load_tolerances().values()))
 
     def toml(self) -> str:
         """This configuration as a TOML file that `load_study` reads."""
@@ -278,12 +274,3 @@ def _noise(table: Table) -> tuple[Noise, ...]:
     if not found or len(set(found)) < len(found):
         raise table.fail("noise", "a list of tables with position_mm and attitude_deg, each tracker once")
     return found
-
-
-def _plain(value: Any) -> Any:
-    """A dataclass of numbers and arrays as JSON has it."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, tuple | list):
-        return [_plain(entry) for entry in value]
-    return value.tolist() if isinstance(value, np.ndarray) else value

@@ -9,16 +9,17 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from pyarrow.dataset import Dataset
 
 from pickenv.errors import InputError
 from pickenv.inspect.drawings import Drawing, Drawings, LeftOut
 from pickenv.study import figures
 from pickenv.study.config import RAW, StudyConfig
+from pickenv.study.folder import read_rows, study_of
 from pickenv.study.placement import Placement, place
 from pickenv.study.protocol import Protocol, prepare
 from pickenv.study.quantiles import quantiles_of
 from pickenv.study.sensitivity import sensitivities_of
-from pickenv.study.table import read_rows, study_of
 from pickenv.study.yields import yields_of
 
 DENSE = tuple(float(p) for p in np.linspace(0.01, 0.99, 99))
@@ -38,6 +39,7 @@ class Findings:
     Attributes:
         config: The study.
         protocol: The study made ready.
+        rows: Its rows, verified.
         yields: From `yields.yields_of`.
         quantiles: From `quantiles.quantiles_of`.
         dense: Quantiles of the mean position error at `DENSE`.
@@ -49,6 +51,7 @@ class Findings:
 
     config: StudyConfig
     protocol: Protocol
+    rows: Dataset
     yields: pa.Table
     quantiles: pa.Table
     dense: pa.Table
@@ -85,6 +88,7 @@ def gather(folder: str | Path) -> Findings:
     return Findings(
         config=config,
         protocol=protocol,
+        rows=rows,
         yields=yields,
         quantiles=quantiles_of(rows),
         dense=quantiles_of(rows, ["error_mean_mm"], DENSE),

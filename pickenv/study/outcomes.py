@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from pickenv.arm.plant import Plant
 from pickenv.study.config import Setting, StudyConfig
 from pickenv.study.deviations import deviations
 from pickenv.study.protocol import Protocol
-from pickenv.study.table import FIGURES, OK, make_table
+from pickenv.study.table import FIGURES, OK, make_table, setting_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,17 +88,7 @@ def _columns(protocol: Protocol, arms: range, outcomes: Outcomes) -> dict[str, A
         NOT_FINITE if text == OK and not sound else text for text, sound in zip(outcomes.status, finite, strict=True)
     ]
     judged = np.array([text == OK for text in status])
-    same: Mapping[str, Any] = {
-        "setting": setting.number,
-        "tolerances": setting.tolerances,
-        "it_grade": setting.it_grade,
-        "poses": setting.poses,
-        "noise_mm": setting.noise.position_mm,
-        "noise_deg": setting.noise.attitude_deg,
-        "payload_kg": setting.payload_kg,
-        "method": setting.method,
-    }
-    columns: dict[str, Any] = {name: np.full(count, value) for name, value in same.items()}
+    columns: dict[str, Any] = {name: np.full(count, value) for name, value in setting_columns(setting).items()}
     columns |= {"arm": np.arange(arms.start, arms.stop), "status": np.array(status)}
     columns |= {"iterations": np.asarray(outcomes.iterations)}
     columns |= {name: np.full(count, np.nan) for name in (*FIGURES, "share_within")}

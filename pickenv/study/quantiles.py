@@ -18,8 +18,9 @@ from pyarrow.dataset import Dataset
 from scipy.stats import binom
 
 from pickenv.arm.geometry import Array
+from pickenv.study.folder import read_rows
 from pickenv.study.streaming import SETTING, grouped
-from pickenv.study.table import FIGURES, read_rows
+from pickenv.study.table import FIGURES
 
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 EXACT_ROWS = 2_000_000

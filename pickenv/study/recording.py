@@ -15,9 +15,9 @@ from pickenv.inspect.comparison import Comparison, PolicyErrors
 from pickenv.inspect.field_grid import FieldGrid, field_grid
 from pickenv.study.arm_by_arm import commands
 from pickenv.study.config import Setting
+from pickenv.study.folder import read_rows, study_of
 from pickenv.study.placement import ranked
 from pickenv.study.protocol import Protocol, carrying, prepare
-from pickenv.study.table import read_rows, study_of
 
 GRID_STEP = 0.1
 """Cell size of the error fields, m."""

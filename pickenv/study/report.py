@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 from collections import Counter
 from collections.abc import Sequence
@@ -14,7 +13,6 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect import report_page as page
 from pickenv.inspect.drawings import Drawing, write_drawings
@@ -22,9 +20,10 @@ from pickenv.inspect.report_page import Verdict
 from pickenv.study.config import LS, RAW, StudyConfig
 from pickenv.study.drawings import Findings, gather, specification, study_drawings
 from pickenv.study.figures import Row, method_label, setting_label
+from pickenv.study.folder import read_summary
 from pickenv.study.placement import Placement
 from pickenv.study.sobol import read_sobol, write_sobol
-from pickenv.study.table import OK, read_rows
+from pickenv.study.table import OK
 
 REQUIRED_YIELD = 0.95
 """Share of arms for which a way of making and calibrating arms counts as sufficient."""
@@ -73,7 +72,7 @@ def study_page(folder: str | Path, found: Findings) -> str:
     Raises:
         InputError: If the study is not finished.
     """
-    summary, config = _summary(Path(folder)), found.config
+    summary, config = read_summary(folder), found.config
     drawings = {d.name: d for d in study_drawings(found) if isinstance(d, Drawing)}
     title = f"Tolerance study of {found.protocol.design.name}"
     names = {"yields": "Yields", "errors": "Errors", "matters": "Which tolerance matters", "origin": "Origin"}
@@ -89,7 +88,7 @@ def study_page(folder: str | Path, found: Findings) -> str:
             "yields",
             page.pair(*_drawn(drawings, "yield_")),
             _yield_table(found),
-            _failures(folder, found),
+            _failures(found),
             explain="All arms are calibrated at the same poses, spread over the joint ranges, and reach for the same "
             "fruit; both follow from the study's seed, and the intervals are over arms alone.",
         ),
@@ -200,10 +199,10 @@ def _yield_table(found: Findings) -> str:
     return page.table(f"Arms that pick {specification(found.config)}", heads, rows)
 
 
-def _failures(folder: str | Path, found: Findings) -> str:
+def _failures(found: Findings) -> str:
     """Why arms have no result."""
     reasons: Counter[str] = Counter()
-    for batch in read_rows(folder).to_batches(columns=["status"], filter=pc.field("status") != OK, use_threads=False):
+    for batch in found.rows.to_batches(columns=["status"], filter=pc.field("status") != OK, use_threads=False):
         reasons.update({entry["values"]: entry["counts"] for entry in batch["status"].value_counts().to_pylist()})
     if not reasons:
         return "<p>Every arm has a result in every setting.</p>"
@@ -291,18 +290,6 @@ def _sobol_tables(folder: str | Path, found: Findings) -> list[str]:
         )
         for number, rows in read_sobol(folder).items()
     ]
-
-
-def _summary(folder: Path) -> dict[str, Any]:
-    path = folder / "summary.json"
-    try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{path} is missing or damaged, so the study is not finished; run `pickenv study CONFIG --out {folder}` "
-            "again to go on"
-        ) from error
-    return found
 
 
 def _origin(folder: Path, config: StudyConfig, summary: Row) -> dict[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable
@@ -12,11 +11,11 @@ from typing import Any
 
 from pickenv import __version__
 from pickenv.errors import InputError
-from pickenv.files import write_text
 from pickenv.study.config import LS, RAW, StudyConfig
 from pickenv.study.executors import Crew, Executor, Work, load_executor, run_serial
+from pickenv.study.folder import SUMMARY, missing_chunks, open_folder, read_rows, table_sha256, write_record
 from pickenv.study.protocol import Protocol, prepare
-from pickenv.study.table import missing_chunks, open_folder, table_sha256, write_chunk
+from pickenv.study.table import Study, write_chunk
 
 BATCHED = "batched"
 """Works on all arms of a chunk at once, in this process; the other executors work arm by arm."""
@@ -50,14 +49,14 @@ def run_study(
         The summary, which is also written to ``folder/summary.json``.
 
     Raises:
-        InputError: If the executor is unknown, or the folder holds another study.
+        InputError: If the executor is unknown, or the folder holds another study or files that do not belong to it.
     """
     crew = crew or Crew()
     run = _batched_run(crew, device) if executor == BATCHED else load_executor(executor)
     protocol = prepare(config)
     work = _work(protocol, executor, device)
-    open_folder(folder, config, f"batched on {device}" if executor == BATCHED else "arm by arm")
-    missing, damaged = missing_chunks(folder, config)
+    study = open_folder(folder, config, f"batched on {device}" if executor == BATCHED else "arm by arm")
+    missing, damaged = missing_chunks(folder, study)
     for path in damaged:
         if warn is not None:
             warn(f"{path} is damaged and is computed again")
@@ -68,10 +67,10 @@ def run_study(
     begin = time.perf_counter()
     if missing:
         for chunk, rows in run(missing, work, crew):
-            write_chunk(folder, chunk, rows)
+            write_chunk(folder, chunk, rows, study)
             done += len(config.arms_of(chunk))
             report(done, config.arms)
-    return _summary(config, folder, executor, time.perf_counter() - begin, reused)
+    return _summary(study, folder, executor, time.perf_counter() - begin, reused)
 
 
 def _batched_run(crew: Crew, device: str) -> Executor:
@@ -94,17 +93,18 @@ def _work(protocol: Protocol, executor: str, device: str) -> Work:
     return partial(evaluate_batch, protocol, device=device)
 
 
-def _summary(config: StudyConfig, folder: Path, executor: str, seconds: float, reused: int) -> dict[str, Any]:
-    from pickenv.study.quantiles import quantile_table
-    from pickenv.study.yields import yield_table
+def _summary(study: Study, folder: Path, executor: str, seconds: float, reused: int) -> dict[str, Any]:
+    from pickenv.study.quantiles import quantiles_of
+    from pickenv.study.yields import yields_of
 
-    quantiles = [{key: _known(value) for key, value in row.items()} for row in quantile_table(folder).to_pylist()]
+    config, rows = study.config, read_rows(folder)
+    quantiles = [{key: _known(value) for key, value in row.items()} for row in quantiles_of(rows).to_pylist()]
     summary = {
         "plant": config.plant,
         "simulated": True,
         "pickenv": __version__,
         "arms": config.arms,
-        "settings": len(config.settings()),
+        "settings": len(study.settings),
         "fruit": config.fruit,
         "seed": config.seed,
         "radius_mm": config.radius_mm,
@@ -112,15 +112,14 @@ def _summary(config: StudyConfig, folder: Path, executor: str, seconds: float, r
         "executor": executor,
         "seconds": seconds,
         "chunks_reused": reused,
-        "config_sha256": config.sha256(),
+        "config_sha256": study.sha256,
         "table_sha256": table_sha256(folder),
-        "yield": yield_table(folder).to_pylist(),
+        "yield": yields_of(rows, config.share).to_pylist(),
         "quantiles_mm": [row for row in quantiles if row["quantity"].endswith("_mm")],
         "quantiles_deg": [row for row in quantiles if row["quantity"].endswith("_deg")],
     }
     # The summary comes last: where it stands, the study is complete.
-    write_text(folder / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    return summary
+    return write_record(folder / SUMMARY, summary)
 
 
 def _known(value: Any) -> Any:

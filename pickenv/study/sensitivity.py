@@ -24,7 +24,8 @@ from scipy.stats import qmc, sobol_indices
 from calibration.threads import single_threaded
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
-from pickenv.study.table import OK, read_rows
+from pickenv.study.folder import read_rows
+from pickenv.study.table import OK
 
 DEVIATION = re.compile(r"delta_.+_(mm|deg)|size_.+|rise_K")
 """Columns that hold what was drawn for an arm."""

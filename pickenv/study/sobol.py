@@ -6,7 +6,6 @@ tracker does not err here, so that all variance comes from the arms. Output: squ
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,12 +17,12 @@ from pickenv.arm.geometry import Array
 from pickenv.arm.plant import Plant
 from pickenv.arm.tolerances import plants_from, random_columns
 from pickenv.errors import InputError
-from pickenv.files import write_text
 from pickenv.study.config import LS, RAW, Setting
+from pickenv.study.folder import SOBOL, SOBOL_AGAIN, read_record, study_at, write_record
 from pickenv.study.outcomes import figures
 from pickenv.study.protocol import Protocol, prepare
 from pickenv.study.sensitivity import sobol_table
-from pickenv.study.table import OK, study_of
+from pickenv.study.table import OK
 
 GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "joint stiffness": ("joint_compliance", ("joint_stiffness",)),
@@ -36,7 +35,6 @@ GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "ground": ("base_tilt", ("ground_stiffness", "sinkage")),
 }
 """For each group of effects, the effect and the random numbers (`random_columns`) that it takes."""
-FILE = "sobol.json"
 STREAM = 7
 """Key of the random numbers, apart from those of the study's rows."""
 AT_ONCE = 128
@@ -106,21 +104,21 @@ def write_sobol(folder: str | Path, settings: list[int], samples: int) -> Path:
     Raises:
         InputError: As `sobol_of`.
     """
-    protocol = prepare(study_of(folder))
-    found = {number: sobol_of(protocol, protocol.settings[number], samples) for number in settings}
-    return write_text(Path(folder) / FILE, json.dumps(found, indent=2) + "\n")
+    study = study_at(folder)
+    protocol, path = prepare(study.config), Path(folder) / SOBOL
+    found = {f"{number}": sobol_of(protocol, protocol.settings[number], samples) for number in settings}
+    write_record(path, {"config_sha256": study.sha256, "indices": found})
+    return path
 
 
 def read_sobol(folder: str | Path) -> dict[int, list[dict[str, Any]]]:
     """What `write_sobol` wrote; empty where nothing was written.
 
     Raises:
-        InputError: If the file is damaged.
+        InputError: If the file is damaged, edited or about another study.
     """
-    path = Path(folder) / FILE
+    path = Path(folder) / SOBOL
     if not path.is_file():
         return {}
-    try:
-        return {int(number): list(rows) for number, rows in json.loads(path.read_text(encoding="utf-8")).items()}
-    except (OSError, ValueError, AttributeError) as error:
-        raise InputError(f"{path} is damaged ({error}); run `pickenv study` with --sobol again") from error
+    found = read_record(path, study_at(folder), SOBOL_AGAIN)
+    return {int(number): list(rows) for number, rows in found["indices"].items()}

@@ -1,26 +1,32 @@
-"""The results of a study on disk: one row per setting and arm, in Parquet files of one chunk of arms each.
+"""The rows of a study: one per setting and arm, sorted by arm and setting, in sealed Parquet files of one chunk each.
 
-A folder holds `study.toml` (the configuration, with its hash), `rows/chunk-00000.parquet`, … (each written whole or not
-at all) and, when the study is complete, `summary.json`. Rows are sorted by arm and setting.
+A chunk's file carries the hash of its study, its number and how it was computed, and is read only as what it is: one
+that was damaged, edited, renamed or brought from another study is refused by name.
 """
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.dataset as ds
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from pickenv.arm.arm_file import read_toml
+from pickenv.arm.tolerances import draw_plants
 from pickenv.errors import InputError
-from pickenv.files import write_text, write_whole
-from pickenv.study.config import StudyConfig, load_study
+from pickenv.files import write_whole
+from pickenv.sealed import check_sealed_parquet, sealed_parquet
+from pickenv.study.config import Setting, StudyConfig
+from pickenv.study.deviations import deviations
+
+SCHEMA = 1
+"""Version of a chunk's file."""
 
 OK = "ok"
 """Status of an arm that was calibrated and judged; any other is a sentence that says why it was not."""
@@ -44,6 +50,56 @@ COLUMNS: Mapping[str, Any] = {
 }
 """Type of each column; the deviations of the arm (`pickenv.study.deviations`) follow, as float64."""
 
+AGAIN = "run `pickenv study` again, which computes it anew"
+ASIDE = "take it out of the folder and run `pickenv study` again, which computes what is missing"
+
+ROUNDING = 1e-9
+"""Relative error that sums and roots may make in the order of an arm's figures."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What the rows of a study must be.
+
+    Attributes:
+        config: The configuration.
+        arithmetic: How the rows are computed; those of two ways differ in their last digits and are not mixed.
+    """
+
+    config: StudyConfig
+    arithmetic: str
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of everything that the rows depend on."""
+        return self.config.sha256()
+
+    @cached_property
+    def settings(self) -> tuple[Setting, ...]:
+        """Its cells."""
+        return self.config.settings()
+
+    @cached_property
+    def schema(self) -> pa.Schema:
+        """Names and types of the columns."""
+        design, tolerances = self.config.load_plant(), next(iter(self.config.load_tolerances().values()))
+        drawn = deviations(design, draw_plants(design, tolerances, 1, np.random.default_rng(0)))
+        return pa.schema({**COLUMNS, **dict.fromkeys(drawn, pa.float64())})
+
+
+def setting_columns(setting: Setting) -> dict[str, Any]:
+    """The columns that name a setting."""
+    return {
+        "setting": setting.number,
+        "tolerances": setting.tolerances,
+        "it_grade": setting.it_grade,
+        "poses": setting.poses,
+        "noise_mm": setting.noise.position_mm,
+        "noise_deg": setting.noise.attitude_deg,
+        "payload_kg": setting.payload_kg,
+        "method": setting.method,
+    }
+
 
 def make_table(columns: Mapping[str, Any]) -> pa.Table:
     """A table of columns by name, in the order of `COLUMNS` and then as given; sorted by arm and setting."""
@@ -58,112 +114,102 @@ def chunk_path(folder: Path, chunk: int) -> Path:
     return folder / "rows" / f"chunk-{chunk:05d}.parquet"
 
 
-def write_chunk(folder: Path, chunk: int, table: pa.Table) -> Path:
-    """Write a chunk's rows, whole or not at all."""
-    return write_whole(
-        chunk_path(folder, chunk),
-        lambda path: pq.write_table(table, path, compression="zstd", write_page_checksum=True),
-    )
+def write_chunk(folder: Path, chunk: int, table: pa.Table, study: Study) -> Path:
+    """Write a chunk's rows with what they are, sealed, whole or not at all."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(table.replace_schema_metadata(_origin(study, chunk)), sink, compression="zstd")
+    content = sealed_parquet(sink.getvalue().to_pybytes())
+    return write_whole(chunk_path(folder, chunk), lambda path: path.write_bytes(content))
 
 
-def open_folder(folder: Path, config: StudyConfig, arithmetic: str) -> None:
-    """Claim a folder for a study: write its configuration, or check that it holds the same one.
-
-    Args:
-        folder: The folder; made if need be.
-        config: The study.
-        arithmetic: How the rows are computed; those of two ways differ in their last digits and are not mixed.
+def read_chunk(folder: Path, chunk: int, study: Study) -> pa.Table:
+    """A chunk's rows.
 
     Raises:
-        InputError: If the folder holds the results of another configuration, or rows of an unknown one.
+        InputError: If its file is missing or damaged, is not that chunk of that study, or holds what cannot be.
     """
-    described = folder / "study.toml"
-    if not described.is_file():
-        if (folder / "rows").exists():
-            raise InputError(f"{folder} holds rows but no study.toml that says of what; give another --out")
-        write_text(described, f'sha256 = "{config.sha256()}"\narithmetic = "{arithmetic}"\n{config.toml()}')
-        return
-    content = read_toml(described)
-    found, computed = str(content.get("sha256", "")), content.get("arithmetic")
-    if not found:
-        raise InputError(f"{described} is not the record of a results folder; give another --out")
-    if found != config.sha256():
-        raise InputError(
-            f"{folder} holds the results of another configuration (hash {found[:12]}, this one has "
-            f"{config.sha256()[:12]}); give another --out, or that configuration to go on"
-        )
-    if computed != arithmetic:
-        raise InputError(
-            f"{folder} holds rows computed {computed}, and rows computed {arithmetic} differ from them in the last "
-            "digits; go on with the executor that began it, or give another --out"
-        )
+    path = chunk_path(folder, chunk)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); {AGAIN}") from error
+    check_sealed_parquet(content, path, AGAIN)
+    try:
+        table = pq.read_table(pa.BufferReader(content))
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path} has a sound seal around what is no table; {ASIDE}") from error
+    fault = _foreign(table.schema.metadata or {}, study, chunk) or _misshapen(table.schema, study)
+    fault = fault or _impossible(table, study, chunk)
+    if fault is not None:
+        raise InputError(f"{path} {fault}; {ASIDE}")
+    return table
 
 
-def study_of(folder: str | Path) -> StudyConfig:
-    """The configuration of a results folder.
-
-    Raises:
-        InputError: If the folder holds no study.
-    """
-    return load_study(Path(folder) / "study.toml")
+def _origin(study: Study, chunk: int) -> dict[bytes, bytes]:
+    said = {"schema": SCHEMA, "study": study.sha256, "chunk": chunk, "arithmetic": study.arithmetic}
+    return {f"pickenv.{key}".encode(): f"{value}".encode() for key, value in said.items()}
 
 
-def missing_chunks(folder: Path, config: StudyConfig) -> tuple[list[int], list[Path]]:
-    """Which chunks are still to be computed, and which of their files are there but damaged.
-
-    Every file is read to its end, with the checksums of its pages; a damaged one counts as missing.
-    """
-    settings = len(config.settings())
-    missing, damaged = [], []
-    for chunk in config.chunks():
-        path = chunk_path(folder, chunk)
-        if not path.is_file():
-            missing.append(chunk)
-            continue
-        try:
-            rows = pq.read_table(path, page_checksum_verification=True).num_rows
-        except (pa.ArrowException, OSError):
-            rows = -1
-        if rows != settings * len(config.arms_of(chunk)):
-            missing.append(chunk)
-            damaged.append(path)
-    return missing, damaged
+def _foreign(metadata: Mapping[bytes, bytes], study: Study, chunk: int) -> str | None:
+    """Why a file is not the chunk that its name says."""
+    found = {key.decode().removeprefix("pickenv."): value.decode(errors="replace") for key, value in metadata.items()}
+    wanted = {key.decode().removeprefix("pickenv."): value.decode() for key, value in _origin(study, chunk).items()}
+    if found.get("schema") != wanted["schema"]:
+        return f"is of version {found.get('schema', 'unknown')} of a study's files, this program reads {SCHEMA}"
+    if found.get("study") != wanted["study"]:
+        return f"belongs to another study (hash {found.get('study', '')[:12]}, this one has {wanted['study'][:12]})"
+    if found.get("chunk") != wanted["chunk"]:
+        return f"holds chunk {found.get('chunk')} under the name of chunk {chunk}"
+    if found.get("arithmetic") != wanted["arithmetic"]:
+        return f"was computed {found.get('arithmetic')}, this study is computed {study.arithmetic}"
+    return None
 
 
-def read_rows(folder: str | Path) -> ds.Dataset:
-    """All rows of a folder, to be streamed in batches.
-
-    Raises:
-        InputError: If the folder holds no rows.
-    """
-    rows = Path(folder) / "rows"
-    paths = sorted(rows.glob("chunk-*.parquet"))
-    if not paths:
-        raise InputError(f"{rows} holds no results; run `pickenv study` first")
-    return ds.dataset([str(path) for path in paths], format="parquet")
-
-
-def batches(folder: str | Path, columns: list[str] | None = None) -> Iterator[pa.Table]:
-    """The rows in order, a chunk at a time: memory does not grow with the number of arms."""
-    for path in sorted((Path(folder) / "rows").glob("chunk-*.parquet")):
-        yield pq.read_table(path, columns=columns)
+def _misshapen(found: pa.Schema, study: Study) -> str | None:
+    """Which column is missing, unknown, of another type or in another place."""
+    for name in study.schema.names:
+        if name not in found.names:
+            return f"has no column {name}"
+    for name in found.names:
+        if name not in study.schema.names:
+            return f"has a column {name} that no study writes"
+    if not found.equals(study.schema):
+        return "has columns of other types or in another order than a study writes"
+    return None
 
 
-def table_sha256(folder: str | Path) -> str:
-    """Hash of all rows, sorted by arm and setting; it does not depend on how they are cut into files.
+def _impossible(table: pa.Table, study: Study, chunk: int) -> str | None:
+    """What in a chunk's rows no study could have computed."""
+    arms, settings = study.config.arms_of(chunk), study.settings
+    if table.num_rows != len(arms) * len(settings):
+        return f"has {table.num_rows} rows, this chunk has {len(arms) * len(settings)}"
+    if any(column.null_count for column in table.columns):
+        return "has empty cells"
+    named = [setting_columns(setting) for setting in settings]
+    wanted: dict[str, Any] = {name: np.tile([row[name] for row in named], len(arms)) for name in named[0]}
+    wanted["arm"] = np.repeat(np.arange(arms.start, arms.stop), len(settings))
+    for name, values in wanted.items():
+        if not table[name].combine_chunks().equals(pa.array(values, type=COLUMNS[name])):
+            return f"has other values of {name} than its arms and settings"
+    drawn = [name for name in table.column_names if name not in COLUMNS]
+    if not all(np.isfinite(table[name].to_numpy()).all() for name in drawn):
+        return "has deviations that are no finite numbers"
+    judged = pc.equal(table["status"], OK).to_numpy()
+    mean, rms, p50, p95, most, turn, share = errors = np.array([table[name] for name in (*FIGURES, "share_within")])
+    if not np.isnan(errors[:, ~judged]).all():
+        return "has errors of arms that were not judged"
+    more = 1.0 + ROUNDING
+    ordered = (most <= mean * more * study.config.fruit) & (mean <= rms * more) & (rms <= most * more)
+    ordered &= (p50 >= 0.0) & (p50 <= p95) & (p95 <= most) & (turn >= 0.0) & (share >= 0.0) & (share <= 1.0)
+    ordered &= np.isfinite(errors).all(axis=0) & ((share == 1.0) == (most <= study.config.radius_mm))
+    if not ordered[judged].all():
+        row = int(np.flatnonzero(judged & ~ordered)[0])
+        return f"has errors that no arm can have (arm {wanted['arm'][row]}, setting {wanted['setting'][row]})"
+    return None
 
-    Each column is hashed on its own, numbers as little-endian bytes and texts as UTF-8 lines, then names and hashes
-    together.
-    """
-    hashes: dict[str, Any] = {}
-    for table in batches(folder):
-        for name in table.column_names:
-            hashes.setdefault(name, hashlib.sha256()).update(_bytes(table.column(name)))
-    lines = "".join(f"{name} {digest.hexdigest()}\n" for name, digest in hashes.items())
-    return hashlib.sha256(lines.encode()).hexdigest()
 
-
-def _bytes(column: pa.ChunkedArray) -> bytes:
+def column_bytes(column: pa.ChunkedArray) -> bytes:
+    """A column as it is hashed: numbers as little-endian bytes, texts as UTF-8 lines."""
     if pa.types.is_string(column.type):
         return "".join(f"{text}\n" for text in column.to_pylist()).encode()
     values: NDArray[Any] = column.to_numpy()

@@ -13,8 +13,9 @@ import pyarrow.compute as pc
 from pyarrow.dataset import Dataset
 from scipy.stats import binomtest
 
+from pickenv.study.folder import read_rows, study_of
 from pickenv.study.streaming import grouped
-from pickenv.study.table import OK, read_rows, study_of
+from pickenv.study.table import OK
 
 
 def yield_table(folder: str | Path) -> pa.Table:

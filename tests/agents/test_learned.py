@@ -1,6 +1,8 @@
 """Policy files: loaded without executing code, and refused where they do not fit."""
 
+import io
 import json
+import re
 from dataclasses import replace
 
 import gymnasium as gym
@@ -10,10 +12,12 @@ import pytest
 import pickenv  # noqa: F401
 from agents.gap_scaling import GapScaling
 from agents.grid import GridSettings, run_grid
-from agents.learned import BASELINES, load_policy, shipped_baselines
+from agents.learned import BASELINES, FORMAT, load_policy, shipped_baselines
 from agents.scaling import Scaling
 from pickenv.arm import load_arm
+from pickenv.container import read_container, write_container
 from pickenv.errors import InputError
+from pickenv.sealed import seal
 
 
 @pytest.fixture
@@ -58,20 +62,88 @@ def test_damaged_files_are_refused(trained, tmp_path):
         load_policy("nobody")
 
 
-def test_a_newer_file_is_refused(policy, tmp_path, monkeypatch):
-    monkeypatch.setattr("agents.learned.FORMAT", 99)
-    path = policy.save(tmp_path / "newer")
-    monkeypatch.undo()
-    with pytest.raises(InputError, match="has format 99, this program reads up to 1; update pickenv"):
-        load_policy(path)
+def rewritten(path, version=FORMAT, arrays=None, **header):
+    """The file under a seal that holds, with some of its header and arrays replaced."""
+    found = read_container(path, "policy", remake="")
+    kept = {**found.arrays, **(arrays or {})}
+    kept = {name: value for name, value in kept.items() if value is not None}
+    return write_container(path, "policy", {**found.header, **header}, kept, version=version)
 
 
-def test_no_code_is_in_a_file(tmp_path):
-    """A pickled object in the place of the header is not read."""
-    path = tmp_path / "evil.npz"
-    np.savez(path, header=np.array([{"format": 1}], dtype=object))
-    with pytest.raises(InputError, match="damaged"):
+@pytest.fixture
+def path(trained, tmp_path):
+    path = tmp_path / "policy.npz"
+    path.write_bytes((trained / "policy.npz").read_bytes())
+    return path
+
+
+def refused(path):
+    with pytest.raises(InputError) as caught:
         load_policy(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_other_formats_are_refused(path):
+    assert "has format 99, this program reads up to 2; update pickenv" in refused(rewritten(path, 99))
+    assert "has the earlier format 1, this program reads 2; run `pickenv train`" in refused(rewritten(path, 1))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"arrays": {"weight0": np.full((13, 64), np.nan, np.float32)}}, "layer 1 does not fit|layer 1 holds numbers"),
+        ({"arrays": {"bias1": None}}, "is damaged"),
+        ({"arrays": {"more": np.zeros(3)}}, "its layers have"),
+        ({"arrays": {"weight0": np.zeros((3, 3), np.float32)}}, "its layer 1 does not fit"),
+        ({"activation": "exec"}, "its activation is 'exec'"),
+        ({"activation": ["tanh"]}, "is damaged"),
+        ({"scaling": {"joints": 2}}, "its layers have"),
+        ({"scaling": None}, "is damaged"),
+        ({"record": 3}, "is damaged"),
+    ],
+)
+def test_what_is_no_policy_is_refused_under_a_seal_that_holds(path, change, words):
+    assert re.search(words, refused(rewritten(path, **change)))
+
+
+@pytest.mark.parametrize("layer", [0, 1])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_weights_that_are_not_finite_are_refused_by_layer(path, layer, value):
+    weight = read_container(path, "policy", remake="").arrays[f"weight{layer}"].copy()
+    weight[0, 0] = value
+    rewritten(path, arrays={f"weight{layer}": weight})
+    assert f"its layer {layer + 1} holds numbers that are not finite" in refused(path)
+
+
+@pytest.mark.parametrize("count", [20, pytest.param(500, marks=pytest.mark.slow)])
+def test_one_flipped_bit_anywhere_is_refused(path, count):
+    whole = path.read_bytes()
+    for number in range(count):
+        rng, content = np.random.default_rng([4, number]), bytearray(whole)
+        content[rng.integers(len(content))] ^= 1 << rng.integers(8)
+        path.write_bytes(content)
+        refused(path)
+
+
+class Trap:
+    """Pickles to code that runs when it is read."""
+
+    def __reduce__(self):
+        return (exec, ("raise SystemExit('code was executed')",))
+
+
+def test_no_code_in_a_file_is_executed(path):
+    """Neither as NumPy writes it, nor under a seal, nor in the place of a layer of a sealed file."""
+    evil = io.BytesIO()
+    np.save(evil, np.array([Trap()], dtype=object), allow_pickle=True)
+    whole = path.read_bytes()
+    np.savez(path, header=np.array([Trap()], dtype=object))
+    refused(path)
+    start = whole.index(b"\x93NUMPY")
+    for content in (path.read_bytes(), evil.getvalue(), whole[:start] + evil.getvalue() + whole[start:]):
+        path.write_bytes(content + seal(content))
+        refused(path)
 
 
 @pytest.mark.parametrize("goal", [False, True])

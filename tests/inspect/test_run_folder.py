@@ -11,13 +11,19 @@ import pytest
 from calibration import fit, random_joints, simulated_tracker
 from pickenv.arm import load_plant
 from pickenv.arm.plant_file import shipped_plants
+from pickenv.container import read_container, write_container
 from pickenv.errors import InputError
+from pickenv.files import write_text
 from pickenv.inspect import saved
 from pickenv.inspect.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.run_folder import (
     MADE_BY,
+    Run,
+    added_to,
+    faults_of,
     load_comparison,
+    load_iso9283,
     load_trace,
     read_run,
     recorded_run,
@@ -95,11 +101,11 @@ def test_equal_runs_give_equal_bytes(tmp_path: Path, comparison: Comparison) -> 
 
 
 def test_seed_and_versions_stand_in_the_file_and_nothing_is_pickled(folder: Path) -> None:
+    found = read_container(folder / "comparison.npz", "Comparison", remake="")
+    assert found.header["seed"] == 7
+    assert set(found.made_with) == {"pickenv", "numpy", "python", "code"}
     with np.load(folder / "comparison.npz", allow_pickle=False) as archive:
-        header = json.loads(str(archive["header"]))
-        assert all(archive[name].dtype != object for name in archive.files)
-    assert header["seed"] == 7
-    assert set(header["versions"]) == {"pickenv", "numpy", "python"}
+        assert all(archive[name].dtype != object for name in archive.files if name.startswith("array"))
 
 
 def test_a_run_says_what_it_is_and_how_it_was_made(folder: Path) -> None:
@@ -124,13 +130,20 @@ def test_a_study_is_known_by_its_configuration(tmp_path: Path) -> None:
     ("change", "words"),
     [
         (lambda path: path.unlink(), "does not exist; `pickenv demo --out"),
-        (lambda path: path.write_bytes(path.read_bytes()[:-400]), "is damaged or of another version"),
-        (lambda path: path.write_bytes(b""), "is damaged or of another version"),
-        (lambda path: path.write_text("no archive"), "is damaged or of another version"),
-        (lambda path: with_header(path, format=99), "has format 99, this program reads up to 1; update pickenv"),
-        (lambda path: with_header(path, kind="CalibrationTrace"), "holds a CalibrationTrace, not a Comparison"),
-        (lambda path: with_header(path, content={"class": "Path", "fields": {}}), "is damaged or of another version"),
-        (lambda path: with_header(path, content={"class": "Pose", "fields": {"x": 1}}), "is damaged or of another"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-400]), "is not a Comparison file or is damaged"),
+        (lambda path: path.write_bytes(b""), "is not a Comparison file or is damaged"),
+        (lambda path: path.write_text("no archive"), "is not a Comparison file or is damaged"),
+        (lambda path: rewritten(path, version=99), "has format 99, this program reads up to 2; update pickenv"),
+        (
+            lambda path: rewritten(path, version=1),
+            "has the earlier format 1, this program reads 2; `pickenv demo --out",
+        ),
+        (lambda path: rewritten(path, kind="CalibrationTrace"), "holds a CalibrationTrace, not a Comparison"),
+        (
+            lambda path: rewritten(path, content={"class": "Path", "fields": {}}),
+            "is not a Comparison file or is damaged",
+        ),
+        (lambda path: rewritten(path, content={"class": "Pose", "fields": {"x": 1}}), "is not a Comparison file"),
     ],
 )
 def test_a_file_that_is_not_whole_is_refused_by_name(folder: Path, change, words: str) -> None:
@@ -141,19 +154,25 @@ def test_a_file_that_is_not_whole_is_refused_by_name(folder: Path, change, words
     assert "\n" not in str(caught.value)
 
 
-def with_header(path: Path, **changes: object) -> None:
-    with np.load(path) as archive:
-        arrays = dict(archive)
-    header = json.loads(str(arrays.pop("header"))) | changes
-    np.savez(path, header=np.array(json.dumps(header)), **arrays)
+def rewritten(path: Path, kind: str = "Comparison", version: int = saved.FORMAT, **header: object) -> None:
+    """The file under a seal that holds, with another kind, version or header."""
+    found = read_container(path, None, remake="")
+    write_container(path, kind, {**found.header, **header}, found.arrays, version=version)
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{", r"run\.json is damaged"),
-        ("[]", r"run\.json is damaged"),
-        ('{"format": 1, "kind": "demo", "command": "", "seed": "x", "versions": {}}', r"run\.json is damaged"),
+        ("{", r"run\.json is not a run's record or is damaged"),
+        ("[]", r"run\.json is not a run's record or is damaged"),
+        ("[" * 100_000, r"run\.json is not a run's record or is damaged"),
+        ('{"format": Infinity}', r"run\.json is not a run's record or is damaged"),
+        ("9" * 5000, r"run\.json is not a run's record or is damaged"),
+        ('{"format": 2, "kind": "demo", "command": "", "seed": "x", "versions": {}}', "a run's record or is damaged"),
+        (
+            '{"format": 1, "kind": "demo", "command": "", "seed": 0, "versions": {}}',
+            "by an earlier version, without hashes",
+        ),
         ('{"format": 9, "kind": "demo", "command": "", "seed": 0, "versions": {}}', "of a newer pickenv .format 9"),
         ('{"format": 1, "kind": "moon", "command": "", "seed": 0, "versions": {}}', "kind 'moon'.; update pickenv"),
     ],
@@ -178,4 +197,75 @@ def test_what_holds_code_cannot_be_saved(tmp_path: Path, comparison: Comparison)
 
 def test_the_archive_is_a_plain_zip_of_arrays(folder: Path) -> None:
     with zipfile.ZipFile(folder / "comparison.npz") as archive:
-        assert all(name.endswith(".npy") for name in archive.namelist())
+        assert all(name.endswith(".npy") for name in archive.namelist() if name != "header.json")
+
+
+def faults(folder: Path) -> dict[str, str]:
+    return {path.name: reason for path, reason in faults_of(read_run(folder)) if reason is not None}
+
+
+def test_a_run_lists_what_it_wrote_and_names_what_changed_since(folder: Path) -> None:
+    assert faults(folder) == {}
+    (folder / "notes.txt").write_text("mine")
+    assert faults(folder) == {"notes.txt": "is stray: this run did not write it"}
+    (folder / "notes.txt").unlink()
+    (folder / "comparison.npz").write_bytes(b"another")
+    assert faults(folder) == {"comparison.npz": "was edited since the run wrote it"}
+    (folder / "comparison.npz").unlink()
+    assert faults(folder) == {"comparison.npz": "is missing; the run wrote it"}
+
+
+def test_what_an_earlier_run_left_in_the_folder_is_not_of_this_run(folder: Path, comparison: Comparison) -> None:
+    (folder / "figures").mkdir()
+    (folder / "figures" / "old.svg").write_text("<svg/>")
+    with recorded_run(folder, "demo", "pickenv demo --seed 7", 7):
+        save_comparison(folder, comparison)
+    assert faults(folder) == {"old.svg": "is stray: this run did not write it"}
+
+
+def test_figures_that_are_drawn_later_join_the_list(folder: Path) -> None:
+    before = read_run(folder)
+    with added_to(before):
+        (folder / "figures").mkdir()
+        (folder / "figures" / "new.svg").write_text("<svg/>")
+    assert faults(folder) == {}
+    assert set(read_run(folder).files) == {"comparison.npz", "figures/new.svg"}
+    assert before.files == {"comparison.npz": read_run(folder).files["comparison.npz"]}
+
+
+def test_no_byte_of_a_record_can_change(folder: Path) -> None:
+    whole = (folder / "run.json").read_bytes()
+    assert read_run(folder).files.keys() == {"comparison.npz"}
+    for place in range(len(whole)):
+        (folder / "run.json").write_bytes(whole[:place] + bytes([whole[place] ^ 1 << place % 8]) + whole[place + 1 :])
+        with pytest.raises(InputError, match=r"run\.json"):
+            read_run(folder)
+
+
+def test_a_result_from_another_run_is_refused(tmp_path: Path) -> None:
+    for name, count in (("a", 30), ("b", 3)):
+        with recorded_run(tmp_path / name, "iso9283", "pickenv iso9283", 0) as run:
+            result = {"raw": {"poses": count}, "settings": {}, "plant": "", "standard": ""}
+            write_text(run.folder / "iso9283.json", json.dumps(result))
+    assert load_iso9283(read_run(tmp_path / "a"))["raw"]["poses"] == 30
+    (tmp_path / "a" / "iso9283.json").write_bytes((tmp_path / "b" / "iso9283.json").read_bytes())
+    with pytest.raises(
+        InputError, match=r"iso9283\.json is not what the run wrote, it was edited or exchanged; `pickenv"
+    ):
+        load_iso9283(read_run(tmp_path / "a"))
+
+
+def flipped(whole: bytes, rng: np.random.Generator) -> bytes:
+    content = bytearray(whole)
+    content[rng.integers(len(content))] ^= 1 << rng.integers(8)
+    return bytes(content)
+
+
+@pytest.mark.parametrize("count", [20, pytest.param(500, marks=pytest.mark.slow)])
+def test_one_flipped_bit_anywhere_in_a_trace_is_refused(tmp_path: Path, trace: CalibrationTrace, count: int) -> None:
+    path = save_trace(tmp_path, trace, 0)
+    whole, run = path.read_bytes(), Run(tmp_path, "calibration", "", 0, {})
+    for number in range(count):
+        path.write_bytes(flipped(whole, np.random.default_rng([3, number])))
+        with pytest.raises(InputError, match=r"calibration_trace\.npz"):
+            load_trace(run)

@@ -15,8 +15,9 @@ from pickenv.errors import InputError
 from pickenv.study import executors
 from pickenv.study.config import load_study
 from pickenv.study.executors import Crew, load_executor, run_joblib, run_serial
+from pickenv.study.folder import table_sha256
 from pickenv.study.run import run_study
-from pickenv.study.table import chunk_path, table_sha256
+from pickenv.study.table import chunk_path
 
 ROOT = Path(__file__).parents[2]
 

@@ -16,8 +16,9 @@ import pytest
 from pickenv.errors import InputError
 from pickenv.study.config import load_study
 from pickenv.study.executors import Crew, load_executor
+from pickenv.study.folder import read_rows
 from pickenv.study.run import run_study
-from pickenv.study.table import chunk_path, read_rows
+from pickenv.study.table import chunk_path
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "RAY_ADDRESS": "127.0.0.1:1"}  # nothing answers there

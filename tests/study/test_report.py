@@ -15,13 +15,13 @@ from pickenv.inspect.drawings import Drawing, LeftOut
 from pickenv.study.arm_by_arm import evaluate_arm
 from pickenv.study.config import load_study
 from pickenv.study.drawings import gather, specification, study_drawings
+from pickenv.study.folder import read_rows, study_at, write_record
 from pickenv.study.placement import place, ranked
 from pickenv.study.protocol import prepare
 from pickenv.study.recording import arms_compared, record_study
 from pickenv.study.report import study_page, study_report, verdict, write_outputs
 from pickenv.study.run import run_study
 from pickenv.study.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
-from pickenv.study.table import read_rows
 from pickenv.study.yields import wilson_interval
 
 STUDY = """
@@ -219,9 +219,19 @@ def test_groups_name_each_random_number_of_the_effects_that_are_on(found):
     assert sorted(i for group in groups.values() for i in group) == sorted(i for key in used for i in columns[key])
 
 
-def test_a_damaged_file_of_indices_is_named(tmp_path):
-    (tmp_path / "sobol.json").write_text("[1, 2", encoding="utf-8")
-    with pytest.raises(InputError, match=r"sobol\.json is damaged .*with --sobol again"):
+def test_a_damaged_edited_or_foreign_file_of_indices_is_named(folder, tmp_path):
+    (tmp_path / "study.toml").write_bytes((folder / "study.toml").read_bytes())
+    path, study = tmp_path / "sobol.json", study_at(folder)
+    path.write_text("[1, 2", encoding="utf-8")
+    with pytest.raises(InputError, match=r"sobol\.json is missing or damaged; .*with --sobol again"):
+        read_sobol(tmp_path)
+    write_record(path, {"config_sha256": study.sha256, "indices": {"0": [{"total": 0.5}]}})
+    assert read_sobol(tmp_path) == {0: [{"total": 0.5}]}
+    path.write_text(path.read_text(encoding="utf-8").replace("0.5", "0.6"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"sobol\.json was edited or damaged after it was written"):
+        read_sobol(tmp_path)
+    write_record(path, {"config_sha256": "0" * 64, "indices": {}})
+    with pytest.raises(InputError, match=r"sobol\.json is about another study \(hash 000000000000"):
         read_sobol(tmp_path)
     assert read_sobol(tmp_path / "nowhere") == {}
 

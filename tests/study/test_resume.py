@@ -14,8 +14,9 @@ import pytest
 
 from pickenv.errors import InputError
 from pickenv.study.config import load_study
+from pickenv.study.folder import missing_chunks, read_rows, study_at, study_of, table_sha256
 from pickenv.study.run import run_study
-from pickenv.study.table import chunk_path, missing_chunks, read_rows, study_of, table_sha256
+from pickenv.study.table import chunk_path
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-c", "from pickenv.cli import main; main()", "study"]
@@ -44,7 +45,7 @@ def test_a_study_killed_half_way_ends_with_the_same_table(study_file, tmp_path):
             time.sleep(0.01)
         assert study.poll() is None, study.stderr.read()
         os.kill(study.pid, signal.SIGKILL)
-    left, damaged = missing_chunks(folder, config)
+    left, damaged = missing_chunks(folder, study_at(folder))
     assert 0 < len(left) < len(config.chunks()) and not damaged
     assert not (folder / "summary.json").exists()
     resumed = run_study(config, folder, executor="serial")

@@ -1,0 +1,213 @@
+"""`pickenv check`: is this file, or this run, what was written, to the last bit?"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pickenv.errors import InputError
+
+REFUSED = 3
+"""Exit code where something is damaged or foreign."""
+
+REMAKE = "make it anew with the command that made it"
+SEALED = (".npz", ".pt", ".parquet")
+"""Suffixes of the files that carry a seal."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found about one file.
+
+    Attributes:
+        path: The file.
+        what: What it is, as far as that could be read: "calibration", "file of a run".
+        version: Version of its content; None where it has none of its own.
+        about: Whose it is, in a few words.
+        reason: Why it is refused, in one sentence; None if it is sound.
+    """
+
+    path: str
+    what: str
+    version: int | None = None
+    about: str = ""
+    reason: str | None = None
+
+    def line(self) -> str:
+        """One line for a person."""
+        if self.reason is not None:
+            return f"REFUSED  {self.reason if self.path in self.reason else f'{self.path}: {self.reason}'}"
+        version = "" if self.version is None else f", format {self.version}"
+        return f"sound    {self.path}: {self.what}{version}{', ' if self.about else ''}{self.about}"
+
+
+def check(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Calibrations, policies, checkpoints, chunks, traces, or whole folders.", show_default=False
+        ),
+    ],
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found to this file.")] = None,
+) -> None:
+    """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign."""
+    from pickenv.files import write_text
+
+    findings = []
+    for path in paths:
+        for finding in findings_of(path):
+            print(finding.line())
+            findings.append(finding)
+    refused = sum(finding.reason is not None for finding in findings)
+    print(f"{len(findings)} checked, {refused} refused")
+    if json_file is not None:
+        content = {"sound": refused == 0, "files": [asdict(finding) for finding in findings]}
+        print(f"wrote {write_text(json_file, json.dumps(content, indent=2) + chr(10))}")
+    if refused:
+        sys.exit(REFUSED)
+
+
+def findings_of(path: Path) -> list[Finding]:
+    """What is found about a file, or about every file of a folder.
+
+    Raises:
+        InputError: If there is no such file or folder.
+    """
+    from pickenv.container import refusing_damage
+
+    with refusing_damage(path, "a path", "give the path of a file or a folder"):
+        folder, missing = path.is_dir(), not path.exists()
+    if missing:
+        raise InputError(f"{path} does not exist; give the path of a file or a folder")
+    return folder_findings(path) if folder else [file_finding(path)]
+
+
+def folder_findings(folder: Path) -> list[Finding]:
+    """What is found about every file of a run, of a study, or of another folder that holds sealed files."""
+    from pickenv.inspect.run_folder import RECORD, STUDY
+
+    if (folder / RECORD).exists():
+        return run_findings(folder)
+    if (folder / STUDY).exists():
+        from pickenv.study.folder import check_folder
+
+        return [Finding(str(path), "file of a study", reason=reason) for path, reason in check_folder(folder)]
+    held = sorted(path for path in folder.rglob("*") if path.suffix in SEALED and path.is_file())
+    if not held:
+        return [Finding(str(folder), "folder", reason="holds neither a complete run nor any file with a seal")]
+    return [file_finding(path) for path in held]
+
+
+def run_findings(folder: Path) -> list[Finding]:
+    """What is found about a run folder's record and every file that it lists or that lies beside it."""
+    from pickenv.inspect.run_folder import FORMAT, RECORD, faults_of, read_run
+
+    record = str(folder / RECORD)
+    try:
+        run = read_run(folder)
+    except InputError as error:
+        return [Finding(record, "record of a run", reason=str(error))]
+    found = [Finding(record, f"record of a run ({run.kind})", FORMAT, f"made by `{run.command}`")]
+    for path, reason in faults_of(run):
+        sealed = reason is None and path.suffix in SEALED
+        found.append(file_finding(path) if sealed else Finding(str(path), "file of the run", reason=reason))
+    return found
+
+
+def file_finding(path: Path) -> Finding:
+    """What is found about one file."""
+    what = "file"
+    try:
+        what = _kind_of(path)
+        version, about = _READERS[what](path) if what in _READERS else _foreign(path, what)
+    except InputError as error:
+        return Finding(str(path), what, reason=str(error))
+    return Finding(str(path), what, version, about)
+
+
+def _kind_of(path: Path) -> str:
+    """What a file is; an archive says so itself."""
+    from pickenv.container import read_container
+
+    if path.suffix == ".parquet":
+        return "chunk of a study"
+    if path.suffix == ".pt":
+        return "checkpoint"  # it may be far larger than other files, and is read once
+    if path.suffix == ".npz":
+        return read_container(path, None, remake=REMAKE).kind
+    raise InputError(f"{path} carries no seal; files that do end in {', '.join(SEALED)}")
+
+
+def _foreign(path: Path, what: str) -> tuple[int | None, str]:
+    raise InputError(f"{path} holds a {what[:40]}, which this program does not know; update pickenv")
+
+
+def _calibration(path: Path) -> tuple[int | None, str]:
+    from agents.calibrated import ORIGIN
+    from calibration.calibration import FORMAT, Calibration
+
+    found = Calibration.load(path)
+    origin = found.record.get(ORIGIN)
+    named = re.search("-([0-9a-f]{16})$", path.stem)  # as `pickenv evaluate --cache` names them
+    if origin is not None and named is not None and not str(origin).startswith(named[1]):
+        raise InputError(f"{path} is the calibration of another arm or protocol than its name says; delete it")
+    unit = "" if found.unit is None else f", unit '{found.unit}'"
+    return FORMAT, f"arm '{found.arm_name}'{unit}, geometry {found.arm_fingerprint}"
+
+
+def _policy(path: Path) -> tuple[int | None, str]:
+    from agents.learned import FORMAT, load_policy
+
+    found = load_policy(path)
+    return FORMAT, f"{found.algorithm} on arm '{found.arm}'"
+
+
+def _checkpoint(path: Path) -> tuple[int | None, str]:
+    from agents.checkpoints import FORMAT, check_checkpoint
+
+    reason = check_checkpoint(path)
+    if reason is not None:
+        raise InputError(reason)
+    return FORMAT, "of a training"
+
+
+def _chunk(path: Path) -> tuple[int | None, str]:
+    from pickenv.container import refusing_damage
+    from pickenv.sealed import check_sealed_parquet
+
+    remake = "run the study again to make it anew"
+    with refusing_damage(path, "a chunk", remake):
+        content = path.read_bytes()
+    check_sealed_parquet(content, path, remake)
+    return None, "whether it belongs to its study is found by checking the study's folder"
+
+
+def _saved(path: Path) -> tuple[int | None, str]:
+    from agents.grid import Grid
+    from pickenv.container import read_container
+    from pickenv.inspect import saved
+    from pickenv.inspect.calibration_trace import CalibrationTrace
+    from pickenv.inspect.comparison import Comparison
+    from pickenv.inspect.harvest_trace import HarvestTrace
+
+    kinds: tuple[type, ...] = (CalibrationTrace, Comparison, Grid, HarvestTrace)
+    name = read_container(path, None, remake=REMAKE).kind
+    saved.load(path, next(kind for kind in kinds if kind.__name__ == name), "the command that wrote it")
+    return saved.FORMAT, "the numbers behind figures"
+
+
+_READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
+    "calibration": _calibration,
+    "policy": _policy,
+    "checkpoint": _checkpoint,
+    "chunk of a study": _chunk,
+    **dict.fromkeys(("CalibrationTrace", "Comparison", "Grid", "HarvestTrace"), _saved),
+}
+"""How each kind of file is verified: its version, and a few words about it."""
