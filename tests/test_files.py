@@ -2,11 +2,12 @@
 
 import os
 import stat
+from pathlib import Path
 
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.files import write_text, write_whole
+from pickenv.files import separate, write_text, write_whole
 
 
 def test_the_file_holds_what_was_written_and_nothing_stands_beside_it(tmp_path):
@@ -84,3 +85,50 @@ def test_a_result_may_be_read_like_any_other_file(tmp_path):
     ordinary.touch()
     written = write_text(tmp_path / "written", "")
     assert stat.S_IMODE(written.stat().st_mode) == stat.S_IMODE(ordinary.stat().st_mode)
+
+
+@pytest.fixture
+def data(tmp_path, monkeypatch):
+    """A folder that holds data.csv, and is the current one."""
+    monkeypatch.chdir(tmp_path)
+    write_text("data.csv", "x_mm\n1\n")
+    return tmp_path / "data.csv"
+
+
+SPELLINGS = ["data.csv", "./data.csv", "new/../data.csv", "link.csv", "hard.csv", "folder-link/data.csv", "{absolute}"]
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_an_output_over_an_input_is_refused_however_it_is_spelt(data, spelling):
+    Path("new").mkdir()
+    Path("link.csv").symlink_to(data)
+    os.link(data, "hard.csv")
+    Path("folder-link").symlink_to(data.parent, target_is_directory=True)
+    path = Path(spelling.format(absolute=data))
+    with pytest.raises(InputError, match=r"--json would write over .*csv, which FILES reads; give --json another file"):
+        separate({"FILES": ["other.csv", "data.csv"]}, {"--out": None, "--json": path})
+
+
+@pytest.mark.parametrize("spelling", [spelling for spelling in SPELLINGS if spelling != "hard.csv"])
+def test_two_outputs_into_one_file_are_refused_before_it_is_there(data, spelling):
+    Path("new").mkdir()
+    Path("link.csv").symlink_to(data)
+    Path("folder-link").symlink_to(data.parent, target_is_directory=True)
+    path = Path(spelling.format(absolute=data))
+    data.unlink()
+    with pytest.raises(InputError, match=r"--toml would write over .*csv, which --run writes too; give --toml another"):
+        separate({}, {"--run": ["a.csv", "data.csv"], "--toml": path})
+
+
+def test_of_a_robot_description_the_file_counts_and_not_the_link_named_behind_it(data):
+    write_text("arm.urdf", "<robot/>")
+    with pytest.raises(InputError, match=r"--urdf would write over arm\.urdf, which --arm reads"):
+        separate({"--arm": "arm.urdf#flange"}, {"--urdf": Path("arm.urdf")})
+
+
+def test_different_files_shipped_names_and_devices_are_no_conflict(data):
+    fifo = data.with_name("pipe")
+    os.mkfifo(fifo)
+    separate({"--arm": "ur5", "FILES": [data]}, {"--out": Path("ur5"), "--json": data.with_suffix(".json")})
+    separate({"FILES": fifo}, {"--out": fifo, "--json": fifo})
+    separate({"--columns": None}, {"--run": ["report.html", "report.html"], "--report": None})
