@@ -24,6 +24,7 @@ from calibration import Calibration
 from pickenv.envs.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.files import write_text
+from pickenv.locks import locked
 
 ENVIRONMENTS: dict[str, type[ReachVectorEnv]] = {
     "pickenv/Reach-v0": ReachVectorEnv,
@@ -129,7 +130,8 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
         progress: Whether to draw a progress bar.
 
     Raises:
-        InputError: If an argument is impossible, or there is no sound checkpoint to go on from.
+        InputError: If an argument is impossible, there is no sound checkpoint to go on from, or another process is at
+            work in the folder.
     """
     import time
 
@@ -141,7 +143,7 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
     content = read_checkpoint(path) if resume else None
     if content is not None and json.loads(content["settings"]) != asdict(training):
         raise InputError(f"checkpoint {path} is of another training; resume it with the options it was started with")
-    with one_thread():
+    with locked(out), one_thread():
         model, env = make_model(training, out)
         done: list[dict[str, float]] = []
         if content is not None:

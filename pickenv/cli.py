@@ -72,9 +72,10 @@ def demo(
 ) -> None:
     """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording."""
     from pickenv.demo import DemoSettings, run_demo, summarise, write_run
+    from pickenv.locks import locked
 
     settings = DemoSettings.quick(seed) if quick else DemoSettings(seed=seed)
-    with progress_bars() as report:
+    with locked(out), progress_bars() as report:
         result = run_demo(settings, report)
         written = write_run(result, out, report)
     _print_demo(summarise(result), written)

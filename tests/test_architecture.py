@@ -14,7 +14,7 @@ PACKAGES = ("pickenv", "calibration", "agents")
 # Floors from the ground up; each floor is a list of rooms, each room the module prefixes it consists of.
 FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
     (("pickenv.errors",),),
-    (("pickenv.files",),),
+    (("pickenv.files", "pickenv.locks"),),
     (("pickenv.arm",), ("pickenv.orchard",)),
     (("calibration",), ("pickenv.harvester",)),
     (("pickenv.envs", "pickenv.wrappers"), ("pickenv.inspect",), ("pickenv.zoo",)),

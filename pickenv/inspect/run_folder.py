@@ -19,6 +19,7 @@ from pickenv.inspect.calibration_trace import CalibrationTrace
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.harvest_trace import HarvestTrace
 from pickenv.inspect.saved import load, save, versions
+from pickenv.locks import locked
 
 RECORD = "run.json"
 COMPARISON = "comparison.npz"
@@ -75,13 +76,17 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
         kind: One of `MADE_BY`.
         command: Command line that makes the same numbers again.
         seed: Seed of everything random.
+
+    Raises:
+        InputError: If another process is writing into the folder, or it cannot be written.
     """
     run = Run(folder, kind, command, seed, versions())
-    if (folder / RECORD).is_file():
-        (folder / RECORD).unlink()
-    yield run
-    content = {"format": FORMAT, "kind": kind, "command": command, "seed": seed, "versions": run.versions}
-    write_text(folder / RECORD, json.dumps(content, indent=2) + "\n")
+    with locked(folder):
+        if (folder / RECORD).is_file():
+            (folder / RECORD).unlink()
+        yield run
+        content = {"format": FORMAT, "kind": kind, "command": command, "seed": seed, "versions": run.versions}
+        write_text(folder / RECORD, json.dumps(content, indent=2) + "\n")
 
 
 def read_run(folder: str | Path) -> Run:
