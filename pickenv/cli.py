@@ -12,8 +12,8 @@ import typer
 
 from pickenv.commands import agents, calibrations, inspection, plants, reports
 from pickenv.commands.calibrate import calibrate
+from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.study import study
-from pickenv.errors import InputError
 
 app = typer.Typer(
     name="pickenv",
@@ -22,10 +22,6 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-
-
-INTERRUPTED = 130
-"""Exit code of a command ended by Ctrl-C, as shells have it: 128 plus the number of SIGINT."""
 
 
 @app.callback()
@@ -139,21 +135,24 @@ app.command()(study)
 
 
 def main() -> None:
-    """Run the command line; bad input ends with one sentence and exit code 2, an interrupt with 130."""
+    """Run the command line; `pickenv.commands.guard` says how it may end."""
+    sys.exit(guarded(_run))
+
+
+def _run() -> Any:
+    """Run the command that was typed, and return its exit code."""
     try:
-        if app(standalone_mode=False) == INTERRUPTED:  # typer turns Ctrl-C into this return value
-            raise KeyboardInterrupt
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
-    except (KeyboardInterrupt, typer.Abort):
-        print("interrupted; files are written whole or not at all, so nothing is left half-written", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        code = app(standalone_mode=False)
+    except typer.Abort as error:
+        raise KeyboardInterrupt from error
     except Exception as error:  # typer carries its own copy of click, so usage errors are known by what they offer
         if not hasattr(error, "exit_code") or not hasattr(error, "show"):
             raise
         error.show()
-        sys.exit(error.exit_code)
+        return error.exit_code
+    if code == INTERRUPTED:  # typer turns Ctrl-C into this return value
+        raise KeyboardInterrupt
+    return code
 
 
 if __name__ == "__main__":

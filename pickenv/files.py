@@ -148,7 +148,8 @@ def _write_into(path: Path, write: Callable[[Path], Any]) -> None:
         write(temporary)
         content = temporary.read_bytes()
     stream = _stream(path)
-    sys.stdout.flush()
+    if sys.stdout is not None:
+        sys.stdout.flush()
     with path.open("wb") if stream is None else os.fdopen(os.dup(stream), "wb") as file:
         file.write(content)
 

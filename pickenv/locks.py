@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pickenv.errors import InputError
@@ -25,7 +25,7 @@ def locked(folder: str | Path) -> Iterator[None]:
     """Have a run folder for this process alone inside the context; child processes may write for it.
 
     Args:
-        folder: The folder; made where it is missing.
+        folder: The folder; made where it is missing, with those above it, and taken away again if it stays empty.
 
     Raises:
         InputError: If another process is at work in it, or it cannot be written.
@@ -34,13 +34,18 @@ def locked(folder: str | Path) -> Iterator[None]:
     if name in _held:
         yield
         return
-    handle = _take(Path(folder))
+    path = Path(folder)
+    new = [each for each in (path, *path.parents) if not each.exists()]
+    handle = _take(path)
     _held.add(name)
     try:
         yield
     finally:
         _held.discard(name)
-        _give_back(Path(folder) / FILE, handle)
+        _give_back(path, handle)
+        with suppress(OSError):  # the first that is not empty stays, and those above it
+            for each in new:
+                each.rmdir()
 
 
 def _take(folder: Path) -> int:
@@ -77,9 +82,9 @@ def _is_still(path: Path, handle: int) -> bool:
         return False
 
 
-def _give_back(path: Path, handle: int) -> None:
+def _give_back(folder: Path, handle: int) -> None:
     if sys.platform != "win32":  # where an open file cannot be taken away
-        path.unlink(missing_ok=True)
+        (folder / FILE).unlink(missing_ok=True)
     os.close(handle)
 
 

@@ -42,6 +42,7 @@ def elsewhere(folder: Path) -> Iterator[subprocess.Popen[str]]:
 
 def test_the_second_process_is_told_the_folder_and_who_is_in_it(tmp_path: Path) -> None:
     folder = tmp_path / "run"
+    folder.mkdir()
     with elsewhere(folder) as other:
         said = rf"another run \(process {other.pid}\) is at work in .*run; wait for its end, or give another folder"
         with pytest.raises(InputError, match=said), locked(folder):
@@ -50,6 +51,19 @@ def test_the_second_process_is_told_the_folder_and_who_is_in_it(tmp_path: Path) 
         with locked(folder):
             assert (folder / ".lock").read_text() == str(os.getpid())
     assert list(folder.iterdir()) == []
+
+
+def test_a_folder_made_for_nothing_is_taken_away_and_no_other(tmp_path: Path) -> None:
+    with locked(tmp_path / "new" / "run"):
+        pass
+    assert not (tmp_path / "new").exists()
+    with locked(tmp_path / "new"):
+        (tmp_path / "new" / "result.csv").touch()
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["result.csv"]
+    (tmp_path / "old").mkdir()
+    with locked(tmp_path / "old"):
+        pass
+    assert (tmp_path / "old").is_dir()
 
 
 def test_a_link_to_the_folder_is_the_folder(tmp_path: Path) -> None:

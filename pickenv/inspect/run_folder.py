@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -64,7 +65,7 @@ class Run:
     @property
     def made_by(self) -> str:
         """How such a folder is made, for error messages."""
-        return MADE_BY[self.kind].replace("RUN", str(self.folder))
+        return MADE_BY[self.kind].replace("RUN", shlex.quote(str(self.folder)))
 
 
 @contextmanager
