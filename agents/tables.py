@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 import json
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ from pickenv.inspect.saved import load, save
 
 GRID = "grid.npz"
 """A comparison's file in its run folder."""
+
+ROWS = "rows.json"
+"""Its rows there, for people and other programs."""
 
 SHOWN = ("policy", "compensation", "feedback", "plant", "gripper")
 
@@ -96,7 +100,7 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
 
 def command_of(settings: GridSettings) -> str:
     """The command line that makes the same comparison."""
-    words = ["pickenv evaluate"]
+    words = ["pickenv", "evaluate"]
     for option, values in (
         ("policy", settings.policies),
         ("compensation", settings.compensations),
@@ -104,16 +108,25 @@ def command_of(settings: GridSettings) -> str:
         ("plant", settings.plants),
         ("gripper", settings.grippers),
     ):
-        words += [f"--{option} {value}" for value in values]
-    words += [f"--arms {settings.arms} --episodes {settings.episodes} --tolerances {settings.tolerances}"]
-    words += [f"--camera-noise {settings.camera_noise_mm:g} --fruit-noise {settings.fruit_noise_mm:g}"]
-    return " ".join([*words, f"--epochs {settings.protocol.epochs} --seed {settings.seed}"])
+        for value in values:
+            words += [f"--{option}", value]
+    for option, number in (
+        ("arms", settings.arms),
+        ("episodes", settings.episodes),
+        ("tolerances", settings.tolerances),
+        ("camera-noise", f"{settings.camera_noise_mm:g}"),
+        ("fruit-noise", f"{settings.fruit_noise_mm:g}"),
+        ("epochs", settings.protocol.epochs),
+        ("seed", settings.seed),
+    ):
+        words += [f"--{option}", str(number)]
+    return shlex.join(words)
 
 
 def write_grid(grid: Grid, folder: Path) -> list[Path]:
     """Write a comparison's run folder: every episode, for `read_grid`, and the rows as JSON."""
     with recorded_run(folder, "evaluation", command_of(grid.settings), grid.settings.seed) as run:
-        return [save(run.folder / GRID, grid, seed=grid.settings.seed), write_json(folder / "rows.json", grid)]
+        return [save(run.folder / GRID, grid, seed=grid.settings.seed), write_json(folder / ROWS, grid)]
 
 
 def read_grid(run: Run) -> Grid:

@@ -24,6 +24,7 @@ from pickenv.arm.content import content_sha256
 from pickenv.envs.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.files import write_text
+from pickenv.locks import locked
 from pickenv.provenance import file_sha256
 
 ENVIRONMENTS: dict[str, type[ReachVectorEnv]] = {
@@ -146,8 +147,8 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
         progress: Whether to draw a progress bar.
 
     Raises:
-        InputError: If an argument is impossible, there is no sound checkpoint to go on from, or a file that the
-            training was begun with has changed.
+        InputError: If an argument is impossible, there is no sound checkpoint to go on from, a file that the training
+            was begun with has changed, or another process is at work in the folder.
     """
     import time
 
@@ -164,7 +165,7 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
             )
         check_inputs(training, begun.inputs)
     inputs = inputs_of(training) if begun is None else begun.inputs
-    with one_thread():
+    with locked(out), one_thread():
         model, env = make_model(training, out)
         if begun is not None:
             take_checkpoint(begun, model, env)

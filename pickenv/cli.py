@@ -13,8 +13,8 @@ import typer
 from pickenv.commands import agents, calibrations, inspection, plants, reports
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
+from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.study import study
-from pickenv.errors import InputError
 
 app = typer.Typer(
     name="pickenv",
@@ -23,10 +23,6 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-
-
-INTERRUPTED = 130
-"""Exit code of a command ended by Ctrl-C, as shells have it: 128 plus the number of SIGINT."""
 
 
 @app.callback()
@@ -73,9 +69,10 @@ def demo(
 ) -> None:
     """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording."""
     from pickenv.demo import DemoSettings, run_demo, summarise, write_run
+    from pickenv.locks import locked
 
     settings = DemoSettings.quick(seed) if quick else DemoSettings(seed=seed)
-    with progress_bars() as report:
+    with locked(out), progress_bars() as report:
         result = run_demo(settings, report)
         written = write_run(result, out, report)
     _print_demo(summarise(result), written)
@@ -140,24 +137,24 @@ app.command()(check)
 
 
 def main() -> None:
-    """Run the command line; bad input ends with one sentence and exit code 2, an interrupt with 130."""
+    """Run the command line; `pickenv.commands.guard` says how it may end."""
+    sys.exit(guarded(_run))
+
+
+def _run() -> Any:
+    """Run the command that was typed, and return its exit code."""
     try:
-        code = app(standalone_mode=False)  # typer turns Ctrl-C and exit codes into return values
-        if code == INTERRUPTED:
-            raise KeyboardInterrupt
-        if code:
-            sys.exit(code)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
-    except (KeyboardInterrupt, typer.Abort):
-        print("interrupted; files are written whole or not at all, so nothing is left half-written", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        code = app(standalone_mode=False)
+    except typer.Abort as error:
+        raise KeyboardInterrupt from error
     except Exception as error:  # typer carries its own copy of click, so usage errors are known by what they offer
         if not hasattr(error, "exit_code") or not hasattr(error, "show"):
             raise
         error.show()
-        sys.exit(error.exit_code)
+        return error.exit_code
+    if code == INTERRUPTED:  # typer turns Ctrl-C into this return value
+        raise KeyboardInterrupt
+    return code
 
 
 if __name__ == "__main__":

@@ -11,7 +11,14 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("pickenv", "calibration", "agents")
 
-GROUND = ("pickenv.files", "pickenv.sealed", "pickenv.container", "pickenv.provenance")
+GROUND = (
+    "pickenv.files",
+    "pickenv.locks",
+    "pickenv.sealed",
+    "pickenv.container",
+    "pickenv.provenance",
+    "pickenv.reservations",
+)
 # Floors from the ground up; each floor is a list of rooms, each room the module prefixes it consists of.
 FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
     (("pickenv.errors",),),

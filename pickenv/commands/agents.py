@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -43,7 +46,10 @@ def train(
     """Train a policy; the folder gets its file, checkpoints, evaluations in millimetres and TensorBoard's logs."""
     from agents.training import Training, resumed
     from agents.training import train as run
+    from pickenv.files import separate
 
+    written = [out / name for name in ("policy.npz", "checkpoint.pt", "evaluations.json")]
+    separate({"--compensate": compensate, "--plant": plant}, {"--out": written})
     if resume:
         training = resumed(out)
         _refuse_changes(context, training, out)
@@ -76,15 +82,18 @@ def train(
     try:
         done = run(training, out, resume=resume, progress=sys.stderr.isatty())
     except KeyboardInterrupt:
-        print(f"interrupted; `pickenv train --resume --out {out}` goes on from its last checkpoint", file=sys.stderr)
+        print(
+            f"interrupted; `pickenv train --resume --out {shlex.quote(str(out))}` goes on from its last checkpoint",
+            file=sys.stderr,
+        )
         raise
     last = done.evaluations[-1]
     print(
         f"{training.algorithm} on {training.env_id}: {last['mean_mm']:.3f} mm mean, {last['p95_mm']:.3f} mm p95 on "
         f"held-out fruit after {last['steps']:.0f} steps, {done.steps_per_second:.0f} steps/s"
     )
-    for name in ("policy.npz", "checkpoint.pt", "evaluations.json"):
-        print(f"wrote {out / name}")
+    for path in written:
+        print(f"wrote {path}")
 
 
 def _refuse_changes(context: typer.Context, begun: Training, out: Path) -> None:
@@ -147,8 +156,15 @@ def evaluate(
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit."""
     from agents.calibrated import Protocol
     from agents.grid import GridSettings, kind_of, run_grid
-    from agents.tables import print_grid, write_grid, write_json, write_rows
+    from agents.tables import GRID, ROWS, print_grid, write_grid, write_json, write_rows
+    from pickenv.commands.results import deliver
+    from pickenv.files import separate
+    from pickenv.inspect.run_folder import RECORD
 
+    separate(
+        {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
+        {"--out": [] if out is None else [out / RECORD, out / GRID, out / ROWS], "--json": json_file, "--table": table},
+    )
     given: dict[str, Any] = {"policies": policy, "compensations": compensation, "feedback": feedback, "plants": plant}
     given["grippers"] = gripper
     names: dict[str, Any] = {key: tuple(value) for key, value in given.items() if value}
@@ -174,17 +190,16 @@ def evaluate(
 
     grid = run_grid(settings, cache, report)
     rows, comparisons = grid.rows(), grid.comparisons()
-    print_grid(rows, comparisons)
+    files: list[Callable[[], Path | Iterable[Path]]] = []
     if json_file is not None:
-        print(f"wrote {write_json(json_file, grid)}")
+        files.append(partial(write_json, json_file, grid))
     if table is not None:
-        print(f"wrote {write_rows(table, rows)}")
+        files.append(partial(write_rows, table, rows))
+    if out is not None:
+        files.append(partial(write_grid, grid, out))
     if figures is not None:
         from agents.figures import grid_drawings
         from pickenv.inspect.drawings import write_drawings
 
-        for path in write_drawings(grid_drawings(grid), figures):
-            print(f"wrote {path}")
-    if out is not None:
-        for path in write_grid(grid, out):
-            print(f"wrote {path}")
+        files.append(lambda: write_drawings(grid_drawings(grid), figures))
+    deliver(files, lambda: print_grid(rows, comparisons))

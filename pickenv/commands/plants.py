@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -25,14 +27,16 @@ def effects(
     from pickenv.arm import load_plant
     from pickenv.arm.effect_shares import draw_reaches, effect_shares
     from pickenv.arm.motion import Pace
-    from pickenv.files import write_text
+    from pickenv.commands.results import deliver
+    from pickenv.files import separate, write_text
 
+    separate({"--plant": plant}, {"--json": json_file})
     chosen = load_plant(plant)
     joints = draw_reaches(chosen, reaches, np.random.default_rng(seed))
     shares = effect_shares(chosen, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
-    print(shares.report())
-    if json_file is not None:
-        print(f"wrote {write_text(json_file, json.dumps(shares.as_dict(), indent=2) + chr(10))}")
+    text = json.dumps(shares.as_dict(), indent=2) + "\n"
+    files = [] if json_file is None else [partial(write_text, json_file, text)]
+    deliver(files, lambda: print(shares.report()))
 
 
 def iso9283(
@@ -53,8 +57,14 @@ def iso9283(
     from calibration.iso9283 import iso9283 as test
     from pickenv.arm import load_plant
     from pickenv.arm.motion import Pace
-    from pickenv.files import write_text
+    from pickenv.commands.results import deliver
+    from pickenv.files import separate, write_text
+    from pickenv.inspect.run_folder import ISO9283, RECORD, recorded_run
 
+    separate(
+        {"--plant": plant, "--calibration": [] if calibration is None else [calibration, f"{calibration}.npz"]},
+        {"--out": [] if out is None else [out / RECORD, out / ISO9283], "--json": json_file},
+    )
     chosen = load_plant(plant)
     fitted = Calibration.load(calibration, chosen.arm) if calibration is not None else None
     result = test(
@@ -64,13 +74,15 @@ def iso9283(
         settings=Iso9283Settings(cycles=cycles, pace=Pace(speed=speed, dwell=dwell)),
         reference=fitted.nominal if fitted is not None else None,
     )
-    print(result.report())
-    if json_file is not None:
-        print(f"wrote {write_text(json_file, json.dumps(result.as_dict(), indent=2) + chr(10))}")
-    if out is not None:
-        from pickenv.inspect.run_folder import ISO9283, recorded_run
+    text = json.dumps(result.as_dict(), indent=2) + "\n"
+    words = ["pickenv", "iso9283", "--plant", plant]
+    words += [] if calibration is None else ["--calibration", str(calibration)]
+    words += ["--cycles", str(cycles), "--speed", str(speed), "--dwell", str(dwell), "--seed", str(seed)]
 
-        with_calibration = "" if calibration is None else f" --calibration {calibration}"
-        command = f"pickenv iso9283 --plant {plant}{with_calibration} --cycles {cycles} --speed {speed} --dwell {dwell}"
-        with recorded_run(out, "iso9283", f"{command} --seed {seed}", seed):
-            print(f"wrote {write_text(out / ISO9283, json.dumps(result.as_dict(), indent=2) + chr(10))}")
+    def write_run(folder: Path) -> Path:
+        with recorded_run(folder, "iso9283", shlex.join(words), seed):
+            return write_text(folder / ISO9283, text)
+
+    files = [] if json_file is None else [partial(write_text, json_file, text)]
+    files += [] if out is None else [partial(write_run, out)]
+    deliver(files, lambda: print(result.report()))

@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from pickenv.inspect.drawings import Drawings
     from pickenv.inspect.run_folder import Run
 
+MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
+"""Suffixes of pages and pictures, which may be made again."""
+
 RUN = typer.Argument(help="Run folder.", show_default=False)
 
 
@@ -20,13 +23,17 @@ def figures(
     formats: Annotated[str, typer.Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
 ) -> None:
     """Draw every figure that a run's numbers allow, for papers and reports; say which are left out, and why."""
+    from pickenv.files import separate
     from pickenv.inspect.drawings import LeftOut, write_drawings
     from pickenv.inspect.run_folder import added_to, read_run
 
     found, folder = read_run(run), out or run / "figures"
-    drawings = drawings_of(found)
+    drawings, suffixes = drawings_of(found), formats.split(",")
+    separate(
+        {"RUN": _numbers(run)}, {"--out": [folder / f"{d.name}.{suffix}" for d in drawings for suffix in suffixes]}
+    )
     with added_to(found):
-        written = write_drawings(drawings, folder, formats.split(","))
+        written = write_drawings(drawings, folder, suffixes)
     for path in written:
         print(f"wrote {path}")
     for drawing in drawings:
@@ -42,11 +49,12 @@ def report(
     ] = True,
 ) -> None:
     """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
-    from pickenv.files import write_text
+    from pickenv.files import separate, write_text
     from pickenv.inspect.run_folder import added_to, read_run
 
     found = read_run(run)
     path = out or run / "report.html"
+    separate({"RUN": _numbers(run)}, {"--out": path})
     if found.kind == "study":
         from pickenv.study.report import study_report
 
@@ -54,6 +62,11 @@ def report(
         return
     with added_to(found):
         print(f"wrote {write_text(path, page_of(found, picture))}")
+
+
+def _numbers(run: Path) -> list[Path]:
+    """Files of a run that figures and pages are made of, and that none of them may replace."""
+    return [path for path in run.rglob("*") if path.is_file() and path.suffix not in MADE_FROM_NUMBERS]
 
 
 def drawings_of(run: Run) -> Drawings:

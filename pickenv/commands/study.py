@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,31 +34,37 @@ def study(
     ] = 0,
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""
-    from pickenv.files import write_text
+    from pickenv.commands.results import deliver
+    from pickenv.files import separate, write_text
+    from pickenv.locks import locked
     from pickenv.study.config import load_study
     from pickenv.study.executors import Crew
     from pickenv.study.run import run_study
 
     chosen = load_study(config)
-    with _progress() as (progress, warn):
-        summary = run_study(
-            chosen.quick() if quick else chosen,
-            out,
-            executor=executor,
-            crew=Crew(workers, address),
-            device=device,
-            progress=progress,
-            warn=warn,
-        )
-    _print(summary)
-    print(f"wrote {out / 'summary.json'}")
-    if json_file is not None:
-        print(f"wrote {write_text(json_file, json.dumps(summary, indent=2) + chr(10))}")
-    if report:
-        from pickenv.study.report import write_outputs
+    separate(
+        {"CONFIG": [config, chosen.plant, *chosen.tolerances]},
+        {"--out": [out / name for name in ("summary.json", "report.html", "arms.rrd")], "--json": json_file},
+    )
+    with locked(out):
+        with _progress() as (progress, warn):
+            summary = run_study(
+                chosen.quick() if quick else chosen,
+                out,
+                executor=executor,
+                crew=Crew(workers, address),
+                device=device,
+                progress=progress,
+                warn=warn,
+            )
+        files: list[Callable[[], Path | Iterable[Path]]] = [lambda: out / "summary.json"]
+        if json_file is not None:
+            files.append(partial(write_text, json_file, json.dumps(summary, indent=2) + "\n"))
+        if report:
+            from pickenv.study.report import write_outputs
 
-        for path in write_outputs(out, sobol):
-            print(f"wrote {path}")
+            files.append(partial(write_outputs, out, sobol))
+        deliver(files, lambda: _print(summary))
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import socket
 import subprocess
@@ -118,7 +119,7 @@ def _run(arguments: list[str]) -> None:
         _end(process)
         raise
     if code != 0:
-        command = " ".join(["rerun", *arguments])
+        command = shlex.join(["rerun", *arguments])
         raise InputError(f"rerun ended with code {code}; what it says is shown by: {command}")
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from pickenv.inspect.calibration_trace import CalibrationTrace
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.harvest_trace import HarvestTrace
 from pickenv.inspect.saved import load, save
+from pickenv.locks import locked
 from pickenv.provenance import code_fingerprint, file_sha256, versions
 
 RECORD = "run.json"
@@ -72,7 +74,7 @@ class Run:
     @property
     def made_by(self) -> str:
         """How such a folder is made, for error messages."""
-        return MADE_BY[self.kind].replace("RUN", str(self.folder))
+        return MADE_BY[self.kind].replace("RUN", shlex.quote(str(self.folder)))
 
 
 @contextmanager
@@ -84,13 +86,17 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
         kind: One of `MADE_BY`.
         command: Command line that makes the same numbers again.
         seed: Seed of everything random.
+
+    Raises:
+        InputError: If another process is writing into the folder, or it cannot be written.
     """
     run = Run(folder, kind, command, seed, versions(), code_fingerprint())
-    if (folder / RECORD).is_file():
-        (folder / RECORD).unlink()
-    before = _stamps(folder)
-    yield run
-    _write_record(replace(run, files=_changed_since(folder, before)))
+    with locked(folder):
+        if (folder / RECORD).is_file():
+            (folder / RECORD).unlink()
+        before = _stamps(folder)
+        yield run
+        _write_record(replace(run, files=_changed_since(folder, before)))
 
 
 @contextmanager

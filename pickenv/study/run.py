@@ -11,6 +11,7 @@ from typing import Any
 
 from pickenv import __version__
 from pickenv.errors import InputError
+from pickenv.locks import locked
 from pickenv.study.config import LS, RAW, StudyConfig
 from pickenv.study.executors import Crew, Executor, Work, load_executor, run_serial
 from pickenv.study.folder import SUMMARY, missing_chunks, open_folder, read_rows, table_sha256, write_record
@@ -49,28 +50,30 @@ def run_study(
         The summary, which is also written to ``folder/summary.json``.
 
     Raises:
-        InputError: If the executor is unknown, or the folder holds another study or files that do not belong to it.
+        InputError: If the executor is unknown, or the folder holds another study, holds files that do not belong to it,
+            or is being worked in.
     """
     crew = crew or Crew()
     run = _batched_run(crew, device) if executor == BATCHED else load_executor(executor)
     protocol = prepare(config)
     work = _work(protocol, executor, device)
-    study = open_folder(folder, config, f"batched on {device}" if executor == BATCHED else "arm by arm")
-    missing, damaged = missing_chunks(folder, study)
-    for path in damaged:
-        if warn is not None:
-            warn(f"{path} is damaged and is computed again")
-    done = config.arms - sum(len(config.arms_of(chunk)) for chunk in missing)
-    reused = len(config.chunks()) - len(missing)
-    report = progress or (lambda done, total: None)
-    report(done, config.arms)
-    begin = time.perf_counter()
-    if missing:
-        for chunk, rows in run(missing, work, crew):
-            write_chunk(folder, chunk, rows, study)
-            done += len(config.arms_of(chunk))
-            report(done, config.arms)
-    return _summary(study, folder, executor, time.perf_counter() - begin, reused)
+    with locked(folder):
+        study = open_folder(folder, config, f"batched on {device}" if executor == BATCHED else "arm by arm")
+        missing, damaged = missing_chunks(folder, study)
+        for path in damaged:
+            if warn is not None:
+                warn(f"{path} is damaged and is computed again")
+        done = config.arms - sum(len(config.arms_of(chunk)) for chunk in missing)
+        reused = len(config.chunks()) - len(missing)
+        report = progress or (lambda done, total: None)
+        report(done, config.arms)
+        begin = time.perf_counter()
+        if missing:
+            for chunk, rows in run(missing, work, crew):
+                write_chunk(folder, chunk, rows, study)
+                done += len(config.arms_of(chunk))
+                report(done, config.arms)
+        return _summary(study, folder, executor, time.perf_counter() - begin, reused)
 
 
 def _batched_run(crew: Crew, device: str) -> Executor:

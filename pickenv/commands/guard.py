@@ -1,0 +1,107 @@
+"""How a command ends: with its exit code, and with one sentence where something went wrong.
+
+Exit codes: 0 done, 2 bad input, 70 a fault of this program, 74 nobody takes what it prints, 130 interrupted; the last
+three as sysexits.h and shells have them.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import shlex
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pickenv import __version__
+from pickenv.errors import InputError
+
+BAD_INPUT, FAULT, NOT_PRINTED, INTERRUPTED = 2, 70, 74, 130
+
+UNHEARD = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What printing fails with: nobody reads it any more, or the disk behind it is full."""
+
+SHOWN = 300
+"""Characters of an unexpected error's own words that are repeated."""
+
+
+def guarded(command: Callable[[], Any]) -> int:
+    """Run ``command`` to its end, whatever that is; one sentence on standard error says so where it is a bad one.
+
+    Args:
+        command: Does everything; what it returns is an exit code, or None for 0.
+
+    Returns:
+        The exit code.
+    """
+    print_anything()
+    try:
+        code = command()
+        if sys.stdout is not None:
+            sys.stdout.flush()  # what cannot be printed is found now, and not when Python ends
+        return code if isinstance(code, int) else 0
+    except InputError as error:
+        return _end(BAD_INPUT, f"error: {error}")
+    except KeyboardInterrupt:
+        words = "interrupted; files are written whole or not at all, so nothing is left half-written"
+        return _end(INTERRUPTED, words)
+    except SystemExit as error:
+        if isinstance(error.__context__, BrokenPipeError):  # rich ends so, without a word
+            return _unheard(error.__context__)
+        raise
+    except OSError as error:
+        if error.filename is not None:
+            return _end(BAD_INPUT, f"error: cannot use {_short(str(error.filename))}: {error.strerror}")
+        return _unheard(error) if error.errno in UNHEARD else _fault(error)
+    except Exception as error:
+        return _fault(error)
+
+
+def print_anything() -> None:
+    """Let a terminal that cannot show a character, such as ±, show its number in place of ending the command."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _unheard(error: OSError) -> int:
+    code = _end(
+        NOT_PRINTED,
+        f"error: cannot print: {error.strerror}; the files that were asked for stand, the rest of the words is lost",
+    )
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python tries once more as it ends
+    return code
+
+
+def _fault(error: Exception) -> int:
+    """Say that this program is at fault, and where the details are."""
+    words = f"error: pickenv met a fault of its own ({_short(f'{type(error).__name__}: {error}')})"
+    details = f"pickenv {__version__}, Python {sys.version}\n{shlex.join(sys.argv)}\n\n"
+    details += "".join(traceback.format_exception(error))
+    for folder in (tempfile.gettempdir, os.getcwd):
+        try:
+            handle, name = tempfile.mkstemp(prefix="pickenv-fault-", suffix=".txt", dir=folder())
+            with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+                file.write(details)
+        except OSError:
+            continue
+        return _end(FAULT, f"{words}; please report it with {Path(name)}, which says where")
+    return _end(FAULT, f"{details}\n{words}; please report it with the lines above, which no folder could take")
+
+
+def _short(text: str) -> str:
+    """The first line of ``text``, or what a sentence can hold of it."""
+    line = (text.strip().splitlines() or [""])[0]
+    return line if len(line) <= SHOWN else f"{line[:SHOWN]}…"
+
+
+def _end(code: int, words: str) -> int:
+    try:
+        print(words, file=sys.stderr, flush=True)
+    except OSError:  # nobody hears that either; the exit code says it
+        return code
+    return code

@@ -1,0 +1,124 @@
+"""What a command writes goes over nothing that it reads, and is saved before it is printed."""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pickenv.arm.plant_file import PLANTS
+from pickenv.commands import agents, plants, reports
+from pickenv.commands.results import deliver
+from pickenv.commands.study import study
+from pickenv.errors import InputError
+from pickenv.files import write_text
+from pickenv.inspect.run_folder import read_run, recorded_run
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with a file of each kind that commands read; none is touched, so each may hold anything."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("cal.npz", "policy.npz", "tolerances.toml"):
+        Path(name).write_text("kept")
+    Path("plant.toml").write_text((PLANTS / "orchard.toml").read_text())
+    text = (ROOT / "scripts" / "tolerance_study.toml").read_text()
+    Path("study.toml").write_text(re.sub('plant = ".*"', 'plant = "plant.toml"', text))
+    with recorded_run(Path("run"), "iso9283", "pickenv iso9283", 0):
+        write_text("run/iso9283.json", "kept")
+    return {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
+
+
+OVERWRITING = {
+    "effects": lambda: plants.effects(plant="plant.toml", json_file=Path("plant.toml")),
+    "iso9283 --json": lambda: plants.iso9283(calibration=Path("cal.npz"), json_file=Path("cal.npz")),
+    "iso9283, suffix left out": lambda: plants.iso9283(calibration=Path("cal"), json_file=Path("cal.npz")),
+    "iso9283 --out": lambda: plants.iso9283(out=Path("run"), json_file=Path("run/run.json")),
+    "train --compensate": lambda: agents.train(compensate=Path("policy.npz"), out=Path()),
+    "evaluate --policy": lambda: agents.evaluate(policy=["policy.npz"], json_file=Path("policy.npz")),
+    "evaluate --table": lambda: agents.evaluate(json_file=Path("new.csv"), table=Path("run/../new.csv")),
+    "evaluate --out": lambda: agents.evaluate(out=Path("new"), json_file=Path("new/rows.json")),
+    "study --json": lambda: study(Path("study.toml"), json_file=Path("study.toml")),
+    "study, its plant": lambda: study(Path("study.toml"), json_file=Path("plant.toml")),
+    "study --out": lambda: study(Path("study.toml"), out=Path("new"), json_file=Path("new/summary.json")),
+    "report": lambda: reports.report(Path("run"), out=Path("run/iso9283.json")),
+}
+
+
+@pytest.mark.parametrize("command", OVERWRITING)
+def test_no_command_writes_over_what_it_reads_or_into_one_file_twice(command, here, tmp_path):
+    with pytest.raises(InputError, match=r"would write over .*; give --[a-z]+ another file"):
+        OVERWRITING[command]()
+    assert {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()} == here
+
+
+def test_a_figure_that_is_a_link_to_the_numbers_is_not_drawn(tmp_path, monkeypatch):
+    monkeypatch.setattr(reports, "drawings_of", lambda run: [reports_drawing("accuracy")])
+    with recorded_run(tmp_path, "iso9283", "pickenv iso9283", 0):
+        numbers = write_text(tmp_path / "iso9283.json", "kept")
+    (tmp_path / "figures").mkdir()
+    (tmp_path / "figures" / "accuracy.svg").symlink_to(numbers)
+    with pytest.raises(InputError, match=r"--out would write over .*accuracy\.svg, which RUN reads"):
+        reports.figures(tmp_path, formats="svg")
+    assert numbers.read_text() == "kept"
+
+
+def reports_drawing(name):
+    from pickenv.inspect.drawings import Drawing
+
+    return Drawing(name, "", lambda: pytest.fail("drawn"))
+
+
+def test_results_are_saved_before_they_are_shown(tmp_path):
+    def show():
+        assert (tmp_path / "a.txt").read_text() == "a"
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left"):
+        deliver([lambda: write_text(tmp_path / "a.txt", "a")], show)
+
+
+def test_results_that_cannot_be_saved_are_shown(tmp_path, capsys):
+    (tmp_path / "taken").touch()
+    save = [lambda: write_text(tmp_path / "a.txt", "a"), lambda: write_text(tmp_path / "taken" / "b.txt", "b")]
+    with pytest.raises(InputError, match=r"cannot write .*b\.txt"):
+        deliver(save, lambda: print("0.5 mm"))
+    assert capsys.readouterr().out == f"0.5 mm\nwrote {tmp_path / 'a.txt'}\n"
+
+
+COMMANDS = {
+    "effects": ["effects", "--plant", "geometry_only", "--reaches", "2", "--json", "out.json"],
+    "iso9283": ["iso9283", "--plant", "geometry_only", "--cycles", "2", "--json", "out.json", "--out", "run"],
+}
+
+
+@pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no /dev/full here")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_full_standard_output_costs_no_result(command, tmp_path):
+    handle = os.open("/dev/full", os.O_WRONLY)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "pickenv.cli", *COMMANDS[command]],
+            cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, stdout=handle, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+    finally:
+        os.close(handle)
+    assert done.returncode == 74 and "Traceback" not in done.stderr
+    assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+    assert command != "iso9283" or read_run(tmp_path / "run").kind == "iso9283"
+
+
+def test_the_command_in_a_run_can_be_typed_as_it_stands(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name = "my plant; touch owned.toml"
+    Path(name).write_text((PLANTS / "geometry_only.toml").read_text())
+    plants.iso9283(plant=name, cycles=2, out=Path("run"))
+    words = shlex.split(read_run("run").command)
+    assert words[:4] == ["pickenv", "iso9283", "--plant", name]
+    assert read_run("run").made_by == "pickenv iso9283 --out run"
