@@ -2,17 +2,19 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
-from agents.calibrated import Protocol
+from agents.calibrated import Protocol, compensators
 from agents.figures import grid_drawings
 from agents.grid import GridSettings, run_grid
 from agents.statistics import interquartile_mean, interval, paired
 from agents.tables import command_of, read_grid, write_grid, write_rows
+from pickenv.arm import load_plant
 from pickenv.commands import agents as commands
 from pickenv.errors import InputError
 from pickenv.inspect.drawings import write_drawings
@@ -75,6 +77,47 @@ def test_a_grid_is_reproducible_and_its_calibrations_are_kept(grid, folder):
     again = run_grid(SMALL, folder)
     assert again.rows() == grid.rows()
     assert sorted(path.name for path in folder.glob("*.npz")) == before
+
+
+def test_a_kept_calibration_is_of_its_own_arm_and_protocol(tmp_path):
+    """Two arms' files swapped, or one of another protocol under this one's name, are refused by name."""
+    settings = replace(SMALL, policies=("scripted",), compensations=("ls",), arms=2, episodes=2)
+    run_grid(settings, tmp_path)
+    first, second = sorted(tmp_path.glob("*.npz"))
+    before = {path: path.read_bytes() for path in (first, second)}
+    first.write_bytes(before[second])
+    second.write_bytes(before[first])
+    with pytest.raises(InputError, match=r"ls-\w+\.npz is the calibration of another arm or protocol") as caught:
+        run_grid(settings, tmp_path)
+    assert any(str(path) in str(caught.value) for path in before)
+    first.write_bytes(before[first])
+    second.write_bytes(before[second])
+    run_grid(replace(settings, protocol=Protocol(40, 100, 10)), tmp_path)
+    assert len(list(tmp_path.glob("*.npz"))) == 4
+    for path in before:
+        path.write_bytes(next(p for p in tmp_path.glob("*.npz") if p not in before).read_bytes())
+    with pytest.raises(InputError, match="of another arm or protocol than its name says; delete it"):
+        run_grid(settings, tmp_path)
+
+
+@pytest.mark.parametrize("changed", ["code", "plant"])
+def test_a_kept_calibration_is_left_alone_when_code_or_plant_have_changed(tmp_path, monkeypatch, changed):
+    plant = load_plant("qiao2026")
+    protocol = Protocol(30)
+    compensators(plant, "ls", protocol, tmp_path)
+    if changed == "code":
+        monkeypatch.setattr("agents.calibrated.code_fingerprint", lambda: "another")
+    else:
+        geometry = replace(plant.geometry, a=plant.geometry.a + 1e-12)
+        plant = replace(plant, geometry=geometry)
+    compensators(plant, "ls", protocol, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_plant_of_any_name_keeps_to_the_folder(tmp_path):
+    plant = replace(load_plant("qiao2026"), name="../../x/y")
+    compensators(plant, "ls", Protocol(30), tmp_path / "cache")
+    assert [path.parent for path in tmp_path.rglob("*.npz")] == [tmp_path / "cache"]
 
 
 def test_the_steps_of_a_cycle_are_counted_to_where_the_tool_stays(grid):
