@@ -18,7 +18,7 @@ from calibration.compensation import Compensator
 from calibration.residual_models import LearntResidual
 from calibration.terms import term_from
 from pickenv.arm import Arm, Geometry, Pose
-from pickenv.arm.geometry import LINK_PARAMETERS, Array
+from pickenv.arm.geometry import LINK_PARAMETERS, Array, Coupling
 from pickenv.errors import InputError
 from pickenv.files import write_whole
 
@@ -209,6 +209,9 @@ def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
     named = {name: getattr(geometry, name) for name in (*LINK_PARAMETERS, "lower", "upper")}
     for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
         named |= {f"{key}_position": pose.position, f"{key}_rotation": pose.rotation}
+    if geometry.coupling is not None:
+        coupling = geometry.coupling
+        named["coupling"] = np.array([coupling.joint, coupling.ratio, coupling.slides], dtype=float)
     return named
 
 
@@ -219,4 +222,8 @@ def geometry_from_arrays(
     numbers = {name: named[name] for name in (*LINK_PARAMETERS, "lower", "upper")}
     base = Pose(named["base_position"], named["base_rotation"])
     tool = Pose(named["tool_position"], named["tool_rotation"])
-    return Geometry(joint_names, prismatic, **numbers, base=base, tool=tool)
+    coupling = None
+    if "coupling" in named:
+        joint, ratio, slides = named["coupling"].tolist()
+        coupling = Coupling(tuple(int(i) for i in joint), tuple(ratio), tuple(bool(s) for s in slides))
+    return Geometry(joint_names, prismatic, **numbers, base=base, tool=tool, coupling=coupling)

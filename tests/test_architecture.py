@@ -14,7 +14,7 @@ PACKAGES = ("pickenv", "calibration", "agents")
 # Floors from the ground up; each floor is a list of rooms, each room the module prefixes it consists of.
 FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
     (("pickenv.errors",),),
-    (("pickenv.files",),),
+    (("pickenv.files",), ("pickenv.texts",)),
     (("pickenv.arm",), ("pickenv.orchard",)),
     (("calibration",), ("pickenv.harvester",)),
     (("pickenv.envs", "pickenv.wrappers"), ("pickenv.inspect",), ("pickenv.zoo",)),
@@ -24,8 +24,15 @@ FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
 DOORSTEP = 2  # `import pickenv` itself rests on the foundation and loads no room
 # Narrower than the floors: what these rooms may import, and nothing else of ours.
 ONLY = {
-    "calibration": ("pickenv.arm", "pickenv.errors", "pickenv.files"),
-    "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.errors", "pickenv.files"),
+    "calibration": ("pickenv.arm", "pickenv.errors", "pickenv.files", "pickenv.texts"),
+    "pickenv.envs": (
+        "pickenv.arm",
+        "pickenv.orchard",
+        "pickenv.harvester",
+        "pickenv.errors",
+        "pickenv.files",
+        "pickenv.texts",
+    ),
 }
 HEAVY = ("torch", "stable_baselines3", "rerun", "matplotlib")
 LINES_PER_MODULE = 450

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -18,8 +17,11 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm.geometry import LINK_PARAMETERS, Array, Geometry, Pose, from_standard_dh
+from pickenv.arm.plausible import largest
 from pickenv.arm.pose_error import rotation_matrix
 from pickenv.errors import InputError
+from pickenv.texts import is_file, shortened
+from pickenv.texts import read_toml as read_toml
 
 ARMS = Path(__file__).parent / "arms"
 
@@ -50,7 +52,10 @@ class Arm:
         g = self.nominal
         numbers = [getattr(g, name).tolist() for name in LINK_PARAMETERS]
         numbers += [v.tolist() for v in (*g.base, *g.tool)]
-        text = json.dumps([list(g.prismatic), numbers])
+        chain = [list(g.prismatic), numbers]
+        if g.coupling is not None:
+            chain.append([g.coupling.joint, g.coupling.ratio, g.coupling.slides])
+        text = json.dumps(chain)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -72,13 +77,15 @@ def load_arm(name: str | Path) -> Arm:
         return load_urdf(stem, tip or None)
     path = Path(name)
     if path.suffix == ".toml":
-        if not path.is_file():
-            raise InputError(f"arm file {path} does not exist; give a path to a TOML file or one of {shipped_arms()}")
+        if not is_file(path):
+            raise InputError(
+                f"arm file {shortened(path, 300)} does not exist; give a path to a TOML file or one of {shipped_arms()}"
+            )
     else:
         path = ARMS / f"{name}.toml"
-        if not path.is_file():
+        if not is_file(path):
             raise InputError(
-                f"unknown arm '{name}'; give one of {shipped_arms()} or a path to an arm file (.toml, .urdf)"
+                f"unknown arm '{shortened(name)}'; give one of {shipped_arms()} or a path to an arm file (.toml, .urdf)"
             )
     return _read(path, path.stat().st_mtime_ns)
 
@@ -88,27 +95,19 @@ def _read(path: Path, _modified: int) -> Arm:
     return parse_arm(read_toml(path), str(path))
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file, or say in one sentence why it cannot be read."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not valid TOML: {error}") from error
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-
-
 def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
     """Turn the parsed content of an arm file into an `Arm`; ``where`` names the file in error messages."""
     refuse_unknown(
         content, ("name", "source", "convention", "joint_count", "joints", "base", "tool"), where, "an arm file"
     )
     joints = _numbered_joints(content, where)
-    names = tuple(str(joint.get("name", f"J{i + 1}")) for i, joint in enumerate(joints))
+    names = tuple(word(joint, "name", f"J{i + 1}", where) for i, joint in enumerate(joints))
     types = [joint.get("type") for joint in joints]
     for i, kind in enumerate(types):
         if kind not in ("R", "P"):
-            raise InputError(f"{where}: joint {i + 1} has type {kind!r}; give 'R' (revolute) or 'P' (prismatic)")
+            raise InputError(
+                f"{where}: joint {i + 1} has type {shortened(repr(kind))}; give 'R' (revolute) or 'P' (prismatic)"
+            )
     prismatic = tuple(kind == "P" for kind in types)
     for i, (joint, slides) in enumerate(zip(joints, prismatic, strict=True)):
         refuse_unknown(joint, _joint_keys(slides), where, f"joint {i + 1} ({types[i]})")
@@ -130,7 +129,9 @@ def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
             raise InputError(f"{where}: beta_deg needs convention = 'modified'")
         nominal = from_standard_dh(names, prismatic, **table, **limits, base=base, tool=tool)
     else:
-        raise InputError(f"{where}: convention {convention!r} is unknown; give 'modified' or 'standard' (DH)")
+        raise InputError(
+            f"{where}: convention {shortened(repr(convention))} is unknown; give 'modified' or 'standard' (DH)"
+        )
     true = None
     if any(any(str(key).startswith("true_") for key in joint) for joint in joints):
         if convention != "modified":
@@ -141,19 +142,27 @@ def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
     if np.any(speed <= 0):
         raise InputError(f"{where}: the speed of joint {int(np.argmax(speed <= 0)) + 1} is not above zero")
     return Arm(
-        name=str(content.get("name", Path(where).stem)),
-        source=str(content.get("source", "")),
+        name=word(content, "name", Path(where).stem, where),
+        source=word(content, "source", "", where),
         nominal=nominal,
         true=true,
         speed=speed,
     )
 
 
+def word(table: Mapping[str, Any], key: str, default: str, where: str) -> str:
+    """A text of one line, or ``default`` where the key is left out."""
+    value = table.get(key, default)
+    if not isinstance(value, str) or not (value.isprintable() or key not in table):
+        raise InputError(f"{where}: {key} is {shortened(repr(value))}; give a text of one line")
+    return value
+
+
 def refuse_unknown(table: Mapping[str, Any], allowed: Iterable[str], where: str, owner: str) -> None:
     """A key that nobody reads is a misspelt one: refuse it and say which keys ``owner`` has."""
     unknown = sorted(str(key) for key in set(table) - set(allowed))
     if unknown:
-        raise InputError(f"{where}: unknown key '{unknown[0]}'; {owner} has {', '.join(sorted(allowed))}")
+        raise InputError(f"{where}: unknown key '{shortened(unknown[0])}'; {owner} has {', '.join(sorted(allowed))}")
 
 
 def _joint_keys(slides: bool) -> list[str]:
@@ -167,7 +176,7 @@ def _numbered_joints(content: Mapping[str, Any], where: str) -> list[Mapping[str
     """The joint tables in order 1..joint_count; a gap or a duplicate is an error that names the joint."""
     joints, count = content.get("joints"), content.get("joint_count")
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-        given = "is missing" if count is None else f"is {count!r}"
+        given = "is missing" if count is None else f"is {shortened(repr(count))}"
         raise InputError(f"{where}: joint_count {given}; state the number of joints so that a lost one is noticed")
     if not isinstance(joints, list) or not all(isinstance(joint, Mapping) for joint in joints):
         raise InputError(f"{where}: there are no [[joints]] tables; give one per joint")
@@ -180,17 +189,21 @@ def _numbered_joints(content: Mapping[str, Any], where: str) -> list[Mapping[str
             )
     if len(joints) != count:
         extra = next(number for number in numbers if number not in range(1, count + 1))
-        raise InputError(f"{where}: joint number {extra!r} is not in 1..{count}; correct it or joint_count")
+        raise InputError(
+            f"{where}: joint number {shortened(repr(extra))} is not in 1..{count}; correct it or joint_count"
+        )
     return sorted(joints, key=lambda joint: int(joint["number"]))
 
 
 def _number(table: Mapping[str, Any], key: str, where: str, owner: str) -> float:
     value = table.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        given = "is missing" if key not in table else f"is {value!r}"
+        given = "is missing" if key not in table else f"is {shortened(repr(value))}"
         raise InputError(f"{where}: {key} of {owner} {given}; give a number")
     if not np.isfinite(value):
         raise InputError(f"{where}: {key} of {owner} is {value}; give a finite number")
+    if abs(value) > largest(key):
+        raise InputError(f"{where}: {key} of {owner} is {value:g}; no arm has more than {largest(key):g} there")
     return float(value)
 
 

@@ -252,7 +252,7 @@ def _parameters(e: Evidence) -> str:
     found = e.fit.identification
     seen = found.identifiability
     geometry = found.geometry
-    joints, geometric = geometry.joint_names, geometry.parameter_names
+    joints, links, geometric = geometry.joint_names, geometry.link_names, geometry.parameter_names
     std = found.standard_deviation
     units = [unit_of(name, geometric) for name in seen.names]
     limits: dict[str, float] = {}
@@ -268,13 +268,14 @@ def _parameters(e: Evidence) -> str:
         change, sigma = float(found.delta[k] * scale), float(std[k] * scale)
         drawn = bar(change, 0.0 if np.isnan(sigma) else sigma, limits.get(unit, abs(change) or 1.0))
         absorbed = combinations[name] if combinations[name] != name else ""
+        words = escape(parameter_words(name, joints, links))
         rows.append(
-            f'<tr><td class="name">{escape(name)}</td><td class=words>{escape(parameter_words(name, joints))}</td>'
+            f'<tr><td class="name">{escape(name)}</td><td class=words>{words}</td>'
             f"<td>{_figure(change)} ± {_figure(sigma)} {unit}</td><td>{drawn}</td>"
             f"<td class=words>{escape(absorbed)}</td></tr>"
         )
     dropped = "".join(
-        f"<li><b>{escape(item.name)}</b> ({escape(parameter_words(item.name, joints))}): "
+        f"<li><b>{escape(item.name)}</b> ({escape(parameter_words(item.name, joints, links))}): "
         f"{escape(describe_absorption(_main_parts(item.absorbed_by)))}</li>"
         for item in seen.dropped
     )
