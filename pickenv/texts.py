@@ -66,14 +66,14 @@ def _decoded(data: bytes, path: str | Path, kind: str) -> str:
                 raise InputError(f"{path} is a zip archive, such as a spreadsheet; export it as {kind}")
             raise InputError(f"{path} is written in {encoding}; save it as UTF-8")
     if b"\0" in data:
-        raise InputError(f"{path} holds zero bytes: it is UTF-16 or no text at all; save it as UTF-8, as {kind}")
+        raise InputError(f"cannot read {path}: it holds zero bytes, so it is UTF-16 or no text; give {kind} in UTF-8")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise InputError(
-            f"cannot read {path}: byte 0x{data[error.start]:02x} in line {line} is not UTF-8; the file is no text, or "
-            "written in Latin-1 (Windows-1252); save it as UTF-8"
+            f"cannot read {path}: byte 0x{data[error.start]:02x} in line {line} is not UTF-8, so it is Latin-1 "
+            f"(Windows-1252) or no text; give {kind} in UTF-8"
         ) from error
 
 

@@ -18,7 +18,7 @@ LARGEST = {
 
 
 def largest(key: str) -> float:
-    """The largest size of what ``key`` (such as ``a_mm`` or ``position_mm[0]``) names; infinite where it has no unit."""
+    """The largest size of what ``key`` (``a_mm``, ``position_mm[0]``) names; infinite where it has no unit."""
     words = re.sub(r"\[\d+\]$", "", key).split("_")
     if "per" in words:
         return LARGEST.get("_".join(words[words.index("per") - 1 :]), math.inf)
