@@ -1,7 +1,7 @@
 """Arms are TOML files: nominal link table, limits, base and tool, and, for simulated arms, the true deviations.
 
 Files give degrees and millimetres and say so in every key; inside, everything is radians and metres. The shipped arms
-lie in `pickenv/arm/arms`.
+lie in `pickenv/arm/arms`. A joint table with ``follows`` is a link that another joint moves, ``ratio`` times as far.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm.geometry import LINK_PARAMETERS, Array, Geometry, Pose, from_standard_dh
+from pickenv.arm.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose, from_standard_dh
 from pickenv.arm.plausible import largest
 from pickenv.arm.pose_error import rotation_matrix
 from pickenv.errors import InputError
@@ -26,6 +26,7 @@ from pickenv.texts import read_toml as read_toml
 ARMS = Path(__file__).parent / "arms"
 
 UNITS = {"alpha": "deg", "a": "mm", "theta": "deg", "d": "mm", "beta": "deg"}
+MOST_RATIO = 1e3
 TO_SI = {"deg": np.pi / 180.0, "mm": 1e-3, "rad": 1.0, "m": 1.0}
 
 
@@ -110,13 +111,12 @@ def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
             )
     prismatic = tuple(kind == "P" for kind in types)
     for i, (joint, slides) in enumerate(zip(joints, prismatic, strict=True)):
-        refuse_unknown(joint, _joint_keys(slides), where, f"joint {i + 1} ({types[i]})")
-    limits = {
-        "lower": _per_joint(joints, prismatic, "lower", where),
-        "upper": _per_joint(joints, prismatic, "upper", where),
-    }
+        refuse_unknown(joint, _joint_keys(slides, "follows" in joint), where, f"joint {i + 1} ({types[i]})")
+    leaders = [i for i, joint in enumerate(joints) if "follows" not in joint]
+    coupling = _coupling(joints, prismatic, leaders, where)
+    limits = {key: _per_leader(joints, prismatic, leaders, key, where) for key in ("lower", "upper")}
     if np.any(limits["lower"] >= limits["upper"]):
-        worst = int(np.argmax(limits["lower"] >= limits["upper"]))
+        worst = leaders[int(np.argmax(limits["lower"] >= limits["upper"]))]
         raise InputError(f"{where}: joint {worst + 1} has a lower limit that is not below its upper limit")
     table = {key: _column(joints, key, where) for key in ("alpha", "a", "theta", "d")}
     beta = _column([{"beta_deg": 0.0, **joint} for joint in joints], "beta", where)
@@ -132,15 +132,21 @@ def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
         raise InputError(
             f"{where}: convention {shortened(repr(convention))} is unknown; give 'modified' or 'standard' (DH)"
         )
+    nominal = replace(
+        nominal,
+        joint_names=tuple(names[i] for i in leaders),
+        prismatic=tuple(prismatic[i] for i in leaders),
+        coupling=coupling,
+    )
     true = None
     if any(any(str(key).startswith("true_") for key in joint) for joint in joints):
         if convention != "modified":
             raise InputError(f"{where}: true_… values need convention = 'modified'")
         built: dict[str, Any] = {key: _column(joints, key, where, "true_") for key in table}
         true = replace(nominal, **built)
-    speed = _per_joint(joints, prismatic, "speed", where)
+    speed = _per_leader(joints, prismatic, leaders, "speed", where)
     if np.any(speed <= 0):
-        raise InputError(f"{where}: the speed of joint {int(np.argmax(speed <= 0)) + 1} is not above zero")
+        raise InputError(f"{where}: the speed of joint {leaders[int(np.argmax(speed <= 0))] + 1} is not above zero")
     return Arm(
         name=word(content, "name", Path(where).stem, where),
         source=word(content, "source", "", where),
@@ -165,11 +171,32 @@ def refuse_unknown(table: Mapping[str, Any], allowed: Iterable[str], where: str,
         raise InputError(f"{where}: unknown key '{shortened(unknown[0])}'; {owner} has {', '.join(sorted(allowed))}")
 
 
-def _joint_keys(slides: bool) -> list[str]:
+def _joint_keys(slides: bool, follows: bool) -> list[str]:
     unit = "mm" if slides else "deg"
     columns = [f"{key}_{UNITS[key]}" for key in ("alpha", "a", "theta", "d")]
-    limits = [f"lower_{unit}", f"upper_{unit}", f"speed_{unit}_per_s"]
-    return ["number", "name", "type", "beta_deg", *columns, *(f"true_{key}" for key in columns), *limits]
+    limits = ["follows"] if follows else [f"lower_{unit}", f"upper_{unit}", f"speed_{unit}_per_s"]
+    return ["number", "name", "type", "ratio", "beta_deg", *columns, *(f"true_{key}" for key in columns), *limits]
+
+
+def _coupling(
+    joints: list[Mapping[str, Any]], prismatic: tuple[bool, ...], leaders: list[int], where: str
+) -> Coupling | None:
+    """Which joint moves each link, from ``follows`` and ``ratio``; None where each joint moves its own alone."""
+    owners, ratios = [], []
+    for i, joint in enumerate(joints):
+        leader = joint.get("follows", i + 1)
+        if isinstance(leader, bool) or not isinstance(leader, int) or leader - 1 not in leaders:
+            given = shortened(repr(leader))
+            raise InputError(
+                f"{where}: joint {i + 1} follows {given}; give the number of a joint that does not follow another"
+            )
+        ratios.append(_number({"ratio": 1.0, **joint}, "ratio", where, f"joint {i + 1}"))
+        if not 0 < abs(ratios[-1]) <= MOST_RATIO:
+            raise InputError(f"{where}: ratio of joint {i + 1} is {ratios[-1]:g}; give one up to {MOST_RATIO:g}, not 0")
+        owners.append(leaders.index(leader - 1))
+    if len(leaders) == len(joints) and all(ratio == 1.0 for ratio in ratios):
+        return None
+    return Coupling(tuple(owners), tuple(ratios), prismatic)
 
 
 def _numbered_joints(content: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:
@@ -213,13 +240,15 @@ def _column(joints: list[Mapping[str, Any]], key: str, where: str, prefix: str =
     return np.array(values) * TO_SI[UNITS[key]]
 
 
-def _per_joint(joints: list[Mapping[str, Any]], prismatic: tuple[bool, ...], key: str, where: str) -> Array:
-    """Limits or speeds: degrees for revolute joints, millimetres for prismatic ones."""
+def _per_leader(
+    joints: list[Mapping[str, Any]], prismatic: tuple[bool, ...], leaders: list[int], key: str, where: str
+) -> Array:
+    """Limits or speeds of the joints that do not follow: degrees for revolute ones, millimetres for prismatic ones."""
     values = []
-    for i, (joint, slides) in enumerate(zip(joints, prismatic, strict=True)):
-        unit = "mm" if slides else "deg"
+    for i in leaders:
+        unit = "mm" if prismatic[i] else "deg"
         suffix = "_per_s" if key == "speed" else ""
-        values.append(_number(joint, f"{key}_{unit}{suffix}", where, f"joint {i + 1}") * TO_SI[unit])
+        values.append(_number(joints[i], f"{key}_{unit}{suffix}", where, f"joint {i + 1}") * TO_SI[unit])
     return np.array(values)
 
 

@@ -57,6 +57,10 @@ def parse_plant(content: Mapping[str, Any], where: str) -> Plant:
         arm = load_arm(content["arm"])
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
+    if arm.nominal.coupling is not None:
+        raise InputError(
+            f"{where}: a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet"
+        )
     if arm.true is None:
         raise InputError(f"{where}: arm '{arm.name}' has no true_… values, so there is no true arm to simulate")
     readers = {**READERS, "measurement_noise": (_noise, ("position_std_mm", "attitude_std_deg"))}

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm.arm_file import Arm
+from pickenv.arm.arm_file import MOST_RATIO, Arm
 from pickenv.arm.axes import PARALLEL, geometry_from_axes
 from pickenv.arm.geometry import Array, Coupling, Geometry, Pose
 from pickenv.arm.plausible import LARGEST
@@ -96,7 +96,7 @@ def load_urdf(path: str | Path, tip: str | None = None, base: str | None = None)
     links = _one_slide_each(links, path)
     if not links:
         raise InputError(f"{path}: the chain to link '{shortened(tip)}' has no moving joint")
-    names = tuple(dict.fromkeys(link.driver for link in links))
+    names = _in_order(links, named)
     lower, upper, speed = np.array([limits[name] for name in names]).T
     slides = tuple(link.slides for link in links)
     geometry = geometry_from_axes(
@@ -200,7 +200,7 @@ def _driver(joint: Element, named: Mapping[str, Element], path: Path) -> tuple[E
                 "name one that is"
             )
         words = [(mimic.get(key, default), key) for key, default in (("multiplier", "1"), ("offset", "0"))]
-        multiplier, shift = (_number(text, f"{key} of joint {_name(passed)}", 1e3, path) for text, key in words)
+        multiplier, shift = (_number(text, f"{key} of joint {_name(passed)}", MOST_RATIO, path) for text, key in words)
         ratio, offset, passed = ratio * multiplier, offset + ratio * shift, named[followed]
     if str(passed.get("type")) not in MOVING:
         raise InputError(
@@ -280,6 +280,17 @@ def _one_slide_each(links: list[_Link], path: Path) -> list[_Link]:
     return found
 
 
+def _in_order(links: list[_Link], named: Mapping[str, Element]) -> tuple[str, ...]:
+    """The drivers' names: each stands where a link moves just as it does, or else where it first moves one."""
+    places: dict[str, int] = {}
+    for i, link in reversed(list(enumerate(links))):
+        places[link.driver] = i
+    for i, link in reversed(list(enumerate(links))):
+        if link.ratio == 1.0 and link.slides == MOVING[str(named[link.driver].get("type"))]:
+            places[link.driver] = i
+    return tuple(sorted(places, key=places.__getitem__))
+
+
 def _link(joint: Element, which: str) -> str:
     element = joint.find(which)
     return "" if element is None else str(element.get("link"))
@@ -321,7 +332,7 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
     body = ElementTree.SubElement(robot, "link", name="base")
     parent, pending = "base", geometry.base
     speeds = np.ones(geometry.joints) if speed is None else speed
-    leaders = _leaders(geometry)
+    leaders = leading_links(geometry)
     for i in range(geometry.links):
         twist = Rotation.from_euler("x", geometry.alpha[i])
         turn = twist * Rotation.from_euler("y", geometry.beta[i]) * Rotation.from_euler("z", geometry.theta[i])
@@ -364,8 +375,8 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _leaders(geometry: Geometry) -> list[int | None]:
-    """For each joint, the first link that moves exactly as the joint does; None where there is none."""
+def leading_links(geometry: Geometry) -> list[int | None]:
+    """For each joint, the first link that moves just as the joint does; None where there is none."""
     found: list[int | None] = []
     for joint, slides in enumerate(geometry.prismatic):
         links = [i for i, ratio in geometry.links_of(joint) if ratio == 1.0 and geometry.slides[i] == slides]
