@@ -173,14 +173,19 @@ def _jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -
     """Columns of the joint Jacobian, six components each: position (m) and rotation vector (rad) in world axes."""
     columns: list[list[Scalar]] = []
     px, py, pz = tool[9:12]
-    for prismatic, link in zip(geometry.prismatic, links[1:], strict=True):
+    for prismatic, link in zip(geometry.slides, links[1:], strict=True):
         zx, zy, zz, ox, oy, oz = link[6:12]
         if prismatic:
             columns.append([zx, zy, zz, 0.0, 0.0, 0.0])
         else:
             rx, ry, rz = px - ox, py - oy, pz - oz
             columns.append([zy * rz - zz * ry, zz * rx - zx * rz, zx * ry - zy * rx, zx, zy, zz])
-    return columns
+    if geometry.coupling is None:
+        return columns
+    gathered = [[0.0] * 6 for _ in range(geometry.joints)]
+    for joint, ratio, column in zip(geometry.coupling.joint, geometry.coupling.ratio, columns, strict=True):
+        gathered[joint] = [total + ratio * part for total, part in zip(gathered[joint], column, strict=True)]
+    return gathered
 
 
 def _truncated_gram(columns: Sequence[Sequence[float]]) -> Array:

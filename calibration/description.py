@@ -6,6 +6,7 @@ It names separator, decimal sign, units, conventions and uncertainties; which se
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +16,11 @@ import numpy as np
 
 from calibration.conventions import CONVENTIONS
 from calibration.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
+from calibration.table import expression_tree
 from pickenv.arm import Geometry
-from pickenv.arm.arm_file import TO_SI, read_toml
+from pickenv.arm.arm_file import TO_SI
 from pickenv.errors import InputError
+from pickenv.texts import is_file, read_toml, shortened
 
 DESCRIPTIONS = Path(__file__).parent / "descriptions"
 LENGTHS, ANGLES = ("mm", "m"), ("deg", "rad")
@@ -96,8 +99,11 @@ def load_description(name: str | Path) -> ColumnDescription:
     path = Path(name)
     if path.suffix != ".toml":
         path = DESCRIPTIONS / f"{name}.toml"
-    if not path.is_file():
-        raise InputError(f"unknown column description '{name}'; give one of {shipped_descriptions()} or a path (.toml)")
+    if not is_file(path):
+        given = shortened(name)
+        raise InputError(
+            f"unknown column description '{given}'; give one of {shipped_descriptions()} or a path (.toml)"
+        )
     return parse_description(read_toml(path), str(path))
 
 
@@ -113,15 +119,17 @@ def parse_description(content: Mapping[str, Any], where: str) -> ColumnDescripti
     for unit in units:
         _unit(unit, LENGTHS + ANGLES, "joints", where)
     separator, decimal = content.get("separator", ","), content.get("decimal", ".")
-    if not isinstance(separator, str) or len(separator) != 1 or separator in '\r\n"':
-        raise InputError(f"{where}: separator is {separator!r}; give one character, such as ',' or ';' or '\\t'")
+    fit = isinstance(separator, str) and len(separator) == 1 and (separator == "\t" or separator.isprintable())
+    if not fit or separator in '"+-.' or separator.isalnum():
+        given = shortened(repr(separator))
+        raise InputError(f"{where}: separator is {given}; give one character, such as ',' or ';' or '\\t'")
     if decimal not in (".", ",") or decimal == separator:
-        raise InputError(f"{where}: decimal is {decimal!r}; give '.' or ',', and not the separator")
+        raise InputError(f"{where}: decimal is {shortened(repr(decimal))}; give '.' or ',', and not the separator")
     kinds = [kind for kind in KINDS if kind in content]
     if len(kinds) > 1:
         raise InputError(f"{where}: sections [{kinds[0]}] and [{kinds[1]}] are both given; one file holds one kind")
     kind = kinds[0] if kinds else "position"
-    return ColumnDescription(
+    found = ColumnDescription(
         where=where,
         separator=separator,
         decimal=decimal,
@@ -133,6 +141,29 @@ def parse_description(content: Mapping[str, Any], where: str) -> ColumnDescripti
         **_rotation(content, kind, where),
         conditions=_conditions(content, units, where),
     )
+    _refuse_repeats(found)
+    return found
+
+
+def _refuse_repeats(description: ColumnDescription) -> None:
+    """A column that stands for two things is a slip: one of them is lost, and the fit need not show it."""
+    roles = [(f"joint {i + 1}", text) for i, text in enumerate(description.joints)]
+    for section, columns in ((description.kind, description.position), ("rotation", description.rotation)):
+        roles += [(f"column {i + 1} of [{section}]", text) for i, text in enumerate(columns)]
+    for name, condition in (description.conditions or {}).items():
+        roles += [(f"column {i + 1} of [conditions.{name}]", text) for i, text in enumerate(condition.columns)]
+    seen: dict[str, str] = {}
+    for role, text in roles:
+        tree, quoted = expression_tree(text)
+        plain = text.strip() if tree is None else ast.dump(tree)
+        for i, name in enumerate(quoted):
+            plain = plain.replace(f"'__quoted_{i}'", repr(name))
+        if plain in seen:
+            raise InputError(
+                f"{description.where}: '{shortened(text)}' is given for {seen[plain]} and for {role}; "
+                "name each column once"
+            )
+        seen[plain] = role
 
 
 def _measured(kind: str, section: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -163,7 +194,9 @@ def _measured(kind: str, section: Mapping[str, Any], where: str) -> dict[str, An
     lost = section.get("lost", [])
     lost = [lost] if isinstance(lost, str) else lost
     if not isinstance(lost, list) or any(mark not in LOST for mark in lost):
-        raise InputError(f"{where}: lost is {lost!r}; give how lost reflectors are marked, of {', '.join(LOST)}")
+        raise InputError(
+            f"{where}: lost is {shortened(repr(lost))}; give how lost reflectors are marked, of {', '.join(LOST)}"
+        )
     std_columns = _strings(section, "std_columns", where) if "std_columns" in section else ()
     if std_columns and len(std_columns) != len(columns):
         raise InputError(
@@ -187,8 +220,10 @@ def _rotation(content: Mapping[str, Any], kind: str, where: str) -> dict[str, An
     rotation = _section(content, "rotation", where)
     _known(rotation, {"columns", "unit", "convention", "std_deg"}, "rotation", where)
     convention = rotation.get("convention")
-    if convention is not None and convention not in CONVENTIONS:
-        raise InputError(f"{where}: [rotation] has convention {convention!r}; name one of {', '.join(CONVENTIONS)}")
+    if convention is not None and convention not in tuple(CONVENTIONS):
+        raise InputError(
+            f"{where}: [rotation] has convention {shortened(repr(convention))}; name one of {', '.join(CONVENTIONS)}"
+        )
     columns = _strings(rotation, "columns", where)
     if convention is None and len(columns) not in (3, 4):
         raise InputError(f"{where}: [rotation] has {len(columns)} columns; give three angles or four of a quaternion")
@@ -219,8 +254,10 @@ def _conditions(content: Mapping[str, Any], joint_units: tuple[Any, ...], where:
                 raise InputError(f"{where}: [conditions.{name}] needs a column")
             unit = _unit(table.get("unit"), tuple(scales), f"conditions.{name}", where)
             reference = table.get("reference", 20.0 if name == "temperature" and unit == "degC" else 0.0)
-            if isinstance(reference, bool) or not isinstance(reference, int | float):
-                raise InputError(f"{where}: reference of [conditions.{name}] is {reference!r}; give a number")
+            if isinstance(reference, bool) or not isinstance(reference, int | float) or not np.isfinite(reference):
+                raise InputError(
+                    f"{where}: reference of [conditions.{name}] is {shortened(repr(reference))}; give a finite number"
+                )
             found[name] = Condition((column,), (scales[unit],), float(reference))
     if "torques" in section:
         table = _section(section, "torques", where)
@@ -248,7 +285,7 @@ def _known(table: Mapping[str, Any], allowed: set[str], section: str, where: str
     unknown = sorted(set(table) - allowed)
     if unknown:
         place = f" in [{section}]" if section else ""
-        raise InputError(f"{where}: unknown key '{unknown[0]}'{place}; known are {sorted(allowed)}")
+        raise InputError(f"{where}: unknown key '{shortened(unknown[0])}'{place}; known are {sorted(allowed)}")
 
 
 def _strings(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
@@ -261,13 +298,13 @@ def _strings(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
 def _uncertainty(table: Mapping[str, Any], key: str, where: str) -> float:
     value = table[key]
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
-        raise InputError(f"{where}: {key} is {value!r}; give a standard uncertainty above zero")
+        raise InputError(f"{where}: {key} is {shortened(repr(value))}; give a standard uncertainty above zero")
     return float(value)
 
 
 def _unit(unit: Any, allowed: tuple[str, ...], section: str, where: str) -> str:
     if unit not in allowed:
-        given = "missing" if unit is None else f"unknown: {unit!r}"
+        given = "missing" if unit is None else f"unknown: {shortened(repr(unit))}"
         raise InputError(f"{where}: the unit of [{section}] is {given}; give one of {', '.join(allowed)}")
     return str(unit)
 

@@ -53,7 +53,7 @@ def complete_model(geometry: Geometry) -> ErrorModel:
     names = geometry.parameter_names
     frames = [name for name in names if name.startswith(("base_", "tool_"))]
     links = _link_names(geometry)
-    betas = [f"beta{i}" for i in range(1, geometry.joints) if abs(np.sin(geometry.alpha[i])) < PARALLEL]
+    betas = [f"beta{i}" for i in range(1, geometry.links) if abs(np.sin(geometry.alpha[i])) < PARALLEL]
     return _model(geometry, frames + links + betas)
 
 

@@ -17,7 +17,7 @@ from calibration.calibration import Calibration
 from calibration.residual_models import LearntResidual
 from pickenv.arm import Arm, Geometry, rotation_vector
 from pickenv.arm.geometry import Array, Pose
-from pickenv.arm.urdf import urdf_text
+from pickenv.arm.urdf import leading_links, urdf_text
 from pickenv.errors import InputError
 from pickenv.files import write_text, write_whole
 
@@ -50,30 +50,55 @@ def provenance(calibration: Calibration) -> tuple[str, ...]:
 def arm_toml(calibration: Calibration, arm: Arm) -> str:
     """The corrected arm as the text of an arm file; base and tool are those of the calibration.
 
-    Hayati's beta is written (``beta_deg``) only for joints that have one.
+    Hayati's beta is written (``beta_deg``) only for joints that have one. Links that follow another joint are joint
+    tables with ``follows`` and ``ratio``.
+
+    Raises:
+        InputError: If a joint moves no link of its own kind (a rack and its pinion): only URDF has joints without one.
     """
     geometry = calibration.identified
+    leaders = _leading_tables(geometry)
+    owners = range(geometry.links) if geometry.coupling is None else geometry.coupling.joint
     lines = [f"# {_one_line(line)}" for line in provenance(calibration)]
     lines += [
         f"name = {_text(arm.name + '_calibrated')}",
         f"source = {_text('pickenv calibration of ' + arm.name + '; ' + arm.source)}",
         'convention = "modified" # Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d)',
-        f"joint_count = {geometry.joints}",
+        f"joint_count = {geometry.links}",
     ]
-    for i in range(geometry.joints):
-        slides = geometry.prismatic[i]
+    for i, owner in enumerate(owners):
+        slides, leader, ratio = geometry.slides[i], leaders[owner], dict(geometry.links_of(owner))[i]
         unit, scale = ("mm", 1e3) if slides else ("deg", float(np.degrees(1.0)))
-        lines += ["", "[[joints]]", f"number = {i + 1}", f"name = {_text(geometry.joint_names[i])}"]
+        name = geometry.joint_names[owner] if leader == i else geometry.link_names[i]
+        lines += ["", "[[joints]]", f"number = {i + 1}", f"name = {_text(name)}"]
         lines.append(f'type = "{"P" if slides else "R"}"')
         lines += [f"alpha_deg = {_number(np.degrees(geometry.alpha[i]))}", f"a_mm = {_number(geometry.a[i] * 1e3)}"]
         if geometry.beta[i]:
             lines.append(f"beta_deg = {_number(np.degrees(geometry.beta[i]))}")
         lines += [f"theta_deg = {_number(np.degrees(geometry.theta[i]))}", f"d_mm = {_number(geometry.d[i] * 1e3)}"]
-        limits = {"lower": geometry.lower[i], "upper": geometry.upper[i]}
+        if ratio != 1.0:
+            lines.append(f"ratio = {_number(ratio)}")
+        if leader != i:
+            lines.append(f"follows = {leader + 1}")
+            continue
+        limits = {"lower": geometry.lower[owner], "upper": geometry.upper[owner]}
         lines += [f"{key}_{unit} = {_number(value * scale)}" for key, value in limits.items()]
-        lines.append(f"speed_{unit}_per_s = {_number(arm.speed[i] * scale)}")
+        lines.append(f"speed_{unit}_per_s = {_number(arm.speed[owner] * scale)}")
     lines += _pose_lines("base", geometry.base) + _pose_lines("tool", geometry.tool)
     return "\n".join(lines) + "\n"
+
+
+def _leading_tables(geometry: Geometry) -> list[int]:
+    """For each joint, the link whose table is the joint's own: one that moves just as it does, or else by a ratio."""
+    leaders = []
+    for joint, found in enumerate(leading_links(geometry)):
+        kind = [i for i, _ in geometry.links_of(joint) if geometry.slides[i] == geometry.prismatic[joint]]
+        if not kind:
+            raise InputError(f"joint '{geometry.joint_names[joint]}' moves no link of its own kind; write URDF instead")
+        leaders.append(kind[0] if found is None else found)
+    if leaders != sorted(leaders):
+        raise InputError("the joints of this arm stand in another order than their links; write URDF instead")
+    return leaders
 
 
 def write_arm_toml(calibration: Calibration, arm: Arm, path: str | Path) -> Path:

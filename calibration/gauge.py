@@ -45,7 +45,7 @@ def identifiable_parameters(
     poses = sum(len(part.joints) for part in sets)
     if any(part.framed for part in sets):
         return identifiability(matrix, names, tolerance, poses, rank_tolerance)
-    own, first = len(names) - len(model.names), 5 * arm.geometry.joints
+    own, first = len(names) - len(model.names), 5 * arm.geometry.links
     by_arm = np.concatenate([part.jacobian(arm, values)[0] for part, values in zip(sets, unknowns, strict=True)])
     scale = np.where(arm.geometry.parameter_is_angle[first : first + 6], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
     others = [k for k, name in enumerate(model.names) if name not in BASE]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.geometry import LINK_PARAMETERS, Array, Geometry, Pose
+from pickenv.arm.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose
 from pickenv.errors import InputError
 
 ORTHONORMAL = 1e-9
@@ -20,6 +20,9 @@ def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
     named = {name: getattr(geometry, name) for name in (*LINK_PARAMETERS, "lower", "upper")}
     for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
         named |= {f"{key}_position": pose.position, f"{key}_rotation": pose.rotation}
+    if geometry.coupling is not None:
+        coupling = geometry.coupling
+        named["coupling"] = np.array([coupling.joint, coupling.ratio, coupling.slides], dtype=float)
     return named
 
 
@@ -42,7 +45,9 @@ def geometry_from_arrays(
     if len(joint_names) != len(prismatic) or not joint_names:
         raise InputError(f"{len(joint_names)} joint names are given for {len(prismatic)} joints")
     joints = len(prismatic)
-    shapes = dict.fromkeys((*LINK_PARAMETERS, "lower", "upper"), (joints,))
+    coupling = _coupling(named, joints, which) if "coupling" in named else None
+    links = joints if coupling is None else len(coupling.joint)
+    shapes = dict.fromkeys(LINK_PARAMETERS, (links,)) | dict.fromkeys(("lower", "upper"), (joints,))
     shapes |= {f"{key}_position": (3,) for key in ("base", "tool")}
     numbers = {name: finite(named, name, shape, which) for name, shape in shapes.items()}
     if np.any(numbers["lower"] >= numbers["upper"]):
@@ -51,7 +56,16 @@ def geometry_from_arrays(
     base, tool = (
         Pose(numbers.pop(f"{key}_position"), _rotation(named, f"{key}_rotation", which)) for key in ("base", "tool")
     )
-    return Geometry(tuple(joint_names), tuple(prismatic), **numbers, base=base, tool=tool)
+    return Geometry(tuple(joint_names), tuple(prismatic), **numbers, base=base, tool=tool, coupling=coupling)
+
+
+def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
+    """Which joint moves each link, checked."""
+    values = finite(named, "coupling", (3, named["coupling"].shape[-1]), which)
+    joint, ratio, slides = values.tolist()
+    if not set(joint) <= set(range(joints)) or 0.0 in ratio or not set(slides) <= {0.0, 1.0}:
+        raise InputError(f"{which}/coupling names a joint that is not there, a ratio of zero, or no kind of link")
+    return Coupling(tuple(map(int, joint)), tuple(ratio), tuple(map(bool, slides)))
 
 
 def finite(named: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...], which: str) -> Array:

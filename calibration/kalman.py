@@ -154,7 +154,7 @@ def thermal_walk(state: FilterState, joints: Array, kelvin: float, expansion: fl
         expansion: Linear thermal expansion, 1/K; aluminium where left out.
     """
     geometry = state.geometry
-    n = geometry.joints
+    n = geometry.links
     growth = np.zeros((1, len(state.arm_model.parameter_names)))
     growth[0, n : 2 * n], growth[0, 3 * n : 4 * n] = geometry.a, geometry.d
     return _carried(state, joints, growth * expansion * kelvin)
@@ -170,10 +170,11 @@ def offset_walk(state: FilterState, joints: Array, length: float, angle: float) 
         angle: Drift of a revolute joint's zero per root hour, rad.
     """
     geometry = state.geometry
-    n = geometry.joints
-    shifts = np.zeros((n, len(state.arm_model.parameter_names)))
-    for i, slides in enumerate(geometry.prismatic):
-        shifts[i, 3 * n + i if slides else 2 * n + i] = length if slides else angle
+    n = geometry.links
+    shifts = np.zeros((geometry.joints, len(state.arm_model.parameter_names)))
+    for joint, drifts in enumerate(np.where(geometry.prismatic, length, angle)):
+        for i, ratio in geometry.links_of(joint):
+            shifts[joint, 3 * n + i if geometry.slides[i] else 2 * n + i] = drifts * ratio
     return _carried(state, joints, shifts)
 
 

@@ -56,5 +56,7 @@ def blocked_split(rows: int, test_rows: int | None = None) -> tuple[Rows, Rows]:
 
 
 def _check(rows: int, test_rows: int) -> None:
+    if rows < 2:
+        raise InputError(f"there is {rows} row, and none can be both trained on and held out; measure more poses")
     if not 0 < test_rows < rows:
         raise InputError(f"{test_rows} test rows of {rows} leave nothing to train on or to test; give 1 to {rows - 1}")

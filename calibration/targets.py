@@ -5,16 +5,17 @@ Poses give the tool's rotation vector; other columns of the file are left alone.
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from calibration.measurements import joint_columns
+from calibration.table import read_table
 from pickenv.arm import Geometry, Pose, inverse, rotation_matrix
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
+from pickenv.texts import listed
 
 POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 
@@ -50,52 +51,21 @@ def read_targets(path: str | Path, geometry: Geometry) -> Targets:
     Raises:
         InputError: Names the file, and the row and column at fault.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"target file {path} does not exist; give a path to a CSV file")
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            numbered = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"cannot read {path}: {error}; give a CSV text file in UTF-8") from error
-    if len(numbered) < 2:
-        raise InputError(f"{path} holds no targets; give a header and one row per target")
-    header = [cell.strip() for cell in numbered[0][1]]
-    for name in header:
-        if name and header.count(name) > 1:
-            raise InputError(f"{path}: column '{name}' occurs {header.count(name)} times; rename all but one")
+    table = read_table(path)
     wanted = joint_columns(geometry.prismatic)
-    as_joints = all(name in header for name in wanted)
-    if not as_joints and not all(name in header for name in POSE_COLUMNS):
+    as_joints = all(name in table.header for name in wanted)
+    if not as_joints and not all(name in table.header for name in POSE_COLUMNS):
         raise InputError(
             f"{path} has neither all joint columns ({', '.join(wanted)}) nor all pose columns "
-            f"({', '.join(POSE_COLUMNS)}); it has {', '.join(header)}"
+            f"({', '.join(POSE_COLUMNS)}); it has {listed(table.header)}"
         )
-    names = wanted if as_joints else list(POSE_COLUMNS)
-    values = np.array([_numbers(path, line, row, header, names) for line, row in numbered[1:]])
-    lines = tuple(line for line, _ in numbered[1:])
+    values = table.values(tuple(wanted) if as_joints else POSE_COLUMNS)
+    lines = tuple(table.lines)
     if as_joints:
         scale = np.where(geometry.prismatic, 1e-3, np.radians(1.0))
-        return Targets(values * scale, None, lines, str(path))
+        return Targets(values * scale, None, lines, table.where)
     pose = Pose(values[:, :3] * 1e-3, rotation_matrix(np.radians(values[:, 3:])))
-    return Targets(None, pose, lines, str(path))
-
-
-def _numbers(path: Path, line: int, row: list[str], header: list[str], names: list[str]) -> list[float]:
-    values = []
-    for name in names:
-        place = header.index(name)
-        text = row[place].strip() if place < len(row) else ""
-        try:
-            value = float("" if "_" in text else text)
-        except ValueError:
-            said = f"holds '{text}', which is not a number" if text else "is empty"
-            raise InputError(f"{path}: row {line}, column '{name}' {said}; correct or remove the row") from None
-        if not np.isfinite(value):
-            raise InputError(f"{path}: row {line}, column '{name}' is {text}; correct or remove the row")
-        values.append(value)
-    return values
+    return Targets(None, pose, lines, table.where)
 
 
 def joints_of(targets: Targets, geometry: Geometry) -> Array:

@@ -58,8 +58,8 @@ class ComplianceTerm:
         chain = chain_of(geometry)
         found = frames(np, chain, split_joints(geometry.joints, joints))
         load = Load(self.load.mass, self.load.centre, payload)
-        torque = gravity_torques(chain, found, load)
-        return np.stack(np.broadcast_arrays(*torque, joints[:, 0])[:-1], -1)
+        torque = np.stack(np.broadcast_arrays(*gravity_torques(chain, found, load), joints[:, 0])[:-1], -1)
+        return torque if geometry.coupling is None else geometry.coupling.gathered(torque, geometry.joints)
 
     def specification(self) -> dict[str, Any]:
         """For `term_from`."""
@@ -90,6 +90,8 @@ class BendingTerm:
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Sag and slope of a cantilever under gravity across the boom, carried to the tool."""
+        if geometry.coupling is not None:
+            raise InputError("the bending of a boom needs an arm whose joints move one link each; leave the term out")
         chain = chain_of(geometry)
         found = frames(np, chain, split_joints(geometry.joints, joints))
         tip, tool = np.stack(found[self.joint + 1][9:], -1), forward(geometry, joints).position
@@ -181,10 +183,11 @@ class ThermalTerm:
         """Lengths times temperature times the parameter Jacobian."""
         if conditions.temperature is None:
             raise InputError("thermal expansion needs temperatures; give a temperature column")
-        n = geometry.joints
+        n = geometry.links
         jacobian = parameter_jacobian(geometry, joints)
+        moved = joints if geometry.coupling is None else np.stack(geometry.coupling.displacements(list(joints.T)), -1)
         lengths = np.concatenate(
-            [np.broadcast_to(geometry.a, joints.shape), geometry.d + joints * np.array(geometry.prismatic)], -1
+            [np.broadcast_to(geometry.a, moved.shape), geometry.d + moved * np.array(geometry.slides)], -1
         )
         chosen = jacobian[..., np.r_[n : 2 * n, 3 * n : 4 * n]]
         return np.asarray(np.einsum("nip,np->ni", chosen, lengths * conditions.temperature[:, None])[..., None])
@@ -216,13 +219,14 @@ class GravityTerm:
         """(joint, link, moment) of each coefficient; "m" mass at the link's origin, "p" payload at the tool."""
         found = []
         for i in self.joints:
-            if geometry.prismatic[i]:
-                found.append((i, i, "m"))
+            moved = [link for link, _ in geometry.links_of(i)]
+            if all(geometry.slides[link] for link in moved):
+                found += [(i, link, "m") for link in moved]
             else:
-                links = range(i, geometry.joints)
-                found += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (i, "m")]
+                links = range(moved[0], geometry.links)
+                found += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (moved[0], "m")]
             if self.payload:
-                found.append((i, geometry.joints, "p"))
+                found.append((i, geometry.links, "p"))
         return found
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
@@ -239,21 +243,25 @@ class GravityTerm:
             raise InputError("the payload's deflection needs payloads; give a payload column")
         chain = frames(np, chain_of(geometry), split_joints(geometry.joints, joints))
         placed = np.stack([np.stack(np.broadcast_arrays(*frame, joints[:, 0])[:12], -1) for frame in chain], 1)
-        placed = placed.reshape(len(joints), geometry.joints + 1, 4, 3)
+        placed = placed.reshape(len(joints), geometry.links + 1, 4, 3)
         up = geometry.base.rotation @ np.array(self.up)
         tool, jacobian, found = forward(geometry, joints).position, joint_jacobian(geometry, joints), []
         for i, j, moment in self._moments(geometry):
-            z, origin = placed[:, i + 1, 2], placed[:, i + 1, 3]
-            if moment == "m":
-                lever = placed[:, j + 1, 3] - origin
-            elif moment == "p":
-                lever = (tool - origin) * np.asarray(conditions.payload)[:, None]
-            else:
-                lever = placed[:, j + 1, "xyz".index(moment)]
-            weight = np.ones(len(joints)) if moment != "p" else np.asarray(conditions.payload)
-            torque = -np.einsum("ni,ni->n", z, np.cross(lever, up))
-            if geometry.prismatic[i]:
-                torque = -(z @ up) * weight
+            torque = np.zeros(len(joints))
+            for k, ratio in geometry.links_of(i):
+                z, origin = placed[:, k + 1, 2], placed[:, k + 1, 3]
+                if k > j:
+                    continue  # what hangs on link j is carried by the links before it
+                if moment == "m":
+                    lever = placed[:, j + 1, 3] - origin
+                elif moment == "p":
+                    lever = (tool - origin) * np.asarray(conditions.payload)[:, None]
+                else:
+                    lever = placed[:, j + 1, "xyz".index(moment)]
+                if not geometry.slides[k]:
+                    torque -= ratio * np.einsum("ni,ni->n", z, np.cross(lever, up))
+                elif moment in "mp":
+                    torque -= ratio * (z @ up) * (1.0 if moment == "m" else np.asarray(conditions.payload))
             found.append(jacobian[:, :, i] * torque[:, None])
         return np.stack(found, -1)
 

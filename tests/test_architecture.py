@@ -18,6 +18,7 @@ GROUND = (
     "pickenv.container",
     "pickenv.provenance",
     "pickenv.reservations",
+    "pickenv.texts",
 )
 # Floors from the ground up; each floor is a list of rooms, each room the module prefixes it consists of.
 FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
@@ -33,7 +34,7 @@ DOORSTEP = 2  # `import pickenv` itself rests on the foundation and loads no roo
 # Narrower than the floors: what these rooms may import, and nothing else of ours.
 ONLY = {
     "calibration": ("pickenv.arm", "pickenv.errors", *GROUND),
-    "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.errors", "pickenv.files"),
+    "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.errors", *GROUND),
 }
 HEAVY = ("torch", "stable_baselines3", "rerun", "matplotlib")
 LINES_PER_MODULE = 450

@@ -1,12 +1,11 @@
 """Arms are TOML files: nominal link table, limits, base and tool, and, for simulated arms, the true deviations.
 
 Files give degrees and millimetres and say so in every key; inside, everything is radians and metres. The shipped arms
-lie in `pickenv/arm/arms`.
+lie in `pickenv/arm/arms`. A joint table with ``follows`` is a link that another joint moves, ``ratio`` times as far.
 """
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -15,13 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm.geometry import Array, Geometry, Pose, from_standard_dh, geometry_fingerprint
+from pickenv.arm.geometry import Array, Coupling, Geometry, Pose, from_standard_dh, geometry_fingerprint
+from pickenv.arm.plausible import largest
 from pickenv.arm.pose_error import rotation_matrix
 from pickenv.errors import InputError
+from pickenv.texts import is_file, shortened
+from pickenv.texts import read_toml as read_toml
 
 ARMS = Path(__file__).parent / "arms"
 
 UNITS = {"alpha": "deg", "a": "mm", "theta": "deg", "d": "mm", "beta": "deg"}
+MOST_RATIO = 1e3
 TO_SI = {"deg": np.pi / 180.0, "mm": 1e-3, "rad": 1.0, "m": 1.0}
 
 
@@ -66,13 +69,15 @@ def load_arm(name: str | Path) -> Arm:
         return load_urdf(stem, tip or None)
     path = Path(name)
     if path.suffix == ".toml":
-        if not path.is_file():
-            raise InputError(f"arm file {path} does not exist; give a path to a TOML file or one of {shipped_arms()}")
+        if not is_file(path):
+            raise InputError(
+                f"arm file {shortened(path, 300)} does not exist; give a path to a TOML file or one of {shipped_arms()}"
+            )
     else:
         path = ARMS / f"{name}.toml"
-        if not path.is_file():
+        if not is_file(path):
             raise InputError(
-                f"unknown arm '{name}'; give one of {shipped_arms()} or a path to an arm file (.toml, .urdf)"
+                f"unknown arm '{shortened(name)}'; give one of {shipped_arms()} or a path to an arm file (.toml, .urdf)"
             )
     return _read(path, path.stat().st_mtime_ns)
 
@@ -82,36 +87,27 @@ def _read(path: Path, _modified: int) -> Arm:
     return parse_arm(read_toml(path), str(path))
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file, or say in one sentence why it cannot be read."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not valid TOML: {error}") from error
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
-
-
 def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
     """Turn the parsed content of an arm file into an `Arm`; ``where`` names the file in error messages."""
     refuse_unknown(
         content, ("name", "source", "convention", "joint_count", "joints", "base", "tool"), where, "an arm file"
     )
     joints = _numbered_joints(content, where)
-    names = tuple(str(joint.get("name", f"J{i + 1}")) for i, joint in enumerate(joints))
+    names = tuple(word(joint, "name", f"J{i + 1}", where) for i, joint in enumerate(joints))
     types = [joint.get("type") for joint in joints]
     for i, kind in enumerate(types):
         if kind not in ("R", "P"):
-            raise InputError(f"{where}: joint {i + 1} has type {kind!r}; give 'R' (revolute) or 'P' (prismatic)")
+            raise InputError(
+                f"{where}: joint {i + 1} has type {shortened(repr(kind))}; give 'R' (revolute) or 'P' (prismatic)"
+            )
     prismatic = tuple(kind == "P" for kind in types)
     for i, (joint, slides) in enumerate(zip(joints, prismatic, strict=True)):
-        refuse_unknown(joint, _joint_keys(slides), where, f"joint {i + 1} ({types[i]})")
-    limits = {
-        "lower": _per_joint(joints, prismatic, "lower", where),
-        "upper": _per_joint(joints, prismatic, "upper", where),
-    }
+        refuse_unknown(joint, _joint_keys(slides, "follows" in joint), where, f"joint {i + 1} ({types[i]})")
+    leaders = [i for i, joint in enumerate(joints) if "follows" not in joint]
+    coupling = _coupling(joints, prismatic, leaders, where)
+    limits = {key: _per_leader(joints, prismatic, leaders, key, where) for key in ("lower", "upper")}
     if np.any(limits["lower"] >= limits["upper"]):
-        worst = int(np.argmax(limits["lower"] >= limits["upper"]))
+        worst = leaders[int(np.argmax(limits["lower"] >= limits["upper"]))]
         raise InputError(f"{where}: joint {worst + 1} has a lower limit that is not below its upper limit")
     table = {key: _column(joints, key, where) for key in ("alpha", "a", "theta", "d")}
     beta = _column([{"beta_deg": 0.0, **joint} for joint in joints], "beta", where)
@@ -124,44 +120,81 @@ def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
             raise InputError(f"{where}: beta_deg needs convention = 'modified'")
         nominal = from_standard_dh(names, prismatic, **table, **limits, base=base, tool=tool)
     else:
-        raise InputError(f"{where}: convention {convention!r} is unknown; give 'modified' or 'standard' (DH)")
+        raise InputError(
+            f"{where}: convention {shortened(repr(convention))} is unknown; give 'modified' or 'standard' (DH)"
+        )
+    nominal = replace(
+        nominal,
+        joint_names=tuple(names[i] for i in leaders),
+        prismatic=tuple(prismatic[i] for i in leaders),
+        coupling=coupling,
+    )
     true = None
     if any(any(str(key).startswith("true_") for key in joint) for joint in joints):
         if convention != "modified":
             raise InputError(f"{where}: true_… values need convention = 'modified'")
         built: dict[str, Any] = {key: _column(joints, key, where, "true_") for key in table}
         true = replace(nominal, **built)
-    speed = _per_joint(joints, prismatic, "speed", where)
+    speed = _per_leader(joints, prismatic, leaders, "speed", where)
     if np.any(speed <= 0):
-        raise InputError(f"{where}: the speed of joint {int(np.argmax(speed <= 0)) + 1} is not above zero")
+        raise InputError(f"{where}: the speed of joint {leaders[int(np.argmax(speed <= 0))] + 1} is not above zero")
     return Arm(
-        name=str(content.get("name", Path(where).stem)),
-        source=str(content.get("source", "")),
+        name=word(content, "name", Path(where).stem, where),
+        source=word(content, "source", "", where),
         nominal=nominal,
         true=true,
         speed=speed,
     )
 
 
+def word(table: Mapping[str, Any], key: str, default: str, where: str) -> str:
+    """A text of one line, or ``default`` where the key is left out."""
+    value = table.get(key, default)
+    if not isinstance(value, str) or not (value.isprintable() or key not in table):
+        raise InputError(f"{where}: {key} is {shortened(repr(value))}; give a text of one line")
+    return value
+
+
 def refuse_unknown(table: Mapping[str, Any], allowed: Iterable[str], where: str, owner: str) -> None:
     """A key that nobody reads is a misspelt one: refuse it and say which keys ``owner`` has."""
     unknown = sorted(str(key) for key in set(table) - set(allowed))
     if unknown:
-        raise InputError(f"{where}: unknown key '{unknown[0]}'; {owner} has {', '.join(sorted(allowed))}")
+        raise InputError(f"{where}: unknown key '{shortened(unknown[0])}'; {owner} has {', '.join(sorted(allowed))}")
 
 
-def _joint_keys(slides: bool) -> list[str]:
+def _joint_keys(slides: bool, follows: bool) -> list[str]:
     unit = "mm" if slides else "deg"
     columns = [f"{key}_{UNITS[key]}" for key in ("alpha", "a", "theta", "d")]
-    limits = [f"lower_{unit}", f"upper_{unit}", f"speed_{unit}_per_s"]
-    return ["number", "name", "type", "beta_deg", *columns, *(f"true_{key}" for key in columns), *limits]
+    limits = ["follows"] if follows else [f"lower_{unit}", f"upper_{unit}", f"speed_{unit}_per_s"]
+    return ["number", "name", "type", "ratio", "beta_deg", *columns, *(f"true_{key}" for key in columns), *limits]
+
+
+def _coupling(
+    joints: list[Mapping[str, Any]], prismatic: tuple[bool, ...], leaders: list[int], where: str
+) -> Coupling | None:
+    """Which joint moves each link, from ``follows`` and ``ratio``; None where each joint moves its own alone."""
+    owners, ratios = [], []
+    for i, joint in enumerate(joints):
+        leader = joint.get("follows", i + 1)
+        if isinstance(leader, bool) or not isinstance(leader, int) or leader - 1 not in leaders:
+            given = shortened(repr(leader))
+            raise InputError(
+                f"{where}: joint {i + 1} follows {given}; give the number of a joint that does not follow another"
+            )
+        ratios.append(_number({"ratio": 1.0, **joint}, "ratio", where, f"joint {i + 1}"))
+        if not 0 < abs(ratios[-1]) <= MOST_RATIO:
+            raise InputError(f"{where}: ratio of joint {i + 1} is {ratios[-1]:g}; give one up to {MOST_RATIO:g}, not 0")
+        owners.append(leaders.index(leader - 1))
+    if len(leaders) == len(joints) and all(ratio == 1.0 for ratio in ratios):
+        return None
+    return Coupling(tuple(owners), tuple(ratios), prismatic)
 
 
 def _numbered_joints(content: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:
     """The joint tables in order 1..joint_count; a gap or a duplicate is an error that names the joint."""
     joints, count = content.get("joints"), content.get("joint_count")
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-        given = "is missing" if count is None else f"is {count!r}"
+        given = "is missing" if count is None else f"is {shortened(repr(count))}"
         raise InputError(f"{where}: joint_count {given}; state the number of joints so that a lost one is noticed")
     if not isinstance(joints, list) or not all(isinstance(joint, Mapping) for joint in joints):
         raise InputError(f"{where}: there are no [[joints]] tables; give one per joint")
@@ -174,17 +207,21 @@ def _numbered_joints(content: Mapping[str, Any], where: str) -> list[Mapping[str
             )
     if len(joints) != count:
         extra = next(number for number in numbers if number not in range(1, count + 1))
-        raise InputError(f"{where}: joint number {extra!r} is not in 1..{count}; correct it or joint_count")
+        raise InputError(
+            f"{where}: joint number {shortened(repr(extra))} is not in 1..{count}; correct it or joint_count"
+        )
     return sorted(joints, key=lambda joint: int(joint["number"]))
 
 
 def _number(table: Mapping[str, Any], key: str, where: str, owner: str) -> float:
     value = table.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        given = "is missing" if key not in table else f"is {value!r}"
+        given = "is missing" if key not in table else f"is {shortened(repr(value))}"
         raise InputError(f"{where}: {key} of {owner} {given}; give a number")
     if not np.isfinite(value):
         raise InputError(f"{where}: {key} of {owner} is {value}; give a finite number")
+    if abs(value) > largest(key):
+        raise InputError(f"{where}: {key} of {owner} is {value:g}; no arm has more than {largest(key):g} there")
     return float(value)
 
 
@@ -194,13 +231,15 @@ def _column(joints: list[Mapping[str, Any]], key: str, where: str, prefix: str =
     return np.array(values) * TO_SI[UNITS[key]]
 
 
-def _per_joint(joints: list[Mapping[str, Any]], prismatic: tuple[bool, ...], key: str, where: str) -> Array:
-    """Limits or speeds: degrees for revolute joints, millimetres for prismatic ones."""
+def _per_leader(
+    joints: list[Mapping[str, Any]], prismatic: tuple[bool, ...], leaders: list[int], key: str, where: str
+) -> Array:
+    """Limits or speeds of the joints that do not follow: degrees for revolute ones, millimetres for prismatic ones."""
     values = []
-    for i, (joint, slides) in enumerate(zip(joints, prismatic, strict=True)):
-        unit = "mm" if slides else "deg"
+    for i in leaders:
+        unit = "mm" if prismatic[i] else "deg"
         suffix = "_per_s" if key == "speed" else ""
-        values.append(_number(joint, f"{key}_{unit}{suffix}", where, f"joint {i + 1}") * TO_SI[unit])
+        values.append(_number(joints[i], f"{key}_{unit}{suffix}", where, f"joint {i + 1}") * TO_SI[unit])
     return np.array(values)
 
 

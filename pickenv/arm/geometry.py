@@ -2,15 +2,19 @@
 
 Link i is T(i-1,i) = Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d): Qiao 2026 eq (1), with Hayati's
 beta added for consecutive parallel axes (zero in every nominal table). Units: metres and radians.
+
+Where one drive moves several links (a two-stage lift, a parallelogram), links and joints are counted apart: the link
+table has a row per link, and joint values, names and limits belong to the joints that are commanded (`Coupling`).
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,15 +38,42 @@ def identity_pose() -> Pose:
     return Pose(np.zeros(3), np.eye(3))
 
 
+@dataclass(frozen=True)
+class Coupling:
+    """Which joint moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].
+
+    What a link is displaced by at zero joints is part of its theta or d.
+
+    Attributes:
+        joint: Index of the joint that moves the link, from 0, one per link (L,).
+        ratio: Displacement of the link per displacement of its joint, rad or m per rad or m, not zero (L,).
+        slides: Whether the link slides (L,); it may differ from its joint's kind (a rack and its pinion).
+    """
+
+    joint: tuple[int, ...]
+    ratio: tuple[float, ...]
+    slides: tuple[bool, ...]
+
+    def displacements(self, q: Sequence[Any]) -> list[Any]:
+        """Displacement of each link, for joint values of any kind: floats, arrays or tensors."""
+        return [ratio * q[joint] for joint, ratio in zip(self.joint, self.ratio, strict=True)]
+
+    def gathered(self, links: Array, joints: int) -> Array:
+        """Derivatives by the links' displacements ``(..., L)`` as derivatives by the joints' ``(..., n)``."""
+        matrix = np.zeros((len(self.joint), joints))
+        matrix[range(len(self.joint)), self.joint] = self.ratio
+        return np.asarray(links @ matrix)
+
+
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Modified DH table of a serial chain with n joints, its base and tool poses and its joint limits.
+    """Modified DH table of a serial chain with n joints and L links, its base and tool poses and its joint limits.
 
     Attributes:
         joint_names: One name per joint, as messages and tables print it.
-        prismatic: For each joint, whether it slides (else it turns).
-        alpha: Twist alpha(i-1) of each link, rad, shape (n,). All five link parameters may carry leading batch
-            dimensions (one table per arm).
+        prismatic: For each joint, whether it slides (else it turns), shape (n,).
+        alpha: Twist alpha(i-1) of each link, rad, shape (L,); L = n without a coupling. All five link parameters may
+            carry leading batch dimensions (one table per arm).
         a: Length a(i-1) of each link, m.
         theta: Joint angle at zero displacement, rad; a revolute joint's displacement adds to it.
         d: Offset at zero displacement, m; a prismatic joint's displacement adds to it.
@@ -51,6 +82,7 @@ class Geometry:
         upper: Upper joint limits.
         base: Pose of the chain's frame 0 in the measurement (world) frame.
         tool: Pose of the tool in the last link's frame.
+        coupling: Which joint moves which links; None where each joint moves its own.
     """
 
     joint_names: tuple[str, ...]
@@ -64,38 +96,67 @@ class Geometry:
     upper: Array
     base: Pose
     tool: Pose
+    coupling: Coupling | None = None
 
     @property
     def joints(self) -> int:
-        """Number of joints n."""
+        """Number of joints n: what is commanded."""
         return len(self.prismatic)
+
+    @property
+    def links(self) -> int:
+        """Number of links L: n, or more where one joint moves several."""
+        return len(self.slides)
+
+    @property
+    def slides(self) -> tuple[bool, ...]:
+        """For each link, whether it slides (else it turns), shape (L,)."""
+        return self.prismatic if self.coupling is None else self.coupling.slides
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """One name per link, shape (L,): its joint's, with a number where the joint moves several links."""
+        if self.coupling is None:
+            return self.joint_names
+        owners, names = self.coupling.joint, []
+        for i, joint in enumerate(owners):
+            place = f" ({owners[: i + 1].count(joint)} of {owners.count(joint)})" if owners.count(joint) > 1 else ""
+            names.append(self.joint_names[joint] + place)
+        return tuple(names)
+
+    def links_of(self, joint: int) -> list[tuple[int, float]]:
+        """Index and ratio of each link that a joint moves (see `Coupling`)."""
+        if self.coupling is None:
+            return [(joint, 1.0)]
+        pairs = enumerate(zip(self.coupling.joint, self.coupling.ratio, strict=True))
+        return [(link, ratio) for link, (owner, ratio) in pairs if owner == joint]
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of all 5n + 12 parameters, in the order of `parameter_jacobian`'s columns.
+        """Names of all 5L + 12 parameters, in the order of `parameter_jacobian`'s columns.
 
-        Link parameters carry the paper's indices: alpha0..alpha(n-1), a0..a(n-1), theta1..n, d1..n, beta0..beta(n-1),
+        Link parameters carry the paper's indices: alpha0..alpha(L-1), a0..a(L-1), theta1..L, d1..L, beta0..beta(L-1),
         then base_x..base_rz and tool_x..tool_rz.
         """
         first = {"alpha": 0, "a": 0, "theta": 1, "d": 1, "beta": 0}
-        links = [f"{name}{i + first[name]}" for name in LINK_PARAMETERS for i in range(self.joints)]
+        links = [f"{name}{i + first[name]}" for name in LINK_PARAMETERS for i in range(self.links)]
         frames = [f"{frame}_{name}" for frame in ("base", "tool") for name in FRAME_PARAMETERS]
         return tuple(links + frames)
 
     @cached_property
     def parameter_is_angle(self) -> NDArray[np.bool_]:
-        """For each parameter, whether it is an angle (rad) rather than a length (m), shape (5n + 12,)."""
-        links = [name in ("alpha", "theta", "beta") for name in LINK_PARAMETERS for _ in range(self.joints)]
+        """For each parameter, whether it is an angle (rad) rather than a length (m), shape (5L + 12,)."""
+        links = [name in ("alpha", "theta", "beta") for name in LINK_PARAMETERS for _ in range(self.links)]
         return np.array(links + [False, False, False, True, True, True] * 2)
 
     def displaced(self, delta: ArrayLike) -> Geometry:
-        """This geometry with ``delta`` (5n + 12,) added to its parameters, in the order of `parameter_names`.
+        """This geometry with ``delta`` (5L + 12,) added to its parameters, in the order of `parameter_names`.
 
         Base and tool are moved on the manifold: positions add, rotations are multiplied from the left by the rotation
         of the given rotation vector (axes of the world for the base, of the last link for the tool).
         """
         delta = np.asarray(delta, dtype=float)
-        n = self.joints
+        n = self.links
         if delta.shape != (5 * n + 12,):
             raise ValueError(f"delta has shape {delta.shape}, but this geometry has {5 * n + 12} parameters")
         alpha, a, theta, d, beta = delta[: 5 * n].reshape(5, n)
@@ -112,7 +173,7 @@ class Geometry:
         )
 
     def difference(self, other: Geometry) -> Array:
-        """The ``delta`` (5n + 12,) that turns this geometry into ``other`` (inverse of `displaced`)."""
+        """The ``delta`` (5L + 12,) that turns this geometry into ``other`` (inverse of `displaced`)."""
         links = [getattr(other, name) - getattr(self, name) for name in LINK_PARAMETERS]
         frames = []
         for mine, theirs in ((self.base, other.base), (self.tool, other.tool)):
@@ -125,7 +186,10 @@ def geometry_fingerprint(geometry: Geometry) -> str:
     """Hash of the joint types, the link parameters, base and tool: what is fitted to one arm is refused on another."""
     numbers = [getattr(geometry, name).tolist() for name in LINK_PARAMETERS]
     numbers += [v.tolist() for v in (*geometry.base, *geometry.tool)]
-    text = json.dumps([list(geometry.prismatic), numbers])
+    chain: list[object] = [list(geometry.prismatic), numbers]
+    if geometry.coupling is not None:
+        chain.append([geometry.coupling.joint, geometry.coupling.ratio, geometry.coupling.slides])
+    text = json.dumps(chain)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

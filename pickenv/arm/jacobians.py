@@ -17,7 +17,7 @@ from pickenv.arm.kinematics import attach, chain_of, frames, split_joints
 
 
 def _all_frames(geometry: Geometry, q: ArrayLike) -> tuple[Array, Array]:
-    """Components of base and link frames ``(12, n + 1, ...)`` and of the tool's origin ``(3, ...)``.
+    """Components of base and link frames ``(12, L + 1, ...)`` and of the tool's origin ``(3, ...)``.
 
     Poses come last, here and in `_cross`, so that every operation runs over contiguous numbers.
     """
@@ -61,11 +61,12 @@ def joint_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
     columns = np.empty((6, *z.shape[1:]))
     _cross(columns[:3], z, tool[:, None] - links[9:, 1:])
     columns[3:] = z
-    slides = np.array(geometry.prismatic)
+    slides = np.array(geometry.slides)
     if slides.any():
         columns[:3, slides] = z[:, slides]
         columns[3:, slides] = 0.0
-    return np.moveaxis(columns, (0, 1), (-2, -1))
+    found = np.moveaxis(columns, (0, 1), (-2, -1))
+    return found if geometry.coupling is None else geometry.coupling.gathered(found, geometry.joints)
 
 
 def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
@@ -76,10 +77,10 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
         q: Joint displacements ``(..., n)``, rad or m.
 
     Returns:
-        Array ``(..., 6, 5n + 12)``, columns in the order of ``geometry.parameter_names``; rows as in `joint_jacobian`.
+        Array ``(..., 6, 5L + 12)``, columns in the order of ``geometry.parameter_names``; rows as in `joint_jacobian`.
         In memory the poses lie next to each other.
     """
-    n = geometry.joints
+    n = geometry.links
     links, tool = _all_frames(geometry, q)
     shape = tool.shape[1:]
     before, after = links[:, :-1], links[:, 1:]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.geometry import Array, Geometry, Pose
+from pickenv.arm.geometry import Array, Coupling, Geometry, Pose
 
 Scalar = Any
 """A Python float, a NumPy array or a torch tensor: the executors' common ground."""
@@ -41,11 +41,12 @@ class Link(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """A geometry made ready for `frames`: base frame, links, and the tool frame (None where it is the identity)."""
+    """A geometry made ready for `frames`: base, links, tool (None where it is the identity), what moves together."""
 
     base: Frame
     links: tuple[Link, ...]
     tool: Frame | None
+    coupling: Coupling | None = None
 
 
 def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
@@ -57,7 +58,7 @@ def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
     """
     convert = float if m is math else np.asarray
     links = []
-    for i, prismatic in enumerate(geometry.prismatic):
+    for i, prismatic in enumerate(geometry.slides):
         alpha, a, theta, d, beta = (
             convert(getattr(geometry, name)[..., i]) for name in ("alpha", "a", "theta", "d", "beta")
         )
@@ -75,7 +76,8 @@ def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
             )
         )
     still = not geometry.tool.position.any() and np.array_equal(geometry.tool.rotation, np.eye(3))
-    return Chain(frame_of(geometry.base), tuple(links), None if still else frame_of(geometry.tool))
+    tool = None if still else frame_of(geometry.tool)
+    return Chain(frame_of(geometry.base), tuple(links), tool, geometry.coupling)
 
 
 def frame_of(pose: Pose) -> Frame:
@@ -100,7 +102,7 @@ def _same_shape(values: Sequence[Scalar], m: ModuleType) -> list[Scalar]:
 
 
 def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | None = None) -> list[Frame]:
-    """Frames of base and links, n + 1 of them, in world axes.
+    """Frames of base and links, L + 1 of them, in world axes.
 
     Args:
         m: ``math``, ``numpy`` or ``torch``.
@@ -109,6 +111,8 @@ def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | 
         flexure: Bends a link's frame before the next link is attached (boom bending), or None.
     """
     sin, cos = m.sin, m.cos
+    if chain.coupling is not None:
+        q = chain.coupling.displacements(q)
     xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz = frame = chain.base
     result = [frame]
     for i, (prismatic, ca, sa, a, theta, d, ct, st, beta) in enumerate(chain.links):

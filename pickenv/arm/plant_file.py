@@ -7,11 +7,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pickenv.arm.arm_file import Arm, load_arm, read_toml, refuse_unknown, shipped_arms
+from pickenv.arm.arm_file import Arm, load_arm, refuse_unknown, shipped_arms, word
 from pickenv.arm.effect_tables import READERS
 from pickenv.arm.plant import EFFECTS, MeasurementNoise, Plant
 from pickenv.arm.tables import Table
 from pickenv.errors import InputError
+from pickenv.texts import is_file, read_toml, shortened
 
 PLANTS = Path(__file__).parent / "plants"
 
@@ -36,8 +37,10 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
     path = Path(name)
     if path.suffix != ".toml":
         path = PLANTS / f"{name}.toml"
-    if not path.is_file():
-        raise InputError(f"unknown plant '{name}'; give one of {shipped_plants()} or a path to a plant file (.toml)")
+    if not is_file(path):
+        raise InputError(
+            f"unknown plant '{shortened(name)}'; give one of {shipped_plants()} or a path to a plant file (.toml)"
+        )
     plant = parse_plant(read_toml(path), str(path))
     try:
         return plant.without(without)
@@ -54,6 +57,10 @@ def parse_plant(content: Mapping[str, Any], where: str) -> Plant:
         arm = load_arm(content["arm"])
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
+    if arm.nominal.coupling is not None:
+        raise InputError(
+            f"{where}: a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet"
+        )
     if arm.true is None:
         raise InputError(f"{where}: arm '{arm.name}' has no true_… values, so there is no true arm to simulate")
     readers = {**READERS, "measurement_noise": (_noise, ("position_std_mm", "attitude_std_deg"))}
@@ -63,7 +70,7 @@ def parse_plant(content: Mapping[str, Any], where: str) -> Plant:
     for effect in NEED_LOAD:
         if effect in parts and "load" not in parts:
             raise InputError(f"{where}: {effect} needs [load], the masses that gravity pulls at")
-    return Plant(name=str(content.get("name", Path(where).stem)), arm=arm, geometry=arm.true, **parts)
+    return Plant(name=word(content, "name", Path(where).stem, where), arm=arm, geometry=arm.true, **parts)
 
 
 def _noise(table: Table, _arm: Arm) -> MeasurementNoise:

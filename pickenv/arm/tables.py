@@ -7,7 +7,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pickenv.arm.arm_file import Arm, refuse_unknown
+from pickenv.arm.plausible import largest
 from pickenv.errors import InputError
+from pickenv.texts import shortened
 
 RADIANS = {"arcmin": math.radians(1.0 / 60.0), "arcsec": math.radians(1.0 / 3600.0)}
 METRES = {"mm": 1e-3, "um": 1e-6}
@@ -25,7 +27,7 @@ class Table:
 
     def fail(self, key: str, wanted: str) -> InputError:
         """The error to raise for ``key``, when it should have been ``wanted``."""
-        given = repr(self.table[key]) if key in self.table else "missing"
+        given = shortened(repr(self.table[key])) if key in self.table else "missing"
         return InputError(f"{self.where}: {key} of [{self.name}] is {given}; give {wanted}")
 
     def number(self, key: str, *, positive: bool = False, signed: bool = False, default: float | None = None) -> float:
@@ -35,6 +37,8 @@ class Table:
             raise self.fail(key, "a finite number")
         if not signed and (value < 0 or (positive and value == 0)):
             raise self.fail(key, "a number above zero" if positive else "a number that is not negative")
+        if abs(value) > largest(key):
+            raise self.fail(key, f"at most {largest(key):g}")
         return float(value)
 
     def numbers(self, key: str, count: int, *, positive: bool = False, signed: bool = False) -> tuple[float, ...]:

@@ -171,7 +171,7 @@ def _gate(block: Block | None) -> str:
 
 
 def _parameters(r: Result, blocks: Mapping[str, Block]) -> str:
-    joints = r.arm.nominal.joint_names
+    joints, links = r.arm.nominal.joint_names, r.arm.nominal.link_names
     combinations = base_combinations(r.fit.identification.identifiability)
     measured = [row for row in r.parameters() if row["state"] == MEASURED]
     limits: dict[str, float] = {}
@@ -184,8 +184,9 @@ def _parameters(r: Result, blocks: Mapping[str, Block]) -> str:
         name, unit = row["name"], row["unit"]
         drawn = bar(row["change"], float(np.nan_to_num(row["std"])), limits.get(unit, abs(row["change"]) or 1.0))
         absorbed = combinations[name] if combinations.get(name, name) != name else ""
+        words = escape(parameter_words(name, joints, links))
         rows.append(
-            f'<tr><td class="name">{escape(name)}</td><td class=words>{escape(parameter_words(name, joints))}</td>'
+            f'<tr><td class="name">{escape(name)}</td><td class=words>{words}</td>'
             f"<td>{figure(row['change'])} ± {figure(row['std'])} {unit}</td><td>{drawn}</td>"
             f"<td class=words>{escape(absorbed)}</td></tr>"
         )

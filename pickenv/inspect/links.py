@@ -65,7 +65,8 @@ def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
 
 def _points(chain: Chain, frame_list: Sequence[Frame], joints: Sequence[Array]) -> Array:
     points = [frame_list[0][9:]]
-    for link, frame, q in zip(chain.links, frame_list[1:], joints, strict=True):
+    moved = joints if chain.coupling is None else chain.coupling.displacements(joints)
+    for link, frame, q in zip(chain.links, frame_list[1:], moved, strict=True):
         zx, zy, zz, px, py, pz = frame[6:]
         d = link.d + q if link.prismatic else link.d
         points += [(px - d * zx, py - d * zy, pz - d * zz), (px, py, pz)]

@@ -25,21 +25,24 @@ EFFECT_WORDS = {
 }
 
 
-def parameter_words(name: str, joint_names: Sequence[str]) -> str:
+def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[str] | None = None) -> str:
     """The meaning of a parameter; an empty string for a name that is not known.
 
     Args:
         name: Such as alpha0, theta1, base_x, compliance4.
-        joint_names: Names of the joints; links count from 0 for alpha, a and beta, from 1 for theta and d.
+        joint_names: Names of the joints.
+        link_names: Names of the links, where joints move several; they count from 0 for alpha, a and beta, from 1 for
+            theta and d.
     """
+    links = link_names or joint_names
     found = re.fullmatch(r"(alpha|a|beta|theta|d)(\d+)", name)
     if found:
         kind, number = found[1], int(found[2])
         place = number if kind in ("alpha", "a", "beta") else number - 1
-        if not 0 <= place < len(joint_names):
+        if not 0 <= place < len(links):
             return ""
-        before = "the base" if place == 0 else joint_names[place - 1]
-        return LINK_WORDS[kind].format(before=before, after=joint_names[place])
+        before = "the base" if place == 0 else links[place - 1]
+        return LINK_WORDS[kind].format(before=before, after=links[place])
     frame, _, axis = name.partition("_")
     if frame in FRAME_WORDS:
         return f"{FRAME_WORDS[frame]}: {'turn about ' if axis.startswith('r') else 'position along '}{axis[-1]}"

@@ -5,7 +5,6 @@ Files give degrees and millimetres and say so in every key; what leaves this mod
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pickenv.errors import InputError
+from pickenv.texts import is_file, read_toml, shortened
 
 FOLDER = Path(__file__).parent
 PER_SI = {"mm": 1000.0, "deg": 180.0 / float(np.pi)}  # of the unit in one metre, one radian
@@ -75,12 +75,7 @@ class Preset:
 
 @lru_cache(maxsize=32)
 def _tables(path: Path, _modified: int) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not valid TOML: {error}") from error
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    return read_toml(path)
 
 
 def shipped(kind: str) -> list[str]:
@@ -102,14 +97,18 @@ def load(kind: str, name: str | Path, build: Callable[[Preset], Thing]) -> Thing
     """
     path = Path(name)
     if path.suffix == ".toml":
-        if not path.is_file():
-            raise InputError(f"{kind} file {path} does not exist; give its path or one of {shipped(kind)}")
+        if not is_file(path):
+            raise InputError(
+                f"{kind} file {shortened(path, 300)} does not exist; give its path or one of {shipped(kind)}"
+            )
         table, label = _tables(path, path.stat().st_mtime_ns), path.stem
     else:
         path = FOLDER / f"{kind}.toml"
         tables = _tables(path, path.stat().st_mtime_ns)
         if str(name) not in tables:
-            raise InputError(f"unknown {kind} '{name}'; give one of {shipped(kind)} or a path to a {kind} file (.toml)")
+            raise InputError(
+                f"unknown {kind} '{shortened(name)}'; give one of {shipped(kind)} or a path to a {kind} file (.toml)"
+            )
         table, label = tables[str(name)], str(name)
     preset = Preset(dict(table), label, path.name)
     thing = build(preset)

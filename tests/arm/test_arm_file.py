@@ -149,5 +149,5 @@ def test_an_arm_file_that_is_not_there_is_named(tmp_path):
 def test_a_file_that_is_not_text_is_named(tmp_path):
     path = tmp_path / "arm.toml"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match=r"arm\.toml is not valid TOML"):
+    with pytest.raises(InputError, match=r"arm\.toml is written in UTF-16"):
         load_arm(path)

@@ -187,8 +187,8 @@ HEADER = "q1_deg,q2_mm,q3_mm,q4_deg,q5_mm,q6_deg"
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "holds no targets"),
-        (HEADER + "\n", "holds no targets"),
+        ("", "is empty"),
+        (HEADER + "\n", "has a header but no rows"),
         (HEADER + "\n1,2,3,4,5\n", "row 2, column 'q6_deg' is empty"),
         (HEADER + "\n1,2,3,4,5,6\n1,2,x,4,5,6\n", "row 3, column 'q3_mm' holds 'x'"),
         (HEADER + "\n1,2,3,4,5,nan\n", "row 2, column 'q6_deg' is nan"),

@@ -167,7 +167,7 @@ def test_shipped_descriptions_are_sound():
 
 
 GOOD = JOINTS + POSITION
-Z = 'rotation = { columns = ["X", "Y", "Z"], convention = "kuka_abc", unit = "deg" }\n'
+Z = 'rotation = { columns = ["2 * X", "2 * Y", "2 * Z"], convention = "kuka_abc", unit = "deg" }\n'
 BAD_DESCRIPTIONS = {
     "misspelt key": ("seperator = ';'\n" + GOOD, r"unknown key 'seperator'"),
     "misspelt key of a section": (GOOD + "position.units = 'mm'\n", r"unknown key 'units' in \[position\]"),
@@ -184,7 +184,7 @@ BAD_DESCRIPTIONS = {
     "columns that are no list": (JOINTS + 'position = { columns = "X", unit = "mm" }\n', r"columns must be a list"),
     "two positions": (GOOD.replace('"Y", ', ""), r"\[position\] needs three columns"),
     "unknown convention": (GOOD + Z.replace("kuka_abc", "zyz"), r"convention 'zyz'; name one of .*kuka_abc"),
-    "two angles": (GOOD + Z.replace('"Y", ', ""), r"convention 'kuka_abc' needs 3 columns"),
+    "two angles": (GOOD + Z.replace('"2 * Y", ', ""), r"convention 'kuka_abc' needs 3 columns"),
     "quaternion of three": (GOOD + Z.replace("kuka_abc", "abb_quaternion"), r"'abb_quaternion' needs 4 columns"),
     "separator of two characters": ("separator = ';;'\n" + GOOD, r"separator is ';;'"),
     "no separator": ("separator = ''\n" + GOOD, r"separator is ''"),
@@ -192,6 +192,30 @@ BAD_DESCRIPTIONS = {
     "decimal sign that separates": ("decimal = ','\n" + GOOD, r"decimal is ','"),
     "uncertainty of zero": (GOOD + "position.std_mm = 0\n", r"std_mm is 0"),
     "uncertainty in words": (GOOD + "position.std_mm = 'small'\n", r"std_mm is 'small'"),
+    "a joint twice": (GOOD.replace('"A6"', '"A5"'), r"'A5' is given for joint 5 and for joint 6"),
+    "a joint twice, written otherwise": (GOOD.replace('"A6"', '" ( `A5`)"'), r"is given for joint 5 and for joint 6"),
+    "one computed column twice": (
+        GOOD.replace('"A5"', '"A5 / 2 - 1"').replace('"A6"', '"A5/2-1"'),
+        r"'A5/2-1' is given for joint 5 and for joint 6",
+    ),
+    "a joint for a position": (
+        GOOD.replace('"Y"', '"A2"'),
+        r"'A2' is given for joint 2 and for column 2 of \[position\]",
+    ),
+    "a position twice": (GOOD.replace('"Y"', '"X"'), r"'X' is given for column 1 of \[position\] and for column 2"),
+    "a constant of 400 digits": (
+        GOOD.replace('"X"', f'"X + {"9" * 400}"'),
+        r"cannot compute 'X \+ 9+ …'",
+    ),
+    "a constant of 5000 digits": (GOOD.replace('"X"', f'"X + {"9" * 5000}"'), r"column 'X \+ 9+ …' is missing"),
+    "100 000 minuses": (GOOD.replace('"X"', f'"{"-" * 100_000}X"'), r"column '-+ …' is missing"),
+    "900 brackets": (GOOD.replace('"X"', f'"{"(" * 450}X{")" * 450}"'), r"column '\(+ …' is missing"),
+    "a truth": (GOOD.replace('"X"', '"X + True"'), r"cannot compute 'X \+ True'"),
+    "a separator that is a digit": ("separator = '1'\n" + GOOD, r"separator is '1'"),
+    "a separator that nobody sees": ('separator = "\\u0000"\n' + GOOD, r"separator is '.x00'"),
+    "a list for a convention": (GOOD + Z.replace('"kuka_abc"', "['kuka_abc']"), r"convention \['kuka_abc'\]; name one"),
+    "a number of 5000 digits": (f"decimal = {'1' * 5000}\n" + GOOD, r"is not valid TOML: .*digits"),
+    "a number of 400 digits": (f"decimal = {'1' * 400}\n" + GOOD, r"decimal is an integer of more than 64 bits"),
     "a function": (GOOD.replace('"X"', '"abs(X)"'), r"cannot compute 'abs\(X\)'"),
     "a power": (GOOD.replace('"X"', '"X ** 2"'), r"cannot compute 'X \*\* 2'"),
     "an attribute": (GOOD.replace('"X"', '"X.__class__"'), r"cannot compute"),
