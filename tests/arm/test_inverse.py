@@ -99,9 +99,8 @@ def test_the_last_resort_near_singular_poses_counts_only_where_it_reaches(draw):
 @pytest.mark.parametrize("held", [0, 2, 4])
 def test_a_joint_held_at_its_limit_leaves_the_whole_step_to_the_others(held):
     """One step of six joints with one of them stuck is the least-squares step of the five others."""
-    ur5 = load_arm("ur5").nominal
-    q = np.array([0.3, -1.2, 1.5, -0.4, 0.7, 0.2])
-    q[held] = ur5.upper[held]
+    ur5, q = load_arm("ur5").nominal, np.array([0.3, -1.2, 1.5, -0.4, 0.7, 0.2])
+    ur5 = replace(ur5, upper=np.where(np.arange(6) == held, q, ur5.upper))
     target = forward(ur5, q + 0.02)
     found = inverse(ur5, target, q, restarts=0, max_iterations=1, position_tolerance=np.inf, attitude_tolerance=np.inf)
     others = [i for i in range(6) if i != held]
