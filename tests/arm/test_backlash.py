@@ -178,4 +178,5 @@ def test_encoders_see_the_motor_and_nothing_behind_it():
     state, _ = plant.advance(math, plant.initial_state(math, START), moving, 0.05)
     for reading, value, count in zip(plant.readings(math, state, moving), motor, counts, strict=True):
         assert abs(reading - value) <= count + 1e-12
+        assert reading / count == pytest.approx(round(reading / count), abs=1e-6)  # in whole counts, on the way too
     assert BARE.readings(math, BARE.initial_state(math, START), START) == START

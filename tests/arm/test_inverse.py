@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, forward, inverse, load_arm, pose_error
+from pickenv.arm import Pose, forward, inverse, joint_jacobian, load_arm, pose_error
 
 
 def within_limits(geometry, q):
@@ -82,6 +82,32 @@ def test_restarts_bring_the_tool_closer_to_what_cannot_be_reached(draw):
     assert not helped.reached.any()
     assert (cost[1] <= cost[0]).all()
     assert np.median(cost[1]) < 0.9 * np.median(cost[0])
+
+
+def test_the_last_resort_near_singular_poses_counts_only_where_it_reaches(draw):
+    """It turns joints far for little; with any error allowed, the plain descent is all there is."""
+    ur5 = load_arm("ur5").nominal
+    start = draw(ur5, 100)
+    home = forward(ur5, start)
+    away = Pose(home.position + np.array([0.3, 0, 0]), home.rotation)
+    plain = inverse(ur5, away, start, restarts=0, position_tolerance=np.inf, attitude_tolerance=np.inf)
+    found = inverse(ur5, away, start, restarts=0)
+    assert 10 < (~found.reached).sum() < 90
+    np.testing.assert_array_equal(found.joints[~found.reached], plain.joints[~found.reached])
+
+
+@pytest.mark.parametrize("held", [0, 2, 4])
+def test_a_joint_held_at_its_limit_leaves_the_whole_step_to_the_others(held):
+    """One step of six joints with one of them stuck is the least-squares step of the five others."""
+    ur5, q = load_arm("ur5").nominal, np.array([0.3, -1.2, 1.5, -0.4, 0.7, 0.2])
+    ur5 = replace(ur5, upper=np.where(np.arange(6) == held, q, ur5.upper))
+    target = forward(ur5, q + 0.02)
+    found = inverse(ur5, target, q, restarts=0, max_iterations=1, position_tolerance=np.inf, attitude_tolerance=np.inf)
+    others = [i for i in range(6) if i != held]
+    expected = np.linalg.pinv(joint_jacobian(ur5, q)[:, others]) @ pose_error(forward(ur5, q), target)
+    assert 0.005 < np.abs(expected).max() < 0.4
+    np.testing.assert_allclose(found.joints[others], q[others] + expected, atol=1e-9)
+    assert found.joints[held] == ur5.upper[held]
 
 
 def test_an_attitude_outside_the_task_is_said_to_be_out_of_reach_of_the_joints(qiao):

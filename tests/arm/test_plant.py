@@ -1,5 +1,6 @@
 """What the true arm does with a command: every effect on its own, and all of them off."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -114,3 +115,16 @@ def test_measurement_noise_has_the_size_it_states_and_follows_the_seed(plant):
 def test_shipped_plants_load_under_their_own_names():
     assert [load_plant(name).name for name in shipped_plants()] == shipped_plants()
     assert {"geometry_only", "qiao2026"} <= set(shipped_plants())
+
+
+@pytest.mark.parametrize("name", ["qiao2026", "orchard"])
+def test_drive_errors_come_before_everything_else(name):
+    """An arm with drive errors stands, loads and all, where one without them stands at the joints that they drive."""
+    plant = load_plant(name, without=["encoder"])
+    rough = replace(plant, transmission_error=replace(plant.transmission_error, lead=(0.05,) * 6))
+    assert rough.joint_compliance is not None and rough.boom_bending is not None
+    q = [0.2, 0.3, 0.5, -0.1, 0.1, 0.5]
+    driven = driven_joints(math, rough.transmission_error, q)
+    assert max(abs(a - b) for a, b in zip(q, driven, strict=True)) > 0.01
+    smooth = rough.without(["transmission_error"])
+    np.testing.assert_allclose(rough.tool_frame(math, q), smooth.tool_frame(math, driven), rtol=0, atol=1e-14)

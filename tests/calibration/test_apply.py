@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from calibration import fit, random_joints, simulated_tracker
 from calibration.apply import apply_calibration
 from calibration.targets import Targets, joints_of, read_targets
-from calibration.uncertainty import with_uncertainty
+from calibration.uncertainty import held_out_errors, with_uncertainty
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, pose_error, rotation_matrix, rotation_vector
 from pickenv.errors import InputError
 
@@ -221,3 +221,14 @@ def test_other_joints_take_over_from_one_at_its_limit(calibration, dynamic, join
     joints[:30, joint], joints[30:, joint] = nominal.lower[joint], nominal.upper[joint]
     found = apply_calibration(calibration, dynamic.arm, joint_targets(joints))
     assert found.reached.all() and (found.joints <= nominal.upper).all() and (found.joints >= nominal.lower).all()
+
+
+def test_what_the_learnt_residual_explains_is_no_uncertainty(dynamic):
+    rng = np.random.default_rng(0)
+    sets = [simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (100, 200, 60)]
+    found = fit(dynamic.arm, *sets[:2], known_frames=True, residual="rbf", rng=rng)
+    learnt, plain = (held_out_errors(c, sets[2]) for c in (found.calibration, found.calibration.without_residual()))
+    np.testing.assert_allclose(plain - learnt, found.calibration.learnt.predict(sets[2].joints), atol=1e-15)
+    kept = with_uncertainty(found.calibration, found.identification, sets[2]).record["uncertainty"]
+    assert kept["position_repeat_m"] == pytest.approx(np.sqrt(np.mean(learnt[:, :3] ** 2)))
+    assert kept["position_repeat_m"] < 0.6 * np.sqrt(np.mean(plain[:, :3] ** 2))

@@ -175,3 +175,23 @@ def test_the_report_says_what_was_found(qiao, exact):
     assert hasty.startswith("NOT CONVERGED")
     assert describe_absorption({}) == "has no effect on these measurements"
     assert "and 2 more" in describe_absorption(dict.fromkeys("abcdef", 1.0))
+
+
+@pytest.mark.parametrize(("positions", "rows"), [(False, 240), (True, 120)])
+def test_degrees_of_freedom_are_equations_less_identified_parameters(qiao, exact, positions, rows):
+    data = exact(qiao.true, 40)
+    found = identify(link_model(qiao.nominal), qiao.nominal, data.positions_only() if positions else data)
+    assert found.degrees_of_freedom == rows - found.identifiability.rank
+    assert 10 < found.identifiability.rank <= 16
+
+
+@pytest.mark.parametrize("arm", ["qiao2026", "ur5"])
+def test_a_step_that_makes_it_worse_is_never_kept(exact, arm):
+    """From a start a hundred tolerances off, positions alone: whole steps jump, and would end in another arm."""
+    nominal = load_arm(arm).nominal
+    model, data = complete_model(nominal), exact(nominal).positions_only()
+    for seed in range(3):
+        change = 100 * model.tolerance * np.random.default_rng(seed).normal(size=len(model.tolerance))
+        found = identify(model, moved(model, nominal, change), data)
+        assert (np.diff(found.residual_rms) <= 0).all()
+        assert not found.converged or found.residual_rms[-1] < 1e-3 * found.residual_rms[0]

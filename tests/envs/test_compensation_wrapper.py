@@ -137,3 +137,23 @@ def test_ppo_trains_through_it(reach, compensator):
     before, after = train()
     assert np.isfinite(after.numpy()).all() and not np.array_equal(before.numpy(), after.numpy())
     assert np.array_equal(train()[1].numpy(), after.numpy())  # twice the same
+
+
+def test_readings_of_real_encoders_are_mapped_back_to_nominal_joints(reach):
+    """With counts and following errors too: the policy sees the joints it asked for, not the corrected ones."""
+    shift = 0.01  # rad and m; a hundred counts and more
+    bare, wrapped = reach(plant="orchard"), None
+    wrapped = CompensationWrapper(reach(plant="orchard"), lambda joints: joints + shift)
+    counts = np.array(bare.unwrapped.plant.encoder.resolution)
+    assert (counts < shift / 10).all()
+    task = bare.unwrapped.task
+    half = (np.array(task.upper) - task.lower) / 2
+    still = np.zeros(6, dtype=np.float32)
+    for env, sent in ((bare, 0.0), (wrapped, shift)):
+        env.reset(seed=1)
+        for _ in range(30):  # until the servo has arrived
+            observation, *_, info = env.step(still)
+        target = env.unwrapped.joint_target
+        np.testing.assert_allclose(info["joint_command"], target + sent, atol=1e-12)
+        read = (observation[:6] + 1.0) * half + task.lower
+        assert (np.abs(read - target) <= counts + 1e-6).all()

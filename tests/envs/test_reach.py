@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_plant, pose_error, rotation_matrix
+from pickenv.envs.executors import FLOATS
+from pickenv.envs.simulation import goal_attempt
+from pickenv.envs.streams import seed_word
 from pickenv.errors import InputError
 
 MIDDLE = [math.radians(7.5), 0.3, 0.4, 0.0, 0.1, 0.0]
@@ -238,3 +241,24 @@ def test_impossible_actions_are_refused_and_move_nothing(make, action, shape):
 def test_a_tilt_that_the_arm_cannot_take_is_said_so(make):
     with pytest.raises(InputError, match=r"found no pose .* raise max_tilt_deg"):
         make(max_tilt_deg=1e-4).reset(seed=0)
+
+
+@pytest.mark.parametrize(("camera", "fruit"), [(0.0, 3.0), (3.0, 0.0), (1.0, 4.0)])
+def test_the_noise_of_the_fruits_place_is_not_that_of_the_camera(make, camera, fruit):
+    env = make(feedback="camera", camera_noise_mm=camera, fruit_noise_mm=fruit)
+    place, offset = [], []
+    for seed in range(150):
+        observation, info = env.reset(seed=seed)
+        place.append(observation[9:12] - info["fruit_position"])
+        offset.append(observation[18:] - (info["fruit_position"] - info["tool_position"]))
+    for errors, millimetres in ((place, fruit), (offset, camera)):
+        assert np.std(errors) == pytest.approx(1e-3 * millimetres, rel=0.15, abs=1e-6)
+
+
+def test_goals_keep_a_twentieth_of_each_range_away_from_both_limits_and_use_the_rest():
+    """As `GOAL_MARGIN` says; a study places its fruit by the same constant."""
+    task = gym.make("pickenv/Reach-v0").unwrapped.task
+    joints = np.array([goal_attempt(FLOATS, task, seed_word(5), attempt)[0] for attempt in range(400)])
+    share = (joints - task.lower) / (np.array(task.upper) - task.lower)
+    assert share.min() >= 0.05 - 1e-12 and share.max() <= 0.95 + 1e-12
+    assert share.min(axis=0).max() < 0.07 and share.max(axis=0).min() > 0.93

@@ -7,6 +7,7 @@ import pytest
 
 from pickenv.harvester.picking import attempt, displacements, in_the_way, load_picking
 from pickenv.harvester.trees import load_orchard, sample_image, sample_tree
+from pickenv.orchard import coupling, swing
 
 NOTHING = np.zeros((0, 3))
 
@@ -76,3 +77,15 @@ def test_images_of_the_lab_show_seven_fruit_in_reach(machine):
     assert len(image) == 7
     gaps = np.linalg.norm(image.fruit[:, None] - image.fruit[None], axis=-1) + np.eye(7)
     assert gaps.min() >= 0.12
+
+
+def test_a_pushed_fruit_first_swings_with_all_of_the_push_and_then_as_its_branch_does(sure):
+    fruit, masses, heading = np.array([[0.0, 0, 0], [0.1, 0, 0]]), np.full(2, 0.1), np.zeros(2)
+    start = 0.02 * float(coupling(sure.branch, 0.1))
+    for wait in (1e-6, 0.15, 0.4):
+        moved = displacements(sure, fruit, masses, np.array([0.0, wait]), np.full(2, 0.02), heading)[1]
+        swung, _ = swing(sure.branch, [start, 0.0, 0.0], np.zeros(3), 0.1, wait)
+        expected = sure.lasting * start + (1 - sure.lasting) * swung[0]
+        np.testing.assert_allclose(moved, [expected, 0.0, 0.0], atol=1e-12)
+        if wait < 1e-3:
+            assert moved[0] == pytest.approx(start, rel=1e-6)

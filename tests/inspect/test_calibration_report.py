@@ -212,3 +212,12 @@ def test_drawings_stay_on_the_paper():
         width, height = (float(v) for v in re.search(r'viewBox="0 0 (\S+) (\S+)"', svg).groups())
         for name, limit in (("x", width), ("x1", width), ("x2", width), ("y", height), ("y1", height)):
             assert all(-0.1 <= float(v) <= limit + 0.1 for v in re.findall(rf' {name}="([-\d.]+)"', svg))
+
+
+def test_the_arms_and_joints_names_are_no_markup(evidence):
+    hostile = "</title><script>alert('&')</script>"
+    nominal = replace(evidence.arm.nominal, joint_names=tuple(f"{hostile}{i}" for i in range(6)))
+    text = calibration_page(replace(evidence, arm=replace(evidence.arm, name=hostile, nominal=nominal)))
+    Page(text)
+    assert "<script" not in text and text.count("</title>") == 1
+    assert text.count("&lt;script&gt;") >= 2  # the title and the heading

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -24,6 +25,7 @@ from pickenv.commands.inspection import inspect, recordings_of
 from pickenv.errors import InputError
 from pickenv.inspect import open_recording
 from pickenv.inspect.comparison import Comparison
+from pickenv.inspect.live import Live, open_live
 from pickenv.inspect.open_recording import check_recording
 from pickenv.inspect.recording import record_comparison
 from pickenv.inspect.run_folder import recorded_run, save_comparison
@@ -173,6 +175,28 @@ def pickenv_inspect(*arguments: str) -> Iterator[subprocess.Popen[str]]:
         process.communicate(timeout=30)
 
 
+def taken_elsewhere(port: int) -> bool:
+    """Whether ``port`` also takes connections that were not made to 127.0.0.1, as one bound to every address does."""
+    try:
+        socket.create_connection(("127.0.0.2", port), timeout=5.0).close()  # this machine too, by another address
+    except OSError:
+        return False
+    return True
+
+
+def listening(port: int) -> None:
+    """Wait until somebody listens."""
+    deadline = time.monotonic() + 60.0
+    while True:
+        try:
+            socket.create_connection(("127.0.0.1", port), timeout=5.0).close()
+            return
+        except OSError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.1)
+
+
 def answers(url: str) -> bytes:
     """What a server says, waiting for it to begin."""
     deadline = time.monotonic() + 60.0
@@ -192,9 +216,36 @@ def test_web_serves_a_page_on_this_machine_alone_and_ends_with_ctrl_c(recording:
         line = process.stdout.readline()
         address = next(word for word in line.split() if word.startswith("http://127.0.0.1:"))
         assert b"<html" in answers(address.partition("?")[0]).lower()
+        ports = [int(port) for port in re.findall(r"127\.0\.0\.1(?::|%3A)(\d+)", address)]
+        assert len(ports) == 2  # the page's and the recording's
+        for port in ports:
+            listening(port)
+            assert not taken_elsewhere(port)
     assert process.returncode == 130
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(address.partition("?")[0], timeout=2.0)
+
+
+def test_a_recording_is_served_to_this_machine_alone(recording: Path) -> None:
+    port = free_port()
+    with pickenv_inspect(str(recording), "--serve", str(port)) as process:
+        assert process.stdout is not None
+        assert f"rerun+http://127.0.0.1:{port}/proxy" in process.stdout.readline()
+        listening(port)
+        assert not taken_elsewhere(port)
+    assert process.returncode == 130
+
+
+def test_what_is_served_while_it_grows_is_served_to_this_machine_alone() -> None:
+    import rerun.blueprint as rrb
+
+    port = free_port()
+    stream = open_live(Live(serve=port), "test-served", rrb.Blueprint())
+    try:
+        listening(port)
+        assert not taken_elsewhere(port)
+    finally:
+        stream.disconnect()
 
 
 def test_connect_sends_everything_to_a_viewer_that_runs(

@@ -17,6 +17,8 @@ from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.demo_report import Share, demo_report, verdict
 from pickenv.inspect.drawings import LeftOut, trace_drawings
 from pickenv.inspect.report_interactive import field_spec, library, pose_spec
+from pickenv.inspect.report_page import Verdict, contents, facts, section, table, tiles, verdict_box
+from pickenv.inspect.report_page import page as page_of
 from pickenv.inspect.run_folder import Run, load_trace
 
 VOID = {"meta", "link", "img", "br"}
@@ -238,3 +240,22 @@ def test_figures_that_the_data_do_not_allow_are_left_out_with_a_reason(demo_run:
     same = left(replace(trace, payload=np.full(12, 0.25)))
     assert "every held-out pose had the same payload, 0.25 kg; vary it" in same["error_against_payload"]
     assert "error_against_payload" not in left(replace(trace, payload=np.linspace(0, 1, 12)))
+
+
+HOSTILE = "</title><script>alert('&')</script>"
+
+
+def test_names_and_values_are_text_wherever_they_stand_on_a_page() -> None:
+    parts = (
+        page_of(HOSTILE, []),
+        facts({HOSTILE: HOSTILE}),
+        tiles({HOSTILE: HOSTILE}),
+        table(HOSTILE, [HOSTILE, HOSTILE], [[HOSTILE, HOSTILE]]),
+        section(HOSTILE, "name", explain=HOSTILE),
+        contents({"name": HOSTILE}),
+        verdict_box(Verdict("good", HOSTILE, HOSTILE), [HOSTILE]),
+    )
+    for part in parts:
+        assert "<script" not in part
+        assert "script" not in {name for name, _ in Page(part).tags}
+    assert [part.count("&lt;script&gt;") for part in parts] == [1, 2, 2, 6, 2, 1, 3]

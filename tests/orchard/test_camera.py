@@ -1,5 +1,7 @@
 """Cameras err as their sources say: bias, noise with the square of distance, light, dropout, pull of occlusion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from pickenv.orchard import (
     Camera,
     Detections,
     camera_frame,
+    depth_bias,
     depth_noise,
     detect,
     detection_probability,
@@ -36,6 +39,17 @@ def test_azure_kinect_in_sun_at_one_and_a_half_metres() -> None:
     error = depth_errors(load_camera("azure_kinect"), 1.5, 100_000)
     assert error.mean() == pytest.approx(0.017, abs=2e-4)
     assert error.std() == pytest.approx(0.006, abs=1e-4)
+
+
+def test_the_bias_grows_by_what_it_is_said_to_grow_with_distance_and_light() -> None:
+    """Written out at four corners; no shipped camera errs with light, one of a user may."""
+    camera = replace(
+        load_camera("perfect"), bias=0.01, bias_distance=1.0, bias_light=40_000.0, bias_per_distance=0.02,
+        bias_per_light=5e-7,
+    )  # fmt: skip
+    found = depth_bias(camera, [1.0, 2.0, 1.0, 2.0], [40_000.0, 40_000.0, 100_000.0, 0.0])
+    assert found == pytest.approx([0.01, 0.03, 0.04, 0.01])
+    assert depth_errors(camera, 1.0, 100_000).mean() == pytest.approx(0.04)
 
 
 @pytest.mark.parametrize(("light", "rmse"), [(53_800, 0.0391), (106_150, 0.0836)])

@@ -10,6 +10,8 @@ import time
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
+from unittest import mock
 
 import pytest
 
@@ -195,6 +197,42 @@ def test_a_slow_start_is_tried_again_and_a_cluster_that_refuses_is_not():
         with pytest.raises(InputError, match=r"cannot be used at .*: The current node timed out during startup; Ray's"):
             start(ray, {}, crew)
         assert ray.starts == starts
+
+
+class Listening:
+    """In Ray's place: it notes how it is started, and has nothing to do."""
+
+    def __init__(self) -> None:
+        self.environment, self.options = {}, {}
+        self.util = SimpleNamespace(get_node_ip_address=lambda: "127.0.0.1")
+        self.exceptions = SimpleNamespace(RayTaskError=KeyError)
+
+    def init(self, **options) -> None:
+        self.environment, self.options = dict(os.environ), options
+
+    def remote(self, **_):
+        return lambda work: work
+
+    def put(self, work):
+        return work
+
+    def cluster_resources(self):
+        return {"CPU": 1.0}
+
+    def shutdown(self) -> None:
+        """Nothing was started."""
+
+
+def test_a_cluster_of_ones_own_listens_to_this_machine_alone_and_asks_for_a_token(monkeypatch):
+    ray = Listening()
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    with mock.patch.dict(os.environ, {"RAY_AUTH_MODE": "disabled", "RAY_AUTH_TOKEN": ""}):
+        assert list(load_executor("ray")([], len, Crew(1))) == []
+    assert ray.environment["RAY_AUTH_MODE"] == "token"
+    assert len(ray.environment["RAY_AUTH_TOKEN"]) >= 32
+    assert ray.environment["RAY_USAGE_STATS_ENABLED"] == "0"
+    assert ray.options["_node_ip_address"] == "127.0.0.1" and ray.options["address"] == "local"
+    assert ray.options["include_dashboard"] is False
 
 
 @pytest.mark.parametrize("address", ["here", "host:0", "host:99999", "ray://", "host:six", ":6379"])

@@ -11,6 +11,7 @@ from pickenv.arm.tolerances import TOLERANCES, it_tolerance
 from pickenv.errors import InputError
 from pickenv.study.arm_by_arm import evaluate_arm, evaluate_chunk
 from pickenv.study.config import Noise, load_study
+from pickenv.study.outcomes import figures
 from pickenv.study.protocol import carrying, prepare
 from pickenv.study.table import FIGURES, OK
 
@@ -214,3 +215,19 @@ def test_the_design_itself_can_be_judged_by_the_same_protocol(config):
     assert [outcome.setting for outcome in outcomes] == list(protocol.settings)
     raw, calibrated = outcomes[0].position.mean(), outcomes[4].position.mean()
     assert outcomes[4].setting.method == "ls" and calibrated < raw < 5e-3
+
+
+def test_the_figures_are_those_of_a_hundred_and_one_fruit_known_by_heart():
+    millimetres = np.random.default_rng(0).permutation(np.arange(101.0))
+    found = figures(millimetres[None] * 1e-3, np.radians(millimetres[None] / 100), radius_mm=75.0)
+    assert {name: float(values[0]) for name, values in found.items()} == pytest.approx(
+        {
+            "error_mean_mm": 50.0,
+            "error_rms_mm": np.sqrt(3350.0),
+            "error_p50_mm": 50.0,
+            "error_p95_mm": 95.0,
+            "error_max_mm": 100.0,
+            "attitude_mean_deg": 0.5,
+            "share_within": 76 / 101,
+        }
+    )
