@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calibration.arm_model import Conditions
-from calibration.origins import Origins
+from calibration.origins import Origins, origins_of
 from pickenv.arm import Geometry, Plant, Pose, rotation_vector
 from pickenv.arm.geometry import Array
 from pickenv.files import write_whole
@@ -91,7 +91,7 @@ class Measurements:
             position=self.position[rows],
             rotation=rotation,
             conditions=self.conditions.select(rows),
-            origins=None if self.origins is None else self.origins.select(rows),
+            origins=origins_of(self).select(rows),
         )
 
     def positions_only(self) -> Measurements:

@@ -24,6 +24,7 @@ from calibration.error_model import geometric_model
 from calibration.fitting import Fit
 from calibration.gate import GateReport
 from calibration.least_squares import describe_absorption, is_angle
+from calibration.measurements import Measurements
 from calibration.metrics import ErrorStatistics, error_statistics
 from calibration.observations import Observations, PoseObservations
 from calibration.quality import LOST, MEASURED, Quality, judge_quality
@@ -335,8 +336,8 @@ class Result:
 def assess(
     arm: Arm,
     fit: Fit,
-    train: Observations,
-    test: Observations,
+    train: Observations | Measurements,
+    test: Observations | Measurements,
     *,
     geometric: Fit | None = None,
     steps: Mapping[str, Fit] | None = None,
@@ -359,6 +360,7 @@ def assess(
         left_out: Rows left out.
         coverage: What the poses hide, where it was computed already.
     """
+    train, test = observations_of(train), observations_of(test)
     bare = geometric or replace(fit, calibration=fit.calibration.without_residual())
     nominal = ArmModel.of(bare.calibration.nominal)
     aligned = bare.aligned
@@ -407,6 +409,11 @@ def assess(
         gate=gate,
         left_out=left_out,
     )
+
+
+def observations_of(data: Observations | Measurements) -> Observations:
+    """Poses and positions in the role of observations; other kinds as they are."""
+    return PoseObservations(data) if isinstance(data, Measurements) else data
 
 
 def _left(fit: Fit, data: Observations, train: Observations) -> Array:

@@ -17,6 +17,7 @@ from calibration.observations import (
     ReflectorObservations,
     SocketObservations,
 )
+from calibration.origins import origins_of
 from calibration.splits import Rows, blocked_split, random_split
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
@@ -31,7 +32,7 @@ def select(observations: Observations, rows: NDArray[np.int64]) -> Observations:
     common: dict[str, Any] = {
         "joints": observations.joints[rows],
         "conditions": observations.conditions.select(rows),
-        "origins": None if observations.origins is None else observations.origins.select(rows),
+        "origins": origins_of(observations).select(rows),
     }
     if isinstance(observations, ReflectorObservations):
         covariance = observations.covariance

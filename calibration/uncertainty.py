@@ -8,7 +8,7 @@ with its uncertainty later. SI units.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -95,21 +95,6 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
     return PoseUncertainty(
         tuple(kept["parameters"]), covariance, float(kept["position_repeat_m"]), kept["attitude_repeat_rad"]
     )
-
-
-def with_uncertainty(calibration: Calibration, found: Identification, held_out: Measurements) -> Calibration:
-    """The calibration with its uncertainty in the record, so that `calibration.apply` can state it.
-
-    Args:
-        calibration: The calibration.
-        found: Its identification.
-        held_out: Rows that took no part in the fit; what the calibration misses them by is one reach's scatter.
-    """
-    errors = held_out_errors(calibration, held_out)
-    known = pose_uncertainty(found, errors)
-    spare = np.isfinite(known.covariance).all()  # without spare equations there is none
-    record = {**calibration.record, "uncertainty": known.as_record() if spare else None}
-    return replace(calibration, record=record)
 
 
 def held_out_errors(calibration: Calibration, data: Measurements) -> Array:

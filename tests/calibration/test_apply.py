@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from calibration import fit, random_joints, simulated_tracker
 from calibration.apply import apply_calibration
+from calibration.result import assess
 from calibration.targets import Targets, joints_of, read_targets
-from calibration.uncertainty import held_out_errors, with_uncertainty
+from calibration.uncertainty import held_out_errors
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, pose_error, rotation_matrix, rotation_vector
 from pickenv.errors import InputError
 
@@ -21,7 +22,7 @@ def calibration(dynamic):
     rng = np.random.default_rng(0)
     train, test = (simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (100, 200))
     found = fit(dynamic.arm, train, known_frames=True)
-    return with_uncertainty(found.calibration, found.identification, test)
+    return assess(dynamic.arm, found, train, test).calibration
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def elsewhere(dynamic):
     seen = data.position + data.rotation @ [0.03, 0.01, 0.05]
     data = replace(data, position=seen @ turn.T + [1.0, 2.0, 3.0], rotation=turn @ data.rotation @ target)
     found = fit(dynamic.arm, data)
-    return with_uncertainty(found.calibration, found.identification, data)
+    return assess(dynamic.arm, found, data, data).calibration
 
 
 def joint_targets(joints):
@@ -229,6 +230,6 @@ def test_what_the_learnt_residual_explains_is_no_uncertainty(dynamic):
     found = fit(dynamic.arm, *sets[:2], known_frames=True, residual="rbf", rng=rng)
     learnt, plain = (held_out_errors(c, sets[2]) for c in (found.calibration, found.calibration.without_residual()))
     np.testing.assert_allclose(plain - learnt, found.calibration.learnt.predict(sets[2].joints), atol=1e-15)
-    kept = with_uncertainty(found.calibration, found.identification, sets[2]).record["uncertainty"]
+    kept = assess(dynamic.arm, found, sets[0], sets[2]).calibration.record["uncertainty"]
     assert kept["position_repeat_m"] == pytest.approx(np.sqrt(np.mean(learnt[:, :3] ** 2)))
     assert kept["position_repeat_m"] < 0.6 * np.sqrt(np.mean(plain[:, :3] ** 2))

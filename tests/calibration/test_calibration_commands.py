@@ -8,11 +8,11 @@ import typer
 from typer.testing import CliRunner
 
 from calibration import BpnnSettings, fit, random_joints, simulated_tracker
-from calibration.uncertainty import with_uncertainty
+from calibration.result import assess
 from pickenv.arm import load_arm
 from pickenv.commands import calibrations
 from pickenv.errors import InputError
-from pickenv.inspect.calibration_report import gather, write_calibration_report
+from pickenv.inspect.calibration_report import write_calibration_report
 
 app = typer.Typer()
 app.command("plan-poses")(calibrations.plan_poses)
@@ -34,10 +34,11 @@ def folder(dynamic, tmp_path_factory):
     folder, rng = tmp_path_factory.mktemp("run"), np.random.default_rng(0)
     sets = [simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (60, 64, 30)]
     found = fit(dynamic.arm, *sets[:2], known_frames=True, rng=rng, settings=BpnnSettings(epochs=5))
-    with_uncertainty(found.calibration, found.identification, sets[2]).save(folder / "arm.npz")
+    result = assess(dynamic.arm, found, sets[0], sets[2])
+    result.calibration.save(folder / "arm.npz")
     sets[2].write_csv(folder / "targets.csv")
     page = folder / "report.html"
-    assert write_calibration_report(page, gather(dynamic.arm, found, sets[0], sets[2]), {"seed": 0}) == page
+    assert write_calibration_report(page, result, {"seed": 0}) == page
     return folder
 
 

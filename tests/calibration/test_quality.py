@@ -11,7 +11,8 @@ from calibration.coverage import pose_coverage
 from calibration.error_model import residual
 from calibration.identifiability import Dropped, Identifiability
 from calibration.quality import axis_errors, base_combinations, completeness, correlated_pairs, judge_quality
-from calibration.uncertainty import held_out_errors, pose_uncertainty, uncertainty_from, with_uncertainty
+from calibration.result import assess
+from calibration.uncertainty import held_out_errors, pose_uncertainty, uncertainty_from
 from pickenv.arm import displace_pose, forward, parameter_jacobian, pose_error
 
 
@@ -132,20 +133,26 @@ def test_verdicts(calibrated):
     trained = residual(found.calibration.identified, train)
     before, after = (residual(g, test) for g in (found.calibration.nominal, found.calibration.identified))
     good = judge_quality(found.identification, trained, before, after)
-    assert good.grade == "good" and good.report().startswith("verdict: GOOD")
+    assert good.grade == "good" and good.verdict().startswith("good: on 200 held-out rows the error falls from")
     assert good.calibrated[2].rmse < good.nominal[2].rmse
     worse = judge_quality(found.identification, trained, after, before)
-    assert worse.grade == "do not use" and worse.findings[0].weight == "fail" and "no better" in worse.findings[0].text
+    assert worse.grade == "do not use" and worse.findings[0].weight == "fail" and "no better" in worse.reason
+    assert worse.findings[0] not in worse.others
+    few = judge_quality(found.identification, trained, before[:2], after[:2])
+    assert few.grade == "do not use" and "only 2 rows were held out" in few.reason
+    noisy = np.random.default_rng(0).normal(size=(2, 30, 6)) * 20e-3
+    chance = judge_quality(found.identification, trained, noisy[0], 0.99 * noisy[1])
+    assert chance.grade == "do not use" and ("cannot be told from" in chance.reason or "no better" in chance.reason)
     unsettled = judge_quality(replace(found.identification, converged=False), trained, before, after)
     assert unsettled.grade == "do not use"
     flattered = judge_quality(found.identification, trained / 3, before, after)
-    assert flattered.grade == "usable with care" and "held-out errors" in flattered.findings[0].text
+    assert flattered.grade == "with care" and "held-out errors" in flattered.findings[0].text
     held = train.joints.copy()
     held[:, 5] = 0.0
     hidden = pose_coverage(
         complete_model(found.calibration.nominal), found.calibration.nominal, replace(train, joints=held)
     )
-    assert judge_quality(found.identification, trained, before, after, hidden).grade == "usable with care"
+    assert judge_quality(found.identification, trained, before, after, hidden).grade == "with care"
 
 
 def test_predicted_uncertainty_is_what_repeated_calibration_shows(qiao, noisy, table_1):
@@ -163,8 +170,8 @@ def test_predicted_uncertainty_is_what_repeated_calibration_shows(qiao, noisy, t
     np.testing.assert_allclose(seen, np.sqrt(np.mean(np.diagonal(predicted, axis1=1, axis2=2), axis=0)), rtol=0.12)
 
 
-def test_uncertainty_adds_what_one_reach_scatters_by_and_survives_the_file(calibrated, tmp_path):
-    found, _, test = calibrated
+def test_uncertainty_adds_what_one_reach_scatters_by_and_survives_the_file(calibrated, dynamic, tmp_path):
+    found, train, test = calibrated
     sure = pose_uncertainty(found.identification, held_out_errors(found.calibration, test))
     joints = test.joints[:7].reshape(7, 1, 6)
     covariance = sure.pose_covariance(found.calibration.model, joints)
@@ -173,7 +180,7 @@ def test_uncertainty_adds_what_one_reach_scatters_by_and_survives_the_file(calib
     assert (position > np.sqrt(3) * sure.position_repeat).all() and (attitude > np.sqrt(3) * sure.attitude_repeat).all()
     bare = replace(sure, position_repeat=0.0, attitude_repeat=0.0).standard(found.calibration.model, joints)[0]
     np.testing.assert_allclose(position**2, bare**2 + 3 * sure.position_repeat**2)
-    saved = with_uncertainty(found.calibration, found.identification, test)
+    saved = assess(dynamic.arm, found, train, test).calibration
     again = type(saved).load(saved.save(tmp_path / "c")).record
     kept = uncertainty_from(again)
     np.testing.assert_array_equal(kept.covariance, sure.covariance)

@@ -8,21 +8,28 @@ import numpy as np
 import pytest
 
 from calibration import fit, random_joints, simulated_tracker
-from calibration.metrics import error_statistics
+from calibration.gate import GateReport, Verdict
+from calibration.least_squares import is_angle
+from calibration.result import assess, figure, unit_of
 from pickenv.arm import load_plant
 from pickenv.errors import InputError
-from pickenv.inspect.calibration_report import calibration_page, gather, write_calibration_report
-from pickenv.inspect.report_words import parameter_words, unit_of
+from pickenv.inspect.calibration_report import calibration_page, write_calibration_report
+from pickenv.inspect.report_words import parameter_words
 from pickenv.inspect.svg_plots import bar, cumulative, heat_map, strips, ticks
 
 VOID = {"meta", "br", "line", "rect", "path", "polyline"}
-GATE = {
-    "models": {
-        "gp": {"accepted": True, "reason": "cuts the blocked RMS by 60%", "random_rms_mm": 0.2, "blocked_rms_mm": 0.25},
-        "trees": {"accepted": False, "reason": "no gain: raises <it>", "random_rms_mm": None, "blocked_rms_mm": 0.7},
-    },
-    "selected": "gp",
-}
+
+
+def verdict(model, accepted, blocked, reason):
+    return Verdict(model, 2e-4, blocked, 6e-4, 7e-4, None, None, None, None, accepted, reason)
+
+
+GATE = GateReport(
+    (verdict("gp", True, 2.5e-4, "cuts the blocked RMS by 60%"), verdict("trees", False, 7e-4, "no gain: raises <it>")),
+    "gp",
+    2.5e-4,
+    (),
+)
 
 
 class Page(HTMLParser):
@@ -68,7 +75,7 @@ def sets(plant):
 @pytest.fixture(scope="module")
 def evidence(plant, sets):
     train = replace(sets[0], source="folder/<b>tracker & co.csv")
-    return gather(plant.arm, fit(plant.arm, train), train, sets[1], GATE)
+    return assess(plant.arm, fit(plant.arm, train), train, sets[1], gate=GATE)
 
 
 @pytest.fixture(scope="module")
@@ -86,10 +93,10 @@ def test_it_is_whole_and_needs_nothing_from_outside(page):
 
 def test_the_verdict_comes_first_and_in_words(page, evidence):
     text = Page(page).text
-    mean = error_statistics(np.linalg.norm(evidence.after[:, :3], axis=1) * 1e3).mean
-    assert text.index("Good: the calibration can be used") < text.index("Errors on held-out poses")
-    assert f"the tool stood {mean:.3f} mm" in text and "40 measured poses that the fit never saw" in text
-    assert "times the stated noise" in text
+    mean = evidence.best.mean
+    assert text.index("Good: the calibration can be used") < text.index("Errors on held-out rows")
+    assert f"the tool stood {figure(mean)} mm" in text and "40 measured poses that the fit never saw" in text
+    assert "times the noise of 0.015 mm that is stated or assumed" in text
 
 
 def test_text_from_files_is_no_markup(page):
@@ -98,45 +105,48 @@ def test_text_from_files_is_no_markup(page):
 
 def test_every_parameter_is_there_with_its_uncertainty_or_what_absorbs_it(page, evidence):
     text, found = Page(page).text, evidence.fit.identification
+    shown, lost = text.split("What moved")[1].split("Parameters lost in others")
     for k in found.identifiability.kept:
         name = found.identifiability.names[k]
-        unit, scale = unit_of(name, found.geometry.parameter_names)
-        if abs(found.delta[k] * scale) >= 1e-3 and found.standard_deviation[k] * scale >= 1e-3:
-            assert f"{found.delta[k] * scale:.4f} ± {found.standard_deviation[k] * scale:.4f} {unit}" in text
+        angle = is_angle(name)
+        scale, unit = (np.degrees(1.0), "deg") if angle else (1e3, "mm")
+        change, std = found.delta[k] * scale, found.standard_deviation[k] * scale
+        if name.startswith(("base_", "tool_")) or std < (np.degrees(1e-3) if angle else 1.0):
+            assert f"{figure(change)} ± {figure(std)} {unit}" in shown
+        else:
+            assert f"{name} known to ± {figure(std)} {unit} only" in lost
     for item in found.identifiability.dropped:
-        assert f"{item.name} (" in text.split("Parameters left at their nominal value")[1]
+        assert f"{item.name} absorbed by" in lost
     assert "a1 + a2 + a3" in text
 
 
 def test_axes_gate_poses_and_origin_are_there(page, evidence):
     text = Page(page).text
     for axis, row in zip(("x", "y", "z"), evidence.quality.calibrated, strict=False):
-        assert f"{axis} (mm)" in text and f"{row.rmse:.4f}" in text
-    assert "The residual model “gp” is used." in text and "left off: no gain" in text and "0.2500" in text
-    assert "The poses tell all 24 parameters" in text
-    assert f"{evidence.quality.observability.condition:.1f}" in text
+        assert f"{axis} (mm)" in text and figure(row.rmse) in text
+    assert "'gp' is used" in text and "no gain: raises" in text and "0.2500" in text
+    assert "The poses tell all 24 parameters" in text and "the poses tell all 24 parameters" in text
+    assert figure(evidence.quality.observability.condition) in text
     record = evidence.fit.calibration.record
     assert record["data_fingerprint"] in text and "seed 7" in text and record["versions"]["numpy"] in text
 
 
 def test_positions_only_and_a_residual_have_their_page(plant, sets, tmp_path):
     positions = [data.positions_only() for data in sets]
-    first = gather(plant.arm, fit(plant.arm, positions[0]), *positions)
+    first = assess(plant.arm, fit(plant.arm, positions[0]), *positions)
     text = Page(write_calibration_report(tmp_path / "p.html", first).read_text(encoding="utf-8")).text
     assert "rx (deg)" not in text and "attitude error" not in text and "Learnt residual models" not in text
     rng = np.random.default_rng(1)
     more = simulated_tracker(plant, random_joints(plant.arm.nominal, 150, rng), rng)
-    learnt = gather(plant.arm, fit(plant.arm, sets[0], more, residual="rbf", rng=rng), *sets)
+    learnt = assess(plant.arm, fit(plant.arm, sets[0], more, residual="rbf", rng=rng), *sets)
     text = Page(calibration_page(learnt)).text
-    assert "with learnt residual" in text and "with residual" in text
-    final = error_statistics(np.linalg.norm(learnt.best[:, :3], axis=1) * 1e3).mean
-    assert final < 0.6 * error_statistics(np.linalg.norm(learnt.after[:, :3], axis=1) * 1e3).mean
-    assert f"the tool stood {final:.3f} mm" in text
+    assert "geometry+rbf" in text
+    assert learnt.best.mean < 0.6 * learnt.position["geometric"].mean
+    assert f"the tool stood {figure(learnt.best.mean)} mm" in text
 
 
 def test_a_bad_calibration_says_do_not_use(evidence):
-    swapped = gather(evidence.arm, evidence.fit, evidence.train, evidence.test)
-    worse = replace(swapped, quality=replace(swapped.quality, grade="do not use"))
+    worse = replace(evidence, quality=replace(evidence.quality, grade="do not use"))
     assert 'class="verdict bad"' in calibration_page(worse) and "Do not use" in calibration_page(worse)
 
 
@@ -147,12 +157,12 @@ def test_held_joints_make_the_page_name_what_to_move(plant):
     data = simulated_tracker(plant, joints, rng)
     page = Page(
         calibration_page(
-            gather(
+            assess(
                 plant.arm, fit(plant.arm, data.select(range(70))), data.select(range(70)), data.select(range(70, 100))
             )
         )
     )
-    assert "Usable with care" in page.text and "move J6 twist" in page.text
+    assert "With care" in page.text and "move J6 twist" in page.text
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import pytest
 import pickenv  # noqa: F401  (registers the environments)
 from agents import Reaches, ScriptedReach, episode_seeds, run_reaches
 from calibration import BpnnSettings, Calibration, Fit, Measurements, fit, random_joints, simulated_tracker
-from calibration.uncertainty import with_uncertainty
+from calibration.result import assess
 from pickenv.arm import Plant, forward, load_arm, load_plant
 from pickenv.errors import InputError
 from pickenv.inspect.inspections import inspect_calibration, inspect_evaluation
@@ -47,7 +47,7 @@ def fitted(plant: Plant, poses: tuple[Measurements, Measurements]) -> Fit:
 
 @pytest.fixture(scope="module")
 def calibration(fitted: Fit, poses: tuple[Measurements, Measurements]) -> Calibration:
-    return with_uncertainty(fitted.calibration, fitted.identification, poses[1])
+    return assess(plant.arm, fitted, *poses).calibration
 
 
 def arrows(reading: Any, key: str) -> np.ndarray:
