@@ -101,10 +101,10 @@ def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
                 f"{where}: joint {i + 1} has type {shortened(repr(kind))}; give 'R' (revolute) or 'P' (prismatic)"
             )
     prismatic = tuple(kind == "P" for kind in types)
-    for i, (joint, slides) in enumerate(zip(joints, prismatic, strict=True)):
-        refuse_unknown(joint, _joint_keys(slides, "follows" in joint), where, f"joint {i + 1} ({types[i]})")
     leaders = [i for i, joint in enumerate(joints) if "follows" not in joint]
     coupling = _coupling(joints, prismatic, leaders, where)
+    for i, (joint, slides) in enumerate(zip(joints, prismatic, strict=True)):
+        refuse_unknown(joint, _joint_keys(slides, "follows" in joint), where, f"joint {i + 1} ({types[i]})")
     limits = {key: _per_leader(joints, prismatic, leaders, key, where) for key in ("lower", "upper")}
     if np.any(limits["lower"] >= limits["upper"]):
         worst = leaders[int(np.argmax(limits["lower"] >= limits["upper"]))]

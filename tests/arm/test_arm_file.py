@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from pickenv.arm import load_arm, shipped_arms
+from pickenv.arm import load_arm, load_plant, shipped_arms
 from pickenv.arm.arm_file import ARMS
 from pickenv.errors import InputError
 
@@ -114,6 +114,24 @@ MISTAKES = {
         "joint_count = 6\ntool = { position_mm = [0, inf, 0] }",
         ["position_mm[1]", "[tool]"],
     ),
+    "a link of a thousand kilometres": ("a_mm = 138.0", "a_mm = 1e12", ["a_mm of joint 2 is 1e+12", "100000"]),
+    "a speed of light": ("speed_deg_per_s = 180.0", "speed_deg_per_s = 1e9", ["speed_deg_per_s of joint 6", "36000"]),
+    "a name that is a list": ('name = "qiao2026"', 'name = ["a"]', ["name is ['a']", "text of one line"]),
+    "a name of two lines": ('name = "qiao2026"', 'name = "a\\nb"', ["name is 'a\\nb'", "text of one line"]),
+    "a joint's name that is a number": ('number = 2\nname = "', 'number = 2\nname = 3 # "', ["name is 3"]),
+    "400 digits": ("a_mm = 138.0", f"a_mm = {'7' * 400}", ["a_mm is an integer of more than 64 bits"]),
+    "5000 digits": ("a_mm = 138.0", f"a_mm = {'7' * 5000}", ["not valid TOML", "digits"]),
+    "a date that is none": ("a_mm = 138.0", "a_mm = 2024-13-45", ["not valid TOML"]),
+    "a date": ("a_mm = 138.0", "a_mm = 2024-12-24", ["a_mm of joint 2 is datetime.date(2024, 12, 24)"]),
+    "depth": ("joint_count = 6", f"joint_count = {'[' * 5000}{']' * 5000}", ["nested too deeply"]),
+    "a joint that follows none": ('type = "P"', 'type = "P"\nfollows = 9', ["joint 2 follows 9"]),
+    "a joint that follows itself": ('type = "P"', 'type = "P"\nfollows = 2', ["joint 2 follows 2"]),
+    "a joint that follows and has limits": (
+        'type = "P"',
+        'type = "P"\nfollows = 1',
+        ["unknown key 'lower_mm'", "follows"],
+    ),
+    "a ratio of zero": ('type = "P"', 'type = "P"\nratio = 0', ["ratio of joint 2 is 0"]),
     "no TOML": ("joint_count = 6", "joint_count = = 6", ["not valid TOML"]),
 }
 
@@ -127,6 +145,37 @@ def test_a_mistake_is_named_with_file_and_joint_or_key(write, old, new, named):
     assert "\n" not in message
     for word in (str(path), *named):
         assert word in message
+
+
+def test_a_byte_order_mark_is_left_out(write, qiao):
+    path = write("joint_count = 6", "joint_count = 6")
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert load_arm(path).fingerprint() == qiao.fingerprint()
+
+
+@pytest.mark.parametrize(
+    "name", ["x" * 300, "x" * 300 + ".toml", "x" * 300 + ".urdf", "a\0b.toml", "a\0b.urdf", "/tmp.urdf"]
+)
+def test_a_name_that_no_file_can_have_is_refused(name):
+    with pytest.raises(InputError) as caught:
+        load_arm(name)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 600
+
+
+def test_a_plant_of_a_coupled_arm_is_refused(write, tmp_path):
+    lines = SHIPPED.split("[[joints]]")
+    lines[3] = (
+        "\n".join(line for line in lines[3].splitlines() if not line.startswith(("lower", "upper", "speed")))
+        + "\nfollows = 2\nratio = 0.5\n\n"
+    )
+    (tmp_path / "coupled.toml").write_text("[[joints]]".join(lines), encoding="utf-8")
+    arm = load_arm(tmp_path / "coupled.toml")
+    assert arm.nominal.joints == 5 and arm.nominal.coupling.joint == (0, 1, 1, 2, 3, 4)
+    assert arm.true.coupling == arm.nominal.coupling
+    plant = tmp_path / "plant.toml"
+    plant.write_text(f'arm = "{tmp_path / "coupled.toml"}"\n')
+    with pytest.raises(InputError, match="moves several links"):
+        load_plant(plant)
 
 
 def test_no_joints_at_all(tmp_path):

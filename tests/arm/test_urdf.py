@@ -1,5 +1,6 @@
 """URDF and joint axes: any serial chain in, the same kinematics out, refereed by MuJoCo's own reader."""
 
+import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
@@ -156,6 +157,62 @@ BAD = {
     "a limit in words": (FOREIGN.replace('lower="-0.1"', 'lower="low"'), r"the lower limit of joint 'lift' is 'low'"),
     "an axis of length zero": (FOREIGN.replace("0.6 0 0.8", "0 0 0"), r"'roll' has an axis without direction"),
     "no moving joint": (FOREIGN, r"has no moving joint"),
+    "a link that stands on itself": (
+        FOREIGN.replace('<parent link="l3"/>', '<parent link="l4"/>'),
+        r"joint 'roll' closes a loop: link 'l4' stands on itself",
+    ),
+    "a root that stands on the tip": (
+        FOREIGN.replace("</robot>", '<joint name="back"><parent link="flange"/><child link="floor"/></joint></robot>'),
+        r"joint '\w+' closes a loop: link '\w+' stands on itself",
+    ),
+    "a loop elsewhere in the file": (
+        FOREIGN.replace("</robot>", '<joint name="knot"><parent link="x"/><child link="x"/></joint></robot>'),
+        r"joint 'knot' closes a loop",
+    ),
+    "a link with two joints before it": (
+        FOREIGN.replace("</robot>", '<joint name="again"><parent link="l1"/><child link="l3"/></joint></robot>'),
+        r"link 'l3' is the child of joints 'swing' and 'again'",
+    ),
+    "a joint twice": (FOREIGN.replace('name="swing"', 'name="lift"'), r"joint 'lift' is given twice"),
+    "limits swapped": (
+        FOREIGN.replace('lower="-0.1" upper="0.4"', 'lower="0.4" upper="-0.1"'),
+        r"'lift' has a lower limit of 0.4 m, not below its upper limit of -0.1 m",
+    ),
+    "equal limits": (
+        FOREIGN.replace('lower="-2" upper="2"', 'lower="2" upper="2"'),
+        r"'swing' has a lower limit of 2 rad",
+    ),
+    "limits left out": (FOREIGN.replace('lower="-2" upper="2"', ""), r"'swing' has a lower limit of 0 rad"),
+    "a slide without limits": (
+        re.sub('<limit lower="-0.1"[^>]*/>', "", FOREIGN),
+        r"prismatic joint 'lift' has no <limit>; give lower and upper in m",
+    ),
+    "a turn without limits": (
+        re.sub('<limit lower="-2"[^>]*/>', "", FOREIGN),
+        r"revolute joint 'swing' has no <limit>",
+    ),
+    "no speed": (
+        FOREIGN.replace('velocity="0.2"', 'velocity="0"'),
+        r"velocity limit of joint 'lift' is 0; .* above zero",
+    ),
+    "a speed backwards": (FOREIGN.replace('velocity="0.2"', 'velocity="-1"'), r"velocity limit of joint 'lift' is -1"),
+    "a slide of a thousand kilometres": (
+        FOREIGN.replace('upper="0.4"', 'upper="1e6"'),
+        r"no arm has more than 100 there",
+    ),
+    "a link of a thousand kilometres": (FOREIGN.replace("0.05 0.4 0", "0.05 1e6 0"), r"has a number above 100"),
+    "foreign digits": (FOREIGN.replace("0.05 0.4 0", "0.05 \u0664 0"), r"is not three numbers"),
+    "an unknown encoding": (
+        FOREIGN.replace('"1.0"', '"1.0" encoding="foo"'),
+        r"is not valid XML: unknown encoding: foo",
+    ),
+    "another encoding": (
+        FOREIGN.replace('"1.0"', '"1.0" encoding="latin-1"').replace("foreign", "größe"),
+        r"its encoding is 'latin-1', but it is UTF-8",
+    ),
+    "entities": (FOREIGN.replace("<robot", '<!DOCTYPE r [<!ENTITY a "b">]><robot', 1), r"declares XML entities"),
+    "depth": ("<a>" * 200_000, r"is not valid XML"),
+    "an empty file": ("", r"is not valid XML"),
 }
 
 
@@ -164,11 +221,30 @@ def test_unusable_files_get_one_sentence(tmp_path, case):
     text, said = BAD[case]
     path = tmp_path / "arm.urdf"
     if text is not None:
-        path.write_text(text)
+        path.write_text(text, encoding="utf-8")
     tip = {"no such link": "nowhere", "no moving joint": "camera"}.get(case, "flange")
     with pytest.raises(InputError, match=said) as caught:
         load_arm(f"{path}#{tip}")
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+def test_a_chain_of_ten_thousand_fixed_joints_is_read(tmp_path):
+    """Depths are counted once each, so that a long chain is no trap."""
+    count = 10_000
+    parts = [
+        f'<joint name="f{i}" type="fixed"><parent link="x{i}"/><child link="x{i + 1}"/></joint>' for i in range(count)
+    ]
+    path = tmp_path / "long.urdf"
+    path.write_text(FOREIGN.replace("</robot>", "".join(parts) + "</robot>").replace('"flange"', '"x0"'))
+    assert load_arm(path).source.endswith(f"tip x{count}")
+
+
+def test_control_characters_in_names_are_left_out_of_what_is_written(tmp_path, general_chain):
+    """XML cannot hold them, and we would refuse to read the file."""
+    odd = replace(general_chain, joint_names=("a\x00b", "c\n\x1bd", *general_chain.joint_names[2:]))
+    back = load_urdf(write_urdf(odd, tmp_path / "arm.urdf", "arm\x07")).nominal
+    assert back.joint_names == ("a b", "c  d", *general_chain.joint_names[2:])
+    same(odd, back)
 
 
 @pytest.mark.parametrize("name", ["qiao2026", "ur5"])
