@@ -19,6 +19,7 @@ from calibration.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
 from calibration.table import expression_tree
 from pickenv.arm import Geometry
 from pickenv.arm.arm_file import TO_SI
+from pickenv.arm.plausible import largest
 from pickenv.errors import InputError
 from pickenv.texts import is_file, read_toml, shortened
 
@@ -297,8 +298,8 @@ def _strings(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
 
 def _uncertainty(table: Mapping[str, Any], key: str, where: str) -> float:
     value = table[key]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
-        raise InputError(f"{where}: {key} is {shortened(repr(value))}; give a standard uncertainty above zero")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= largest(key):
+        raise InputError(f"{where}: {key} is {shortened(repr(value))}; give one above zero, up to {largest(key):g}")
     return float(value)
 
 

@@ -241,10 +241,10 @@ def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[li
         InputError: If a cell is too long or a quote is not closed; names the line.
     """
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
-    rows, lines, before = [], [], 0
+    rows, lines, before, unclosed = [], [], 0, text.count('"') % 2 == 1
     try:
         for row in reader:
-            if any("\n" in cell for cell in row) and text.count('"') % 2:
+            if unclosed and any("\n" in cell for cell in row):
                 raise InputError(f"{path}: line {before + 1} opens a quote that is never closed; close or remove it")
             if any(cell.strip() for cell in row):
                 rows.append(row)
@@ -266,8 +266,8 @@ def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, d
     comma = other != "," and decimal == "." and any(re.search(r"\d,\d", ",".join(row)) for row in rows[1:])
     keys = f"separator = {json.dumps(other)}" + (' and decimal = ","' if comma else "")
     raise InputError(
-        f"{path} is separated by {SEPARATORS[other]}, not by {SEPARATORS.get(separator, repr(separator))}; if it holds "
-        f"measurements, give --columns a description with {keys}, else put the other between its columns"
+        f"{path} is separated by {SEPARATORS[other]}, not by {SEPARATORS.get(separator, repr(separator))}; separate its "
+        f"columns so, or, if it holds measurements, give --columns a description with {keys}"
     )
 
 

@@ -42,18 +42,20 @@ def read_text(path: str | Path, kind: str) -> str:
     Raises:
         InputError: If it is missing, a folder or a device, too large, or no UTF-8 text; names what it is.
     """
+    what, data = "file", b""
     try:
         mode = Path(path).stat().st_mode
-        if stat.S_ISDIR(mode):
-            raise InputError(f"{_name(path)} is a folder; give a path to {kind}")
-        if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
-            raise InputError(f"{_name(path)} is a device, not a file; give a path to {kind}")
-        with Path(path).open("rb") as file:
-            data = file.read(LARGEST + 1)
+        if stat.S_ISREG(mode) or stat.S_ISFIFO(mode):
+            with Path(path).open("rb") as file:
+                data = file.read(LARGEST + 1)
+        else:
+            what = "a folder" if stat.S_ISDIR(mode) else "a device"
     except FileNotFoundError as error:
         raise InputError(f"{_name(path)} does not exist; give a path to {kind}") from error
     except (OSError, ValueError) as error:  # a path of 300 characters, or with a zero byte in it
         raise InputError(f"cannot read {_name(path)}: {_reason(error)}; give a path to {kind}") from error
+    if what != "file":
+        raise InputError(f"{_name(path)} is {what}, not a file; give a path to {kind}")
     if len(data) > LARGEST:
         raise InputError(f"{path} holds more than {LARGEST >> 20} MiB; give a path to {kind}")
     return _decoded(data, path, kind)

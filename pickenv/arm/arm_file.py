@@ -105,11 +105,11 @@ def parse_arm(content: Mapping[str, Any], where: str) -> Arm:
     coupling = _coupling(joints, prismatic, leaders, where)
     for i, (joint, slides) in enumerate(zip(joints, prismatic, strict=True)):
         refuse_unknown(joint, _joint_keys(slides, "follows" in joint), where, f"joint {i + 1} ({types[i]})")
-    limits = {key: _per_leader(joints, prismatic, leaders, key, where) for key in ("lower", "upper")}
+    limits: dict[str, Any] = {key: _per_leader(joints, prismatic, leaders, key, where) for key in ("lower", "upper")}
     if np.any(limits["lower"] >= limits["upper"]):
         worst = leaders[int(np.argmax(limits["lower"] >= limits["upper"]))]
         raise InputError(f"{where}: joint {worst + 1} has a lower limit that is not below its upper limit")
-    table = {key: _column(joints, key, where) for key in ("alpha", "a", "theta", "d")}
+    table: dict[str, Any] = {key: _column(joints, key, where) for key in ("alpha", "a", "theta", "d")}
     beta = _column([{"beta_deg": 0.0, **joint} for joint in joints], "beta", where)
     base, tool = _pose(content, "base", where), _pose(content, "tool", where)
     convention = content.get("convention", "modified")

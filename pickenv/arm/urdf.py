@@ -190,7 +190,7 @@ def _driver(joint: Element, named: Mapping[str, Element], path: Path) -> tuple[E
     ratio, offset, passed = 1.0, 0.0, joint
     seen = {joint.get("name")}
     while (mimic := passed.find("mimic")) is not None:
-        followed = mimic.get("joint")
+        followed = mimic.get("joint", "")
         if followed in seen:
             raise InputError(f"{path}: joint {_name(joint)} mimics itself; name the joint that is driven")
         seen.add(followed)
@@ -400,8 +400,8 @@ def _moving(
     """A joint that moves about or along z, with its limits and speed."""
     joint = _joint(robot, name, "prismatic" if slides else "revolute", parent, child, origin)
     ElementTree.SubElement(joint, "axis", xyz="0 0 1")
-    numbers = dict(zip(("lower", "upper", "velocity"), (repr(float(value)) for value in limits), strict=True))
-    ElementTree.SubElement(joint, "limit", **numbers, effort="0")
+    lower, upper, velocity = (repr(float(value)) for value in limits)
+    ElementTree.SubElement(joint, "limit", lower=lower, upper=upper, velocity=velocity, effort="0")
     return joint
 
 

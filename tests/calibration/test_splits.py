@@ -46,6 +46,14 @@ def test_a_split_that_leaves_nothing_is_refused(test_rows: int) -> None:
         blocked_split(10, test_rows)
 
 
+@pytest.mark.parametrize("rows", [0, 1])
+def test_one_row_is_said_to_be_one_row(rows: int) -> None:
+    with pytest.raises(InputError, match=f"there is {rows} row, and none can be both trained on and held out"):
+        random_split(rows, 1, np.random.default_rng(0))
+    with pytest.raises(InputError, match="measure more poses"):
+        blocked_split(rows)
+
+
 def test_blocks_that_would_meet_are_refused() -> None:
     with pytest.raises(InputError, match="two separate blocks"):
         blocked_split(100, 95)
