@@ -266,8 +266,8 @@ def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, d
     comma = other != "," and decimal == "." and any(re.search(r"\d,\d", ",".join(row)) for row in rows[1:])
     keys = f"separator = {json.dumps(other)}" + (' and decimal = ","' if comma else "")
     raise InputError(
-        f"{path} is separated by {SEPARATORS[other]}, not by {SEPARATORS.get(separator, repr(separator))}; separate its "
-        f"columns so, or, if it holds measurements, give --columns a description with {keys}"
+        f"{path} is separated by {SEPARATORS[other]}, not by {SEPARATORS.get(separator, repr(separator))}; separate "
+        f"its columns so, or, if it holds measurements, give --columns a description with {keys}"
     )
 
 
