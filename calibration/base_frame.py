@@ -21,6 +21,10 @@ from pickenv.arm.geometry import Array
 DRAWS = 400
 """Bases and tools drawn."""
 
+SCALES = (0.2, 1.0)
+"""How far base and tool may lie from where the controller has them, one standard deviation per axis, in units of 1 mm
+and 1 mrad: nobody knows it better, so every size between counts alike (on a logarithmic scale)."""
+
 NEAR = 0.05
 """A fitted base and tool that move the tool by less than this, m, suggest an instrument registered to the base."""
 
@@ -44,8 +48,8 @@ class BaseFrameError:
         """For JSON and a calibration's record."""
         return {
             "mean_ci95_mm": [self.low * 1e3, self.high * 1e3],
-            "assumed_std_mm": LENGTH_TOLERANCE * 1e3,
-            "assumed_std_mrad": ANGLE_TOLERANCE * 1e3,
+            "assumed_std_mm": [scale * LENGTH_TOLERANCE * 1e3 for scale in SCALES],
+            "assumed_std_mrad": [scale * ANGLE_TOLERANCE * 1e3 for scale in SCALES],
             "frames_moved_mm": self.moved * 1e3,
         }
 
@@ -54,8 +58,8 @@ class BaseFrameError:
         text = (
             "base and tool were fitted, so the instrument cannot tell where the robot's base stands; in the robot's "
             f"own base frame the mean error is {self.low * 1e3:#.3g} to {self.high * 1e3:#.3g} mm (95 % interval, if "
-            f"base and tool lie within {LENGTH_TOLERANCE * 1e3:.0f} mm and {ANGLE_TOLERANCE * 1e3:.0f} mrad, one "
-            "standard deviation per axis, of where the controller has them)"
+            f"base and tool lie {SCALES[0]:g} to {SCALES[1]:g} mm and mrad, one standard deviation per axis, from "
+            "where the controller has them)"
         )
         if self.moved < NEAR:
             text += (
@@ -77,7 +81,9 @@ def base_frame_error(nominal: Geometry, fitted: Geometry, joints: ArrayLike, lef
     joints = np.asarray(joints, dtype=float)
     model = frames_model(nominal)
     jacobian = parameter_jacobian(nominal, joints)[:, :3][..., model.columns]
-    draws = np.random.default_rng(0).normal(size=(DRAWS, len(model.columns))) * model.tolerance
+    rng = np.random.default_rng(0)
+    sizes = np.exp(rng.uniform(*np.log(SCALES), (DRAWS, 1)))
+    draws = sizes * rng.normal(size=(DRAWS, len(model.columns))) * model.tolerance
     missed = np.einsum("nip,dp->dni", jacobian, draws) + left[:, :3]
     low, high = np.percentile(np.linalg.norm(missed, axis=2).mean(axis=1), [2.5, 97.5])
     moved = np.linalg.norm(forward(nominal, joints).position - forward(fitted, joints).position, axis=1).mean()

@@ -32,7 +32,7 @@ from calibration.observations import (
     SocketObservations,
 )
 from calibration.origins import Origins
-from calibration.table import Table, read_table
+from calibration.table import Table, read_table, refuse_repeated
 from pickenv.arm import Geometry
 from pickenv.arm.arm_file import TO_SI
 from pickenv.arm.geometry import Array
@@ -124,6 +124,7 @@ def read_observations(paths: Sequence[str | Path], geometry: Geometry, columns: 
     """
     if not paths:
         raise InputError("no measurement file was given; give at least one")
+    refuse_repeated(paths)
     description = None if columns is None else load_description(columns)
     tables = []
     for path in paths:
