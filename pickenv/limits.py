@@ -32,8 +32,9 @@ LIMITS: Mapping[str, tuple[float, float, str]] = {
     "episodes": (1, 100_000, MEMORY),
     "epochs": (1, 100_000, COST),
     "population": (1, 1_000_000, MEMORY),
-    "power of two": (0, 20, MEMORY),
-    "seed": (0, 2**32 - 1, "random generators take 32 bits"),
+    "samples": (0, 2**20, COST),
+    "seed": (0, 2**128, "random numbers come from 128 bits"),
+    "seed of training": (0, 2**32 - 1, "stable-baselines3 takes 32 bits"),
 }
 """Least, most, and why no more, of each quantity; the name ends with the unit where there is one."""
 
@@ -52,5 +53,13 @@ def check_limit(name: str, value: Any, quantity: str) -> None:
     least, most, why = LIMITS[quantity]
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if not number or not least <= value <= most:
-        given = repr(value) if len(repr(value)) <= 40 else f"{repr(value)[:40]}…"
-        raise InputError(f"{name} is {given}; give {least:,.12g} to {most:,.12g}: {why}".replace(",", " "))
+        limits = f"{least:_.12g} to {most:_.12g}".replace("_", " ")
+        raise InputError(f"{name} is {shown(value)}; give {limits}: {why}")
+
+
+def shown(value: Any) -> str:
+    """What was given, as far as a sentence can hold it."""
+    if isinstance(value, int) and abs(value) >= 10**40:
+        return "a number of more than 40 digits"
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:60]}…"

@@ -24,7 +24,7 @@ from pickenv.arm.plant import Plant
 from pickenv.arm.tolerances import draw_plants, load_tolerances
 from pickenv.envs.exact import exact_chain
 from pickenv.errors import InputError
-from pickenv.limits import check_limit
+from pickenv.limits import check_limit, shown
 
 CONTROL_PERIOD = 0.1
 """Time between two actions, s: with the arm file's joint speeds it bounds one action's increment."""
@@ -229,7 +229,7 @@ def check_number(name: str, value: float, *, positive: bool = False) -> None:
     number = isinstance(value, Real) and not isinstance(value, bool)
     if not number or not 0 <= value <= MOST_NUMBER or (positive and value == 0):
         raise InputError(
-            f"{name} is {value!r}; give a finite number {'above' if positive else 'not below'} zero, at most "
+            f"{name} is {shown(value)}; give a finite number {'above' if positive else 'not below'} zero, at most "
             f"{MOST_NUMBER:.0f}"
         )
 
@@ -261,8 +261,7 @@ def as_numbers(name: str, given: Any) -> Array:
     try:
         return np.asarray(given, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
-        shown = repr(given)
-        raise InputError(f"{name} is {shown[:60]}{'…' * (len(shown) > 60)}; give numbers") from error
+        raise InputError(f"{name} is {shown(given)}; give numbers") from error
 
 
 def lost_axes(geometry: Geometry) -> tuple[int, int] | None:

@@ -21,7 +21,7 @@ MAKERS = {
     "Harvest": HarvestEnv,
     "Harvest, vector": lambda **given: HarvestVectorEnv(2, **given),
 }
-NO_ACTIONS = ["left", None, {"joints": 1}, ["a"] * 6, [[1], [1, 2]], object(), [1j] * 6, [10**400] * 6]
+NO_ACTIONS = ["left", None, {"joints": 1}, ["a"] * 6, [[1], [1, 2]], object(), [1j] * 6, [10**5000] * 6]
 
 
 @pytest.fixture(scope="module", params=MAKERS)
@@ -32,7 +32,7 @@ def env(request):
     made.close()
 
 
-@pytest.mark.parametrize("action", NO_ACTIONS, ids=lambda action: str(action)[:20])
+@pytest.mark.parametrize("action", NO_ACTIONS, ids=lambda action: type(action).__name__)
 def test_an_action_that_is_no_numbers_is_refused(env, action):
     with pytest.raises(InputError, match=r"^(an )?action") as said:
         env.step(action)
@@ -66,14 +66,14 @@ def test_a_plant_that_is_no_name_is_refused(name, plant):
         {"tolerance_mm": "5"},
         {"tolerance_mm": None},
         {"tolerance_mm": 1e300},
-        {"tolerance_mm": 10**400},
+        {"tolerance_mm": 10**5000},
         {"camera_noise_mm": True},
         {"arms": "per_episode", "population": 10**12},
         {"arms": "per_episode", "population_seed": -1},
         {"arms": "per_episode", "population_seed": "a"},
         {"arms": "per_episode", "tolerances": 3},
     ],
-    ids=str,
+    ids=lambda given: list(given)[-1],
 )
 def test_an_impossible_argument_is_named(arguments):
     with pytest.raises(InputError, match=f"^{list(arguments)[-1]} is .*; give "):
