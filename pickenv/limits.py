@@ -59,7 +59,8 @@ def check_limit(name: str, value: Any, quantity: str) -> None:
 
 def shown(value: Any) -> str:
     """What was given, as far as a sentence can hold it."""
-    if isinstance(value, int) and abs(value) >= 10**40:
-        return "a number of more than 40 digits"
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
     return text if len(text) <= 60 else f"{text[:60]}…"
