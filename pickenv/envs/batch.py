@@ -190,7 +190,7 @@ class Batch:
         shape = (self.count, self.task.joints)
         if values.shape != shape:
             raise InputError(f"actions have shape {values.shape}; give {shape}, numbers between -1 and 1")
-        numbers = values.T.astype(np.float64, order="C")
+        numbers: Array = values.T.astype(np.float64, order="C")
         if not (numbers.max() <= MOST_ACTION and numbers.min() >= -MOST_ACTION):
             row = int(np.argmin((np.abs(numbers) <= MOST_ACTION).all(axis=0)))
             raise InputError(

@@ -226,7 +226,8 @@ def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
 
 def check_number(name: str, value: float, *, positive: bool = False) -> None:
     """Refuse what is no finite number, or negative, above `MOST_NUMBER`, or zero where it must be positive."""
-    number = isinstance(value, Real) and not isinstance(value, bool)
+    given: Any = value
+    number = isinstance(given, Real) and not isinstance(given, bool)
     if not number or not 0 <= value <= MOST_NUMBER or (positive and value == 0):
         raise InputError(
             f"{name} is {shown(value)}; give a finite number {'above' if positive else 'not below'} zero, at most "

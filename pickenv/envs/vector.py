@@ -281,7 +281,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             if arms.shape not in ((), (self.num_envs,)):
                 raise InputError(f"option arm has shape {arms.shape}; give one number, or {self.num_envs}")
             each = np.broadcast_to(arms, (self.num_envs,))[rows]
-            chosen["arm"] = np.array([self.task.given_arm(arm) for arm in each], dtype=np.intp)
+            chosen["arm"] = np.array([self.task.given_arm(arm) for arm in each.tolist()], dtype=np.intp)
         return chosen
 
     def _observations(self, out: Outcome) -> Any:
