@@ -26,6 +26,7 @@ from pickenv.arm.geometry import Array
 from pickenv.arm.tolerances import draw_plants, load_tolerances
 from pickenv.envs.task import CONTROL_PERIOD, FEEDBACK, check_choice, check_number, load_true_arm
 from pickenv.errors import InputError
+from pickenv.limits import check_limit
 from pickenv.orchard.gripper import Gripper, load_gripper
 
 NEW_ARMS = 1_000_003
@@ -106,8 +107,9 @@ class GridSettings:
             check_choice("feedback", feedback, FEEDBACK)
         for name in ("camera_noise_mm", "fruit_noise_mm", "tolerance_mm"):
             check_number(name, getattr(self, name))
-        if self.arms < 1 or self.episodes < 1:
-            raise InputError(f"there are {self.arms} arms and {self.episodes} episodes; give at least one of each")
+        check_limit("arms", self.arms, "compared arms")
+        check_limit("episodes", self.episodes, "episodes")
+        check_limit("epochs", self.protocol.epochs, "epochs")
 
 
 @dataclass(frozen=True, eq=False)

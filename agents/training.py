@@ -24,6 +24,7 @@ from pickenv.arm.content import content_sha256
 from pickenv.envs.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.files import write_text
+from pickenv.limits import check_limit
 from pickenv.locks import locked
 from pickenv.provenance import file_sha256
 
@@ -74,6 +75,7 @@ class Training:
         check_algorithm(self.algorithm)
         if self.env_id not in ENVIRONMENTS:
             raise InputError(f"unknown environment '{self.env_id}'; give one of {', '.join(ENVIRONMENTS)}")
+        check_limit("seed", self.seed, "seed of training")
         if self.steps is not None and self.steps < 1:
             raise InputError(f"steps is {self.steps}; give at least 1")
 

@@ -25,6 +25,7 @@ from calibration.travel import short_tour, travel_seconds
 from pickenv.arm import Arm, Geometry, parameter_jacobian
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
+from pickenv.limits import check_limit
 
 KINDS = ("pose", "position")
 CRITERIA = ("d-optimal", "test-poses")
@@ -254,6 +255,8 @@ def plan_poses(
             raise InputError(f"{name} is '{given}'; give {' or '.join(known)}")
     begin = time.perf_counter()
     geometry = arm.nominal
+    if isinstance(candidates, int):
+        check_limit("candidates", candidates, "candidates")
     joints = candidate_joints(geometry, candidates, rng) if isinstance(candidates, int) else candidates
     if criterion == "test-poses" and test_joints is None:
         raise InputError("the test-poses criterion needs test poses; name a file of them or use d-optimal")

@@ -182,12 +182,14 @@ def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
         outputs: What will be written, by the option's name.
 
     Raises:
-        InputError: If an output is an input or another option's output; the message names both options.
+        InputError: If an output is an input or another option's output; the message names both options. If an output's
+            name is too long for a file.
     """
     taken = [(f"{name} reads", path) for name, named in inputs.items() for path in _paths(named) if path.exists()]
     for output, named in outputs.items():
         paths = list(_paths(named))
         for path in paths:
+            _check_name(path)
             for use, other in taken:
                 if not _is_device(path) and _same(path, other):
                     raise InputError(f"{output} would write over {path}, which {use}; give {output} another file")
@@ -200,6 +202,14 @@ def _paths(named: Named) -> Iterator[Path]:
     for name in names:
         path, _, tip = str(name).rpartition("#")
         yield Path(path) if path.endswith(".urdf") and tip else Path(name)
+
+
+def _check_name(path: Path) -> None:
+    """Refuse a name that no file can have: after hours of computing it would be too late."""
+    try:
+        path.exists()
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}; give another name") from error
 
 
 def _same(one: Path, other: Path) -> bool:

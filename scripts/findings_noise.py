@@ -13,7 +13,7 @@ from agents.rollout import roll_out
 from agents.scripted import ScriptedReach
 from agents.servo import ServoReach
 from pickenv.arm.geometry import Array
-from pickenv.inspect.figures import WIDTH, new_figure, style
+from pickenv.inspect.figures import WIDTH, new_figure, plain_decades, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -114,6 +114,8 @@ def noise_figure(noise: Noise) -> Figure:
         for axis in axes:
             axis.set_xscale("log")
             axis.set_yscale("log")
+            plain_decades(axis.xaxis)
+            plain_decades(axis.yaxis)
             axis.set_xlabel("RMSE of the camera [mm]")
             axis.legend(fontsize=6)
         axes[0].set_ylabel("mean position error [mm]")

@@ -13,6 +13,7 @@ PACKAGES = ("pickenv", "calibration", "agents")
 
 GROUND = (
     "pickenv.files",
+    "pickenv.limits",
     "pickenv.locks",
     "pickenv.sealed",
     "pickenv.container",

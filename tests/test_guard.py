@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from pickenv.cli import app
+from pickenv.commands.guard import guarded
+
 ROOT = Path(__file__).parents[1]
 PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 
@@ -64,6 +67,44 @@ def test_each_end_has_its_exit_code_and_its_sentence(code: str, exit_code: int, 
     done = ended(code)
     assert done.returncode == exit_code
     assert re.fullmatch(said, done.stderr.strip()), done.stderr
+
+
+LONG = "n" * 300
+COMMANDS = [
+    f"effects --plant {LONG}",
+    f"effects --plant {LONG}.toml",
+    f"effects --reaches 2 --json {LONG}",
+    f"iso9283 --calibration {LONG}",
+    f"iso9283 --plant geometry_only --cycles 2 --out {LONG}",
+    f"calibrate {LONG} --arm ur5",
+    f"calibrate new.csv --arm {LONG}",
+    f"calibrate new.csv --arm {LONG}.urdf",
+    f"plan-poses --arm {LONG}.toml",
+    f"plan-poses --arm ur5 --at {LONG}",
+    f"apply {LONG} targets.csv --arm ur5",
+    f"train --compensate {LONG}",
+    f"train --plant {LONG}",
+    f"train --steps 1 --out {LONG}",
+    f"evaluate --policy {LONG}",
+    f"evaluate --json {LONG}",
+    f"figures {LONG}",
+    f"report {LONG}",
+    f"inspect {LONG}",
+    f"study {LONG}",
+    f"demo --out {LONG}",
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.replace(LONG, "LONG"))
+def test_a_name_longer_than_any_file_s_is_bad_input(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert guarded(lambda: app(command.split(), standalone_mode=False)) == 2
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert said.startswith("error: ")
+    assert "File name too long" in said or "unknown" in said or "does not exist" in said or "no folder" in said
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(not Path("/dev/full").is_char_device(), reason="no /dev/full here")

@@ -9,11 +9,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from pickenv.arm.plant_file import PLANTS
-from pickenv.commands import agents, plants, reports
+from pickenv.cli import app
+from pickenv.commands import plants, reports
 from pickenv.commands.results import deliver
-from pickenv.commands.study import study
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect.run_folder import read_run, recorded_run
@@ -36,25 +37,26 @@ def here(tmp_path, monkeypatch):
 
 
 OVERWRITING = {
-    "effects": lambda: plants.effects(plant="plant.toml", json_file=Path("plant.toml")),
-    "iso9283 --json": lambda: plants.iso9283(calibration=Path("cal.npz"), json_file=Path("cal.npz")),
-    "iso9283, suffix left out": lambda: plants.iso9283(calibration=Path("cal"), json_file=Path("cal.npz")),
-    "iso9283 --out": lambda: plants.iso9283(out=Path("run"), json_file=Path("run/run.json")),
-    "train --compensate": lambda: agents.train(compensate=Path("policy.npz"), out=Path()),
-    "evaluate --policy": lambda: agents.evaluate(policy=["policy.npz"], json_file=Path("policy.npz")),
-    "evaluate --table": lambda: agents.evaluate(json_file=Path("new.csv"), table=Path("run/../new.csv")),
-    "evaluate --out": lambda: agents.evaluate(out=Path("new"), json_file=Path("new/rows.json")),
-    "study --json": lambda: study(Path("study.toml"), json_file=Path("study.toml")),
-    "study, its plant": lambda: study(Path("study.toml"), json_file=Path("plant.toml")),
-    "study --out": lambda: study(Path("study.toml"), out=Path("new"), json_file=Path("new/summary.json")),
-    "report": lambda: reports.report(Path("run"), out=Path("run/iso9283.json")),
+    "effects": "effects --plant plant.toml --json plant.toml",
+    "iso9283 --json": "iso9283 --calibration cal.npz --json cal.npz",
+    "iso9283, suffix left out": "iso9283 --calibration cal --json cal.npz",
+    "iso9283 --out": "iso9283 --out run --json run/run.json",
+    "train --compensate": "train --compensate policy.npz --out .",
+    "evaluate --policy": "evaluate --policy policy.npz --json policy.npz",
+    "evaluate --table": "evaluate --json new.csv --table run/../new.csv",
+    "evaluate --out": "evaluate --out new --json new/rows.json",
+    "study --json": "study study.toml --json study.toml",
+    "study, its plant": "study study.toml --json plant.toml",
+    "study --out": "study study.toml --out new --json new/summary.json",
+    "report": "report run --out run/iso9283.json",
 }
 
 
 @pytest.mark.parametrize("command", OVERWRITING)
 def test_no_command_writes_over_what_it_reads_or_into_one_file_twice(command, here, tmp_path):
-    with pytest.raises(InputError, match=r"would write over .*; give --[a-z]+ another file"):
-        OVERWRITING[command]()
+    ended = CliRunner().invoke(app, OVERWRITING[command].split())
+    assert isinstance(ended.exception, InputError)
+    assert re.search("would write over .*; give --[a-z]+ another file", str(ended.exception))
     assert {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()} == here
 
 

@@ -35,7 +35,7 @@ class Pace:
     dwell: float = 0.5
 
     def __post_init__(self) -> None:
-        if not (self.speed > 0 and self.period > 0 and self.dwell >= 0):
+        if not (0 < self.speed < math.inf and 0 < self.period < math.inf and 0 <= self.dwell < math.inf):
             raise ValueError(f"{self} is impossible; speed and period must be above zero, and dwell not below it")
 
 

@@ -10,6 +10,8 @@ from typing import Annotated
 
 import typer
 
+from pickenv.limits import check_limit
+
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
 
 
@@ -30,6 +32,9 @@ def effects(
     from pickenv.commands.results import deliver
     from pickenv.files import separate, write_text
 
+    check_limit("--reaches", reaches, "reaches")
+    check_limit("--dwell", dwell, "dwell_s")
+    check_limit("--hours", hours, "hours")
     separate({"--plant": plant}, {"--json": json_file})
     chosen = load_plant(plant)
     joints = draw_reaches(chosen, reaches, np.random.default_rng(seed))
@@ -61,6 +66,8 @@ def iso9283(
     from pickenv.files import separate, write_text
     from pickenv.inspect.run_folder import ISO9283, RECORD, recorded_run
 
+    check_limit("--cycles", cycles, "cycles")
+    check_limit("--dwell", dwell, "dwell_s")
     separate(
         {"--plant": plant, "--calibration": [] if calibration is None else [calibration, f"{calibration}.npz"]},
         {"--out": [] if out is None else [out / RECORD, out / ISO9283], "--json": json_file},

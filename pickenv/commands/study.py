@@ -36,11 +36,13 @@ def study(
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""
     from pickenv.commands.results import deliver
     from pickenv.files import separate, write_text
+    from pickenv.limits import check_limit
     from pickenv.locks import locked
     from pickenv.study.config import load_study
     from pickenv.study.executors import Crew
     from pickenv.study.run import run_study
 
+    check_limit("--sobol", sobol, "samples")
     chosen = load_study(config)
     separate(
         {"CONFIG": [config, chosen.plant, *chosen.tolerances]},

@@ -33,7 +33,7 @@ from pickenv.envs.simulation import (
     true_reward,
 )
 from pickenv.envs.streams import GOAL, episode_key, stream_key
-from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, Task
+from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, Task, as_numbers
 from pickenv.errors import InputError
 
 BLOCK = 2048
@@ -185,10 +185,12 @@ class Batch:
         Raises:
             InputError: If they have another shape, or numbers beyond -1 to 1.
         """
-        values, shape = np.asarray(actions), (self.count, self.task.joints)
+        ready = isinstance(actions, np.ndarray) and actions.dtype.kind == "f"  # nothing to convert, no copy
+        values: Any = actions if ready else as_numbers("actions", actions)
+        shape = (self.count, self.task.joints)
         if values.shape != shape:
             raise InputError(f"actions have shape {values.shape}; give {shape}, numbers between -1 and 1")
-        numbers = values.T.astype(np.float64, order="C")
+        numbers: Array = values.T.astype(np.float64, order="C")
         if not (numbers.max() <= MOST_ACTION and numbers.min() >= -MOST_ACTION):
             row = int(np.argmin((np.abs(numbers) <= MOST_ACTION).all(axis=0)))
             raise InputError(

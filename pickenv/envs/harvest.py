@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs import harvest_batch as batch
 from pickenv.envs.harvest_batch import Compensate, HarvestState, HarvestTask
-from pickenv.envs.task import MOST_ACTION
+from pickenv.envs.spaces import given_options
+from pickenv.envs.task import MOST_ACTION, as_numbers
 from pickenv.errors import InputError
 
 Information = dict[str, Any]
@@ -122,8 +123,7 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], Information]:
         """Start with another zone; there are no options."""
         super().reset(seed=seed)
-        if options:
-            raise InputError(f"unknown option '{next(iter(options))}'; Harvest-v0 has none")
+        given_options(options, ())
         self.state = batch.begin(self.task, [self.np_random])
         return batch.observe(self.task, self.state)[0], self._information()
 
@@ -151,7 +151,7 @@ def checked_actions(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.flo
     Raises:
         InputError: If they are not.
     """
-    values = np.asarray(action, dtype=float)
+    values = as_numbers("action", action)
     if values.shape != shape or not (np.abs(values) <= MOST_ACTION).all():
         raise InputError(f"an action of shape {values.shape} is not finite numbers of shape {shape} between -1 and 1")
     return values

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.geometry import Array
+from pickenv.envs.task import check_number
 from pickenv.errors import InputError
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import Machine, load_machine
@@ -80,6 +81,8 @@ def make_task(
     """
     if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
+    if spacing_mm is not None:
+        check_number("spacing_mm", spacing_mm, positive=True)
     machine = load_machine(slaves=slaves, spacing=None if spacing_mm is None else spacing_mm * 1e-3)
     true = load_true_machine(machine)
     if ideal:

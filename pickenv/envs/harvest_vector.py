@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.envs import harvest_batch as batch
 from pickenv.envs.harvest import LONGEST, checked_actions
 from pickenv.envs.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.spaces import given_options
 from pickenv.errors import InputError
 
 Information = dict[str, Any]
@@ -64,7 +65,8 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Information]:
         """Start all episodes anew, or those in ``options["reset_mask"]``."""
-        mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        options = given_options(options, ("reset_mask",))
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise InputError(f"reset_mask must be {self.num_envs} truth values, one of them true")
         self._seed(seed)

@@ -21,8 +21,17 @@ from pickenv.envs.pick_reach import reach_of
 from pickenv.envs.pick_scene import Orchard, PickScene, draw_scene, make_orchard, upright_turn
 from pickenv.envs.reach import RENDER_MODES
 from pickenv.envs.simulation import move, nominal_frames
-from pickenv.envs.spaces import box, check_options
-from pickenv.envs.task import CONTROL_PERIOD, MOST_ACTION, Task, check_choice, check_count, check_number, make_task
+from pickenv.envs.spaces import box, given_options
+from pickenv.envs.task import (
+    CONTROL_PERIOD,
+    MOST_ACTION,
+    Task,
+    as_numbers,
+    check_choice,
+    check_count,
+    check_number,
+    make_task,
+)
 from pickenv.errors import InputError
 
 Compensate = Callable[[Array], Array]
@@ -255,8 +264,7 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], Information]:
         """Start before another section of canopy; see the class for `options`."""
         super().reset(seed=seed)
-        options = options or {}
-        check_options(options, ("fruit", "start_joints", "arm"))
+        options = given_options(options, ("fruit", "start_joints", "arm"))
         start = options.get("start_joints")
         self._target = self.task.middle if start is None else self.task.given_joints("start_joints", start).tolist()
         self.scene = draw_scene(self.orchard, self._reach, self.np_random, options.get("fruit"))
@@ -278,7 +286,7 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         Raises:
             InputError: If the action has another shape or numbers beyond -1 to 1, or before the first reset.
         """
-        values = np.asarray(action, dtype=float)
+        values = as_numbers("action", action)
         if values.shape != (self.task.joints + 1,) or not (np.abs(values) <= MOST_ACTION).all():
             raise InputError(f"action {values} is not {self.task.joints + 1} finite numbers between -1 and 1")
         if self.scene is None:

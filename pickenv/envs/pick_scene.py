@@ -18,6 +18,7 @@ from pickenv import orchard as trees
 from pickenv.arm.geometry import Array
 from pickenv.arm.kinematics import Frame
 from pickenv.envs.pick_reach import APPROACH, UP, Flags, Reach
+from pickenv.envs.task import as_numbers
 from pickenv.errors import InputError
 
 MIDDLE, FACE, MOUNT = 0.6, -0.53, 0.15
@@ -305,7 +306,7 @@ def draw_scene(orchard: Orchard, reach: Reach, rng: np.random.Generator, given: 
         InputError: If none of the given fruit is found within reach, or none in many draws.
     """
     if given is not None:
-        centres = np.atleast_2d(np.asarray(given, dtype=float))
+        centres = np.atleast_2d(as_numbers("option fruit", given))
         if centres.ndim != 2 or centres.shape[-1] != 3 or not centres.size or not np.isfinite(centres).all():
             raise InputError(f"option fruit has shape {centres.shape}; give at least one finite position (n, 3) in m")
     for _ in range(ATTEMPTS if given is None else GIVEN_ATTEMPTS):

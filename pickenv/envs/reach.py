@@ -28,9 +28,9 @@ from pickenv.envs.simulation import (
     nominal_frames,
     true_reward,
 )
-from pickenv.envs.spaces import action_space, check_options, flat_space
+from pickenv.envs.spaces import action_space, flat_space, given_options
 from pickenv.envs.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
-from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, Task, check_choice, make_task
+from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, Task, as_numbers, check_choice, make_task
 from pickenv.errors import InputError
 
 EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
@@ -190,8 +190,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Information]:
         """Start an episode; see the class for `options`."""
         super().reset(seed=seed)
-        options = options or {}
-        check_options(options)
+        options = given_options(options)
         if seed is not None or self._stream is None:
             given = self.np_random_seed
             self._stream = seed_word(given if given is not None and given >= 0 else fresh_seed(self.np_random))
@@ -217,7 +216,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         Raises:
             InputError: If the action has another shape or numbers beyond -1 to 1, or before the first reset.
         """
-        values = np.asarray(action, dtype=float)
+        values = as_numbers("action", action)
         if values.shape != (self.task.joints,) or not all(abs(value) <= MOST_ACTION for value in values.tolist()):
             raise InputError(f"action {values} is not {self.task.joints} finite numbers between -1 and 1")
         if self._state is None:

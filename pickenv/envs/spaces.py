@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,8 +45,18 @@ def box(high: Sequence[float]) -> spaces.Box:
     return spaces.Box(-bound, bound, dtype=np.float32)
 
 
-def check_options(options: dict[str, Any], allowed: tuple[str, ...] = OPTIONS) -> None:
-    """Refuse a reset option that nobody reads."""
-    unknown = sorted(set(options) - set(allowed))
+def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str, Any]:
+    """The options of `reset`, empty where there are none.
+
+    Raises:
+        InputError: If they are no mapping of names, or one of them is read by nobody.
+    """
+    names = ", ".join(allowed)
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise InputError(f"options is {options!r}; give a dict{f' of {names}' if names else ', an empty one'}")
+    unknown = sorted(str(option) for option in set(options) - set(allowed))
     if unknown:
-        raise InputError(f"unknown reset option '{unknown[0]}'; give {', '.join(allowed[:-1])} or {allowed[-1]}")
+        raise InputError(f"unknown reset option '{unknown[0]}'; {f'give {names}' if names else 'there is none'}")
+    return dict(options)

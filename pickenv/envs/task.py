@@ -9,6 +9,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +24,7 @@ from pickenv.arm.plant import Plant
 from pickenv.arm.tolerances import draw_plants, load_tolerances
 from pickenv.envs.exact import exact_chain
 from pickenv.errors import InputError
+from pickenv.limits import check_limit, shown
 
 CONTROL_PERIOD = 0.1
 """Time between two actions, s: with the arm file's joint speeds it bounds one action's increment."""
@@ -30,6 +34,9 @@ MOST_ACTION = 1.0 + 1e-6
 
 MOST_CAMERA_NOISE_MM = 100.0
 """Ten standard deviations of the camera then stay within the metre that the observation's bounds leave for errors."""
+
+MOST_NUMBER = 1e6
+"""No millimetres, degrees or counts that an environment is made with are larger."""
 
 FEEDBACK = ("encoders", "camera")
 REWARDS = ("dense", "sparse")
@@ -110,7 +117,7 @@ class Task:
         Raises:
             InputError: If their number is wrong or they lie outside the joint limits.
         """
-        given, lower, upper = np.asarray(joints, dtype=float), np.array(self.lower), np.array(self.upper)
+        given, lower, upper = as_numbers(name, joints), np.array(self.lower), np.array(self.upper)
         shapes = [(self.joints,)] if count is None else [(self.joints,), (count, self.joints)]
         if given.shape not in shapes or not np.all((given >= lower) & (given <= upper)):
             raise InputError(
@@ -126,8 +133,8 @@ class Task:
             InputError: If there is no such arm.
         """
         size = plant_count(self.plant) or 1
-        if not 0 <= number < size:
-            raise InputError(f"arm is {number}; the population has arms 0 to {size - 1}")
+        if not isinstance(number, int | np.integer) or not 0 <= number < size:
+            raise InputError(f"arm is {number!r}; the population has arms 0 to {size - 1}")
         return int(number)
 
     def no_goal(self) -> InputError:
@@ -174,6 +181,9 @@ def make_task(
     true_arm = load_true_arm(plant, without)
     if arms != "fixed":
         check_count("population", population)
+        check_limit("population", int(population), "population")
+        check_seed("population_seed", population_seed)
+        check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
         design = load_tolerances(tolerances)
         true_arm = draw_plants(true_arm, design, population, np.random.default_rng(population_seed))
     geometry = true_arm.arm.nominal
@@ -198,7 +208,10 @@ def make_task(
 
 def load_true_arm(plant: str, without: Sequence[str] = ()) -> Plant:
     """`pickenv.arm.load_plant`, and "ideal" or "ideal:ARM" for an arm without error (qiao2026 by default)."""
+    check_name("plant", plant, 'a plant preset or a path to a plant file (.toml), or "ideal"')
     name, _, arm_name = str(plant).partition(":")
+    if isinstance(without, str) or not isinstance(without, Sequence) or not all(isinstance(e, str) for e in without):
+        raise InputError(f"without is {without!r}; give a list of names of effects")
     if name != IDEAL:
         return load_plant(plant, without=without)
     arm: Arm = load_arm(arm_name or "qiao2026")
@@ -212,15 +225,44 @@ def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
 
 
 def check_number(name: str, value: float, *, positive: bool = False) -> None:
-    """Refuse a number that is not finite, negative, or zero where it must be positive."""
-    if not math.isfinite(value) or value < 0 or (positive and value == 0):
-        raise InputError(f"{name} is {value}; give a finite number {'above' if positive else 'not below'} zero")
+    """Refuse what is no finite number, or negative, above `MOST_NUMBER`, or zero where it must be positive."""
+    given: Any = value
+    number = isinstance(given, Real) and not isinstance(given, bool)
+    if not number or not 0 <= value <= MOST_NUMBER or (positive and value == 0):
+        raise InputError(
+            f"{name} is {shown(value)}; give a finite number {'above' if positive else 'not below'} zero, at most "
+            f"{MOST_NUMBER:.0f}"
+        )
 
 
 def check_count(name: str, value: int) -> None:
     """Refuse what is not a whole number of at least 1."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
         raise InputError(f"{name} is {value!r}; give a whole number of at least 1")
+
+
+def check_seed(name: str, value: int) -> None:
+    """Refuse what is no whole number, or negative."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise InputError(f"{name} is {value!r}; give a whole number not below zero")
+
+
+def check_name(name: str, value: str | Path, wanted: str) -> None:
+    """Refuse what is no name or path."""
+    if not isinstance(value, str | Path):
+        raise InputError(f"{name} is {value!r}; give the name of {wanted}")
+
+
+def as_numbers(name: str, given: Any) -> Array:
+    """What was given as an array of numbers.
+
+    Raises:
+        InputError: If it is something else, such as text, or rows of different lengths.
+    """
+    try:
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} is {shown(given)}; give numbers") from error
 
 
 def lost_axes(geometry: Geometry) -> tuple[int, int] | None:

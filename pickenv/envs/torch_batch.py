@@ -31,7 +31,7 @@ from pickenv.envs.simulation import (
     true_reward,
 )
 from pickenv.envs.streams import GOAL, episode_key, stream_key
-from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, Task, check_choice
+from pickenv.envs.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, Task, as_numbers, check_choice
 from pickenv.errors import InputError
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
@@ -228,7 +228,8 @@ class TorchBatch:
         Raises:
             InputError: If they have another shape, or numbers beyond -1 to 1.
         """
-        values = torch.as_tensor(actions, device=self.device)
+        given = actions if isinstance(actions, Tensor) else as_numbers("actions", actions)
+        values = torch.as_tensor(given, device=self.device)
         shape = (self.count, self.task.joints)
         if tuple(values.shape) != shape:
             raise InputError(f"actions have shape {tuple(values.shape)}; give {shape}, numbers between -1 and 1")

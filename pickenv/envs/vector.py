@@ -15,7 +15,7 @@ from pickenv.arm.geometry import Array
 from pickenv.envs.batch import Batch, Outcome, Start
 from pickenv.envs.reach_goal import GOAL_KEYS, goal_reward
 from pickenv.envs.simulation import Look
-from pickenv.envs.spaces import OPTIONS, action_space, check_options, flat_space, goal_space
+from pickenv.envs.spaces import OPTIONS, action_space, flat_space, given_options, goal_space
 from pickenv.envs.streams import fresh_seed, seed_word
 from pickenv.envs.task import IDEAL, Task, check_choice, check_count, make_task
 from pickenv.errors import InputError
@@ -143,9 +143,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             options: See the class.
         """
         super().reset(seed=int(seed) if isinstance(seed, int | np.integer) else None)
-        options = dict(options or {})
+        options = given_options(options, (*OPTIONS, "reset_mask"))
         mask = self._mask(options.pop("reset_mask", None))
-        check_options(options, (*OPTIONS, "reset_mask"))
         self._take_seeds(seed, mask)
         rows = np.flatnonzero(mask)
         self._begin(rows, self._chosen(options, rows))
@@ -278,8 +277,11 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         if options.get("arm") is not None:
             if self.task.arms == "fixed":
                 raise InputError("option arm needs a population; make the environment with arms='per_episode'")
-            arms = np.broadcast_to(np.asarray(options["arm"], dtype=np.intp), (self.num_envs,))[rows]
-            chosen["arm"] = np.array([self.task.given_arm(int(arm)) for arm in arms], dtype=np.intp)
+            arms = np.asarray(options["arm"])
+            if arms.shape not in ((), (self.num_envs,)):
+                raise InputError(f"option arm has shape {arms.shape}; give one number, or {self.num_envs}")
+            each = np.broadcast_to(arms, (self.num_envs,))[rows]
+            chosen["arm"] = np.array([self.task.given_arm(arm) for arm in each.tolist()], dtype=np.intp)
         return chosen
 
     def _observations(self, out: Outcome) -> Any:

@@ -48,6 +48,7 @@ STYLE: dict[str, Any] = {
     "ytick.color": SOFT,
     "xtick.labelcolor": INK,
     "ytick.labelcolor": INK,
+    "text.parse_math": False,  # names of joints and arms are shown as they are, with every $ in them
     "svg.hashsalt": "pickenv",  # the same figure gives the same file
 }
 

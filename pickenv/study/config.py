@@ -22,6 +22,7 @@ from pickenv.arm.plant_file import load_plant
 from pickenv.arm.tables import Table
 from pickenv.arm.tolerances import GRADES, Tolerances, load_tolerances
 from pickenv.errors import InputError
+from pickenv.limits import LIMITS, check_limit
 
 VERSION = 1
 """Raised whenever the same configuration gives other rows, so that old results are not mixed with new ones."""
@@ -29,6 +30,10 @@ VERSION = 1
 RAW, LS = "raw", "ls"
 METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in FITTERS))
 """No calibration; least squares; least squares and a learnt residual of that kind."""
+
+
+QUANTITIES = {"residual_poses": "poses"}
+"""Keys whose limits stand in `pickenv.limits` under another name."""
 
 
 @dataclass(frozen=True)
@@ -206,23 +211,26 @@ def load_study(path: str | Path) -> StudyConfig:
     if not isinstance(plant, str):
         raise study.fail("plant", "the name of a plant preset or a path to a plant file (.toml)")
     least, most = min(GRADES), max(GRADES)
+    (_, heaviest, why), most_poses = LIMITS["payload_kg"], int(LIMITS["poses"][1])
     config = StudyConfig(
         plant=plant,
-        seed=_whole(study, "seed", 0, 0),
-        arms=_whole(study, "arms", 1),
-        chunk=_whole(study, "chunk", 1, 250),
-        fruit=_whole(picking, "fruit", 1, 100),
-        payload_kg=_several(picking, "payload_kg", _is_size, "masses in kg that are not negative", [0.0], float),
-        radius_mm=specification.number("radius_mm", positive=True),
+        seed=_whole(study, "seed", 0),
+        arms=_whole(study, "arms"),
+        chunk=_whole(study, "chunk", 250),
+        fruit=_whole(picking, "fruit", 100),
+        payload_kg=_several(
+            picking, "payload_kg", _is_payload, f"masses from 0 to {heaviest:g} kg: {why}", [0.0], float
+        ),
+        radius_mm=_limited(specification, "radius_mm", positive=True),
         share=share,
         tolerances=_several(tolerances, "classes", lambda value: isinstance(value, str), "names of tolerance classes"),
         it_grades=_several(tolerances, "it_grades", _between(least, most), f"whole numbers from {least} to {most}")
         if "it_grades" in tolerances.table
         else None,
         methods=_several(calibration, "methods", METHODS.__contains__, f"some of {', '.join(METHODS)}", [LS]),
-        poses=_several(calibration, "poses", _between(1, 10**6), "whole numbers above zero", [30]),
+        poses=_several(calibration, "poses", _between(1, most_poses), f"whole numbers from 1 to {most_poses}", [30]),
         noise=_noise(calibration),
-        residual_poses=_whole(calibration, "residual_poses", 1, 100),
+        residual_poses=_whole(calibration, "residual_poses", 100),
     )
     config.load_tolerances()  # what is unknown is refused now, not an hour later
     config.load_plant()
@@ -237,15 +245,23 @@ def _between(low: int, high: int) -> Callable[[Any], bool]:
     return lambda value: _is_whole(value) and low <= value <= high
 
 
-def _is_size(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < float("inf")
+def _is_payload(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= LIMITS["payload_kg"][1]
 
 
-def _whole(table: Table, key: str, least: int, default: int | None = None) -> int:
+def _whole(table: Table, key: str, default: int | None = None) -> int:
+    least, most, why = LIMITS[QUANTITIES.get(key, key)]
     value = table.table.get(key, default)
-    if not _is_whole(value) or value < least:
-        raise table.fail(key, f"a whole number of at least {least}")
+    if not _is_whole(value) or not least <= value <= most:
+        raise table.fail(key, f"a whole number from {least:.0f} to {most:.0f}: {why}")
     return int(value)
+
+
+def _limited(table: Table, key: str, *, positive: bool = False) -> float:
+    """A number within the limits of what its key names."""
+    value = table.number(key, positive=positive)
+    check_limit(f"{table.where}: {key} of [{table.name}]", value, key)
+    return value
 
 
 def _several(
@@ -270,7 +286,7 @@ def _noise(table: Table) -> tuple[Noise, ...]:
     if "noise" not in table.table:
         return (DEFAULT_NOISE,)
     entries = table.entries("noise", ("position_mm", "attitude_deg"))
-    found = tuple(Noise(entry.number("position_mm"), entry.number("attitude_deg")) for entry in entries)
+    found = tuple(Noise(_limited(entry, "position_mm"), _limited(entry, "attitude_deg")) for entry in entries)
     if not found or len(set(found)) < len(found):
         raise table.fail("noise", "a list of tables with position_mm and attitude_deg, each tracker once")
     return found

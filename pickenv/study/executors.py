@@ -37,6 +37,19 @@ class Crew:
     workers: int | None = None
     address: str | None = None
 
+    def for_executor(self, name: str) -> Crew:
+        """This crew, refused where the executor of that name would pass over its address.
+
+        Raises:
+            InputError: If there is an address, and the executor has no cluster.
+        """
+        if self.address is not None and name != "ray":
+            raise InputError(
+                f"address {self.address} is of a Ray cluster, and executor '{name}' works on this machine; give "
+                "executor ray, or leave the address out"
+            )
+        return self
+
     def count(self) -> int:
         """Number of processes on this machine."""
         from joblib import cpu_count

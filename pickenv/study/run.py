@@ -53,7 +53,7 @@ def run_study(
         InputError: If the executor is unknown, or the folder holds another study, holds files that do not belong to it,
             or is being worked in.
     """
-    crew = crew or Crew()
+    crew = (crew or Crew()).for_executor(executor)
     run = _batched_run(crew, device) if executor == BATCHED else load_executor(executor)
     protocol = prepare(config)
     work = _work(protocol, executor, device)

@@ -179,7 +179,7 @@ def test_figures_are_drawn_from_the_run_folder_to_the_bit(grid, tmp_path):
         ({"feedback": ("sonar",)}, "feedback is 'sonar'"),
         ({"grippers": ("tongs",)}, "unknown gripper 'tongs'"),
         ({"plants": ("nowhere",)}, "nowhere"),
-        ({"arms": 0}, "0 arms"),
+        ({"arms": 0}, "arms is 0; give 1 to 10 000"),
     ],
 )
 def test_bad_settings_end_with_one_sentence(changes, message):

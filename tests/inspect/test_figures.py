@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import html
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ from pickenv.inspect import plot_calibration, plot_errors, plot_harvest, plot_po
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.comparison import Comparison
 from pickenv.inspect.field_figure import error_fields
-from pickenv.inspect.figures import INK, PIXELS_PER_INCH, WIDTH, save_figure
+from pickenv.inspect.figures import INK, PIXELS_PER_INCH, WIDTH, save_figure, style
 from pickenv.inspect.gripping import gripper_curves
 from pickenv.inspect.harvest_trace import JointCurves, PickedTree
 from pickenv.inspect.plot_policies import CycleCurve, Estimate
@@ -202,3 +203,18 @@ def test_an_unknown_format_and_a_folder_that_cannot_be_written_are_refused(tmp_p
     with pytest.raises(InputError, match="cannot write"):
         save_figure(figure, tmp_path / "file" / "figure.png")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+ODD_NAMES = [r"$\foo{$", "$J_1$", "$", "50 $", r"a_b^c \alpha {", "$$"]
+
+
+@pytest.mark.parametrize("name", ODD_NAMES)
+def test_names_are_drawn_as_they_are_whatever_formulae_they_look_like(name, tmp_path):
+    curves = {name: np.array([0.1, 1.0, 10.0]), "raw": np.array([1.0, 2.0, 3.0])}
+    for draw in (plot_errors.error_by_method, plot_errors.error_cumulative):
+        for suffix in ("svg", "png", "pdf"):
+            save_figure(draw(curves, counted="reaches"), tmp_path / f"figure.{suffix}")
+        with style(**{"svg.fonttype": "none"}):
+            draw(curves, counted="reaches").savefig(tmp_path / "text.svg")
+        words = html.unescape((tmp_path / "text.svg").read_text(encoding="utf-8"))
+        assert name in words and "mathdefault" not in words

@@ -1,0 +1,117 @@
+"""Whatever an environment is given in place of what it asks for, it answers with one sentence."""
+
+import re
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import pickenv  # noqa: F401, registers the environments
+from pickenv.envs.harvest import HarvestEnv
+from pickenv.envs.harvest_vector import HarvestVectorEnv
+from pickenv.envs.pick import PickEnv
+from pickenv.envs.reach import ReachEnv
+from pickenv.envs.vector import ReachVectorEnv
+from pickenv.errors import InputError
+
+MAKERS = {
+    "Reach": ReachEnv,
+    "Reach, vector": lambda **given: ReachVectorEnv(2, **given),
+    "Pick": PickEnv,
+    "Harvest": HarvestEnv,
+    "Harvest, vector": lambda **given: HarvestVectorEnv(2, **given),
+}
+NO_ACTIONS = ["left", None, {"joints": 1}, ["a"] * 6, [[1], [1, 2]], object(), [1j] * 6, [10**5000] * 6]
+
+
+@pytest.fixture(scope="module", params=MAKERS)
+def env(request):
+    made = MAKERS[request.param]()
+    made.reset(seed=0)
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("action", NO_ACTIONS, ids=lambda action: type(action).__name__)
+def test_an_action_that_is_no_numbers_is_refused(env, action):
+    with pytest.raises(InputError, match=r"^(an )?action") as said:
+        env.step(action)
+    assert "\n" not in str(said.value) and len(str(said.value)) < 200
+
+
+@pytest.mark.parametrize("options", [5, "seed", [1], True])
+def test_options_that_are_no_mapping_are_refused(env, options):
+    with pytest.raises(InputError, match=re.escape(f"options is {options!r}; give a dict")):
+        env.reset(options=options)
+
+
+def test_an_option_that_nobody_reads_is_refused(env):
+    with pytest.raises(InputError, match="unknown reset option '3'; "):
+        env.reset(options={3: 1})
+
+
+@pytest.mark.parametrize("name", ["Reach", "Reach, vector", "Pick"])
+@pytest.mark.parametrize("plant", [3, None, ["orchard"], b"orchard", "n" * 300])
+def test_a_plant_that_is_no_name_is_refused(name, plant):
+    with pytest.raises((InputError, OSError), match=r"plant is .*; give the name|unknown plant|File name too long"):
+        MAKERS[name](plant=plant)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"without": 3},
+        {"without": "gravity"},
+        {"without": [3]},
+        {"tolerance_mm": "5"},
+        {"tolerance_mm": None},
+        {"tolerance_mm": 1e300},
+        {"tolerance_mm": 10**5000},
+        {"camera_noise_mm": True},
+        {"arms": "per_episode", "population": 10**12},
+        {"arms": "per_episode", "population_seed": -1},
+        {"arms": "per_episode", "population_seed": "a"},
+        {"arms": "per_episode", "tolerances": 3},
+    ],
+    ids=lambda given: list(given)[-1],
+)
+def test_an_impossible_argument_is_named(arguments):
+    with pytest.raises(InputError, match=f"^{list(arguments)[-1]} is .*; give "):
+        ReachEnv(**arguments)
+
+
+def test_an_impossible_spacing_is_named():
+    with pytest.raises(InputError, match=r"^spacing_mm is 'wide'; give a finite number above zero"):
+        HarvestEnv(spacing_mm="wide")
+
+
+def test_joints_and_arms_asked_for_are_numbers():
+    env = ReachEnv(arms="per_episode", population=4)
+    several = ReachVectorEnv(2, arms="per_episode", population=4)
+    with pytest.raises(InputError, match=r"^start_joints is 'home'; give numbers"):
+        env.reset(options={"start_joints": "home"})
+    for asked in ("a", 1.5, 4, -1):
+        with pytest.raises(InputError, match=re.escape(f"arm is {asked!r}; the population has arms 0 to 3")):
+            env.reset(options={"arm": asked})
+        with pytest.raises(InputError, match=r"arm is .*; the population has arms 0 to 3"):
+            several.reset(options={"arm": asked})
+    with pytest.raises(InputError, match=r"arm has shape \(3,\)"):
+        several.reset(options={"arm": [1, 2, 3]})
+    several.reset(seed=0, options={"arm": [1, 2]})
+    assert several.batch.arm.tolist() == [1, 2]
+
+
+def test_what_gymnasium_makes_says_the_same():
+    with pytest.raises(InputError, match="plant is 3; give the name"):
+        gym.make("pickenv/Reach-v0", plant=3)
+
+
+def test_actions_of_every_number_type_move_alike():
+    moved = []
+    for kind in (np.float32, np.float64, int, list):
+        env = ReachVectorEnv(2, plant="ideal")
+        env.reset(seed=0)
+        action = np.ones((2, env.single_action_space.shape[0]))
+        moved.append(env.step(action.tolist() if kind is list else action.astype(kind))[0])
+    for other in moved[1:]:
+        np.testing.assert_array_equal(moved[0], other)
