@@ -109,7 +109,7 @@ def test_a_killed_training_goes_on(tmp_path, hows):
             if checkpoint.exists() and checkpoint.read_bytes() != before:
                 break
             time.sleep(0.05)
-        time.sleep(rng.uniform(0.0, 0.5))
+        time.sleep(rng.uniform(0.0, 0.2))
         process.send_signal(how)
         assert process.wait(60) != 0
         process.stderr.close()

@@ -69,7 +69,8 @@ def test_a_study_killed_again_and_again_at_any_moment_ends_with_the_same_table(s
         with subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": str(ROOT)}
         ) as study:
-            while study.poll() is None and len(chunks_of(folder)) <= len(kept) + rng.integers(3):
+            wanted = len(kept) + rng.integers(3)
+            while study.poll() is None and len(chunks_of(folder)) <= wanted:
                 time.sleep(0.01)
             patience += rng.uniform(0.0, 0.05)
             time.sleep(patience)
