@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import NoneType
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import torch
@@ -37,16 +37,6 @@ PARTS = {
     *("last", "starts", "env", "buffer"),
 }
 """What a state consists of."""
-
-TYPES: dict[str, tuple[type, ...]] = {
-    **dict.fromkeys(("algorithm", "env_id"), (str,)),
-    **dict.fromkeys(("seed", "checkpoint_every", "evaluate_every"), (int,)),
-    **dict.fromkeys(("arguments", "parameters"), (dict,)),
-    "steps": (int, NoneType),
-    "compensate": (str, NoneType),
-    "scaled_actions": (bool,),
-}
-"""Types of a training's settings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +101,20 @@ def read_checkpoint(path: Path) -> Checkpoint:
     container = read_container(path, KIND, remake=AGAIN, version=FORMAT, limit=LIMIT)
     with refusing_damage(path, "a checkpoint", AGAIN):
         header, settings = container.header, container.header["training"]
-        sound = {name for name, value in settings.items() if type(value) in TYPES[name]}
-        if sound != {field.name for field in fields(Training)}:
+        kinds = get_type_hints(Training)
+        if set(settings) != set(kinds) or not all(_is_a(value, kinds[name]) for name, value in settings.items()):
             raise ValueError("its settings are not those of a training")
         state = torch.load(io.BytesIO(container.blobs[STATE]), weights_only=True)
         if set(state) != PARTS:
             raise ValueError("its state is not that of a training")
         rows = [{str(key): float(value) for key, value in row.items()} for row in header["evaluations"]]
         return Checkpoint(path, Training(**settings), Inputs(**header["inputs"]), rows, state)
+
+
+def _is_a(value: Any, kind: Any) -> bool:
+    """Whether a value is of an annotated kind, such as int | None; what a list or a dict holds is not looked at."""
+    kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
+    return type(value) in {get_origin(each) or each for each in kinds}
 
 
 def check_checkpoint(path: str | Path) -> str | None:

@@ -159,15 +159,15 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
 
     out = Path(out)
     path = out / CHECKPOINT
-    begun = read_checkpoint(path) if resume else None
-    if begun is not None:
-        if begun.training != training:
-            raise InputError(
-                f"checkpoint {path} is of another training; resume it with the options it was started with"
-            )
-        check_inputs(training, begun.inputs)
-    inputs = inputs_of(training) if begun is None else begun.inputs
     with locked(out), one_thread():
+        begun = read_checkpoint(path) if resume else None
+        if begun is not None:
+            if begun.training != training:
+                raise InputError(
+                    f"checkpoint {path} is of another training; resume it with the options it was started with"
+                )
+            check_inputs(training, begun.inputs)
+        inputs = inputs_of(training) if begun is None else begun.inputs
         model, env = make_model(training, out)
         if begun is not None:
             take_checkpoint(begun, model, env)
@@ -227,8 +227,10 @@ def check_inputs(training: Training, begun: Inputs) -> None:
             raise InputError(f"calibration {path} (--compensate) is missing; {restore}")
         if file_sha256(path) != begun.calibration:
             raise InputError(f"calibration {path} (--compensate) is another file than it was; {restore}")
+    plant = str(training.arguments.get("plant", "of the environment"))
+    if plant.endswith(".toml") and not Path(plant).is_file():
+        raise InputError(f"plant {plant} (--plant) is missing; {restore}")
     if inputs_of(training).arms != begun.arms:
-        plant = training.arguments.get("plant", "of the environment")
         raise InputError(f"plant {plant} (--plant, or its tolerances) has other numbers than it had; {restore}")
 
 

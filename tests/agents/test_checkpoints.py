@@ -198,7 +198,7 @@ FAULTS = {
     ),
     "no calibration": (lambda files, more: (files / "cal.npz").unlink(), r"cal\.npz \(--compensate\) is missing"),
     "another plant": (lambda files, more: edited(files / "arm.toml"), r"arm\.toml \(--plant.*\) has other numbers"),
-    "no plant": (lambda files, more: (files / "arm.toml").unlink(), r"unknown plant '.*arm\.toml'"),
+    "no plant": (lambda files, more: (files / "arm.toml").unlink(), r"arm\.toml \(--plant\) is missing; put back"),
 }
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agents.checkpoints import check_checkpoint
 from agents.hyperparams import tuned
 from agents.learned import load_policy
 from agents.training import Training, make_model, resumed, train
@@ -88,8 +89,8 @@ def test_a_population_of_arms_is_resumed_too(short, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_a_killed_training_goes_on(tmp_path, how):
+@pytest.mark.parametrize("hows", [[signal.SIGKILL], [signal.SIGINT], [signal.SIGTERM, signal.SIGKILL, signal.SIGKILL]])
+def test_a_killed_training_goes_on(tmp_path, hows):
     code = (
         "import sys; from agents.training import Training, train;"
         "train(Training('ppo', steps=60000, arguments={'plant': 'geometry_only'}, checkpoint_every=3840,"
@@ -100,18 +101,27 @@ def test_a_killed_training_goes_on(tmp_path, how):
         command = [sys.executable, "-W", "ignore", "-c", code, str(tmp_path / name), *more]
         return subprocess.Popen(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, stderr=subprocess.PIPE)
 
-    process, checkpoint = start("broken"), tmp_path / "broken" / "checkpoint.pt"
-    deadline = time.monotonic() + 120
-    while not checkpoint.exists() and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.05)
-    process.send_signal(how)
-    assert process.wait(60) != 0
-    process.stderr.close()
+    checkpoint, before, rng = tmp_path / "broken" / "checkpoint.pt", b"", np.random.default_rng(0)
+    for how in hows:
+        process = start("broken", *(["again"] if before else []))
+        deadline = time.monotonic() + 120
+        while process.poll() is None and time.monotonic() < deadline:
+            if checkpoint.exists() and checkpoint.read_bytes() != before:
+                break
+            time.sleep(0.05)
+        time.sleep(rng.uniform(0.0, 0.2))
+        process.send_signal(how)
+        assert process.wait(60) != 0
+        process.stderr.close()
+        assert check_checkpoint(checkpoint) is None
+        before = checkpoint.read_bytes()
     for name, more in (("broken", ("again",)), ("whole", ())):
         process = start(name, *more)
         assert process.wait(300) == 0, process.stderr.read().decode()
         process.stderr.close()
     assert same(tmp_path / "broken", tmp_path / "whole")
+    evaluations = [(tmp_path / name / "evaluations.json").read_text() for name in ("whole", "broken")]
+    assert evaluations[0] == evaluations[1]
 
 
 def test_sac_learns_from_flat_observations_too(tmp_path):

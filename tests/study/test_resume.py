@@ -9,12 +9,13 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from pickenv.errors import InputError
 from pickenv.study.config import load_study
-from pickenv.study.folder import missing_chunks, read_rows, study_at, study_of, table_sha256
+from pickenv.study.folder import check_folder, missing_chunks, read_rows, study_at, study_of, table_sha256
 from pickenv.study.run import run_study
 from pickenv.study.table import chunk_path
 
@@ -54,6 +55,38 @@ def test_a_study_killed_half_way_ends_with_the_same_table(study_file, tmp_path):
     assert resumed["table_sha256"] == whole["table_sha256"]
     rows = read_rows(folder).to_table(columns=["arm", "setting"]).to_pylist()
     assert len(rows) == config.arms * len(config.settings()) == len({tuple(row.values()) for row in rows})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", ["serial", "joblib"])
+def test_a_study_killed_again_and_again_at_any_moment_ends_with_the_same_table(study_file, tmp_path, executor):
+    """Ends of any kind, each some moments later than the last: what is on disk is sound, and nothing of it is lost."""
+    path = study_file(("arms = 12", "arms = 40"), ("chunk = 5", "chunk = 1"))
+    config, folder, kept = load_study(path), tmp_path / "killed", set()
+    command = [*COMMAND, str(path), "--executor", executor, "--workers", "2", "--no-report", "--out", str(folder)]
+    rng, patience = np.random.default_rng(0), 0.0
+    for how in (signal.SIGKILL, signal.SIGTERM, signal.SIGKILL, signal.SIGINT, signal.SIGKILL, signal.SIGTERM):
+        with subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": str(ROOT)}
+        ) as study:
+            wanted = len(kept) + rng.integers(3)
+            while study.poll() is None and len(chunks_of(folder)) <= wanted:
+                time.sleep(0.01)
+            patience += rng.uniform(0.0, 0.05)
+            time.sleep(patience)
+            study.send_signal(how)
+        now = chunks_of(folder)
+        assert now >= kept
+        kept = now
+        assert missing_chunks(folder, study_at(folder))[1] == []
+    resumed = run_study(config, folder, executor="serial")
+    assert resumed["chunks_reused"] >= len(kept)
+    assert resumed["table_sha256"] == run_study(config, tmp_path / "whole", executor="serial")["table_sha256"]
+    assert all(reason is None or path.name.startswith(".") for path, reason in check_folder(folder))
+
+
+def chunks_of(folder: Path) -> set[str]:
+    return {path.name for path in (folder / "rows").glob("chunk-*.parquet")}
 
 
 def test_a_finished_study_is_not_computed_again(config, folder):
