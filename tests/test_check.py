@@ -85,7 +85,7 @@ def test_archives_are_known_by_their_content(folder: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", [*NAMES, "run.json"])
-@pytest.mark.parametrize("count", [3, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [3, pytest.param(50, marks=pytest.mark.slow)])
 def test_one_flipped_bit_anywhere_in_a_run_is_refused_by_file(folder: Path, name: str, count: int) -> None:
     whole = (folder / name).read_bytes()
     for number in range(count):

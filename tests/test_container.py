@@ -138,10 +138,12 @@ def test_one_flipped_bit_anywhere_is_refused(path: Path, number: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(40, 540))
-def test_one_flipped_bit_anywhere_is_refused_500_times(path: Path, number: int) -> None:
-    flip(path, np.random.default_rng(number))
-    refused(path)
+def test_one_flipped_bit_anywhere_is_refused_500_times(path: Path) -> None:
+    whole = path.read_bytes()
+    for number in range(500):
+        path.write_bytes(whole)
+        flip(path, np.random.default_rng([1, number]))
+        refused(path)
 
 
 def flip(path: Path, rng: np.random.Generator) -> None:

@@ -106,7 +106,8 @@ def added_to(run: Run) -> Iterator[None]:
     yield
     changed = _changed_since(run.folder, before)
     if run.files is not None and changed:
-        _write_record(replace(run, files={**run.files, **changed}))
+        latest = read_run(run.folder)  # another command may have added its own since
+        _write_record(replace(latest, files={**(latest.files or {}), **changed}))
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
@@ -200,9 +201,11 @@ def faults_of(run: Run) -> list[tuple[Path, str | None]]:
 
 
 def _unedited(run: Run, name: str) -> Path:
-    """The path of one of the run's files; refused where it is not what the run wrote."""
+    """The path of one of the run's files; refused where it is missing or not what the run wrote."""
     path = run.folder / name
-    if run.files is not None and path.is_file() and file_sha256(path) != run.files.get(name):
+    if not path.is_file():
+        raise InputError(f"{path} does not exist; `{run.made_by}` makes it anew")
+    if run.files is not None and file_sha256(path) != run.files.get(name):
         raise InputError(f"{path} is not what the run wrote, it was edited or exchanged; `{run.made_by}` makes it anew")
     return path
 
@@ -254,9 +257,11 @@ def written_report(run: Run) -> str:
     """The page that was written with the run, for runs whose page needs more than the folder keeps.
 
     Raises:
-        InputError: If there is none.
+        InputError: If there is none, or it was edited.
     """
-    path = _unedited(run, REPORT)
+    path = run.folder / REPORT
     if not path.is_file():
         raise InputError(f"{path} does not exist: measurements of this kind have no report page; see `pickenv figures`")
-    return path.read_text(encoding="utf-8")
+    path = _unedited(run, REPORT)
+    with refusing_damage(path, "a page", f"`{run.made_by}` makes it anew"):
+        return path.read_text(encoding="utf-8")

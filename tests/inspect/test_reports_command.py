@@ -210,10 +210,10 @@ def test_bad_folders_are_refused_in_one_sentence_and_nothing_is_written(
 
     refused(lambda f: (f / "run.json").unlink(), "no run.json", "no complete run", "pickenv demo")
     refused(lambda f: (f / "comparison.npz").unlink(), "comparison.npz does not exist", "pickenv demo --out")
-    refused(lambda f: (f / "comparison.npz").write_bytes(b"PK"), "comparison.npz is damaged", "pickenv demo --out")
+    refused(lambda f: (f / "comparison.npz").write_bytes(b"PK"), "comparison.npz is not a Comparison file")
     refused(lambda f: (f / "calibration_trace.npz").unlink(), "calibration_trace.npz does not exist")
-    refused(lambda f: (f / ISO9283).write_text("{}"), "iso9283.json is missing or damaged", run=iso)
-    refused(lambda f: (f / ISO9283).unlink(), "iso9283.json is missing or damaged", "pickenv iso9283 --out", run=iso)
+    refused(lambda f: (f / ISO9283).write_text("{}"), "iso9283.json is not what the run wrote", run=iso)
+    refused(lambda f: (f / ISO9283).unlink(), "iso9283.json does not exist", "pickenv iso9283 --out", run=iso)
     with pytest.raises(InputError, match="nowhere is no folder"):
         call("figures", tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"'docx' is no picture format; give one of .*png"):
