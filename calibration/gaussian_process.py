@@ -30,11 +30,13 @@ CHUNK = 2048
 AMPLITUDES = (0.03, 30.0)
 """Bounds of the prior standard deviation, in units of the output's spread."""
 
-PLAIN_START = (1.0, 1.0, 0.5)
-"""Amplitude, every length scale and noise of the first start: all inputs count alike."""
+PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
+"""Amplitude, every length scale and noise where half is noise and where almost nothing is; all inputs count alike."""
 
-DRAWN_LENGTH_SCALES, DRAWN_NOISE = (0.7, 5.0), (0.1, 0.7)
-"""Where the other starts are drawn: shorter length scales end in noise alone, longer ones with inputs ignored."""
+DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
+"""Where amplitude, each length scale and noise of further starts are drawn, so that inputs count differently.
+
+Shorter length scales end in noise alone, longer ones with inputs ignored."""
 
 COARSE, FINE = 1e-5, 1e-7
 """A search ends when a step gains a smaller share of the log likelihood."""
@@ -47,7 +49,7 @@ class GaussianProcessSettings:
     Attributes:
         rows: Training rows kept at most, drawn evenly; the cost grows with their cube.
         likelihood_rows: Rows at most that the marginal likelihood is taken over.
-        starts: Drawn starts of the search, beside the plain one.
+        starts: Drawn starts of the search, beside the two plain ones.
         start_rows: Rows at most that the drawn starts are compared on; the best two go on with all.
         iterations: Iterations of L-BFGS at most, per search.
         length_scales: Bounds of a length scale, in standardised inputs.
@@ -56,7 +58,7 @@ class GaussianProcessSettings:
 
     rows: int = 2000
     likelihood_rows: int = 600
-    starts: int = 5
+    starts: int = 4
     start_rows: int = 200
     iterations: int = 100
     length_scales: tuple[float, float] = (0.1, 1e3)
@@ -172,14 +174,13 @@ def _most_likely(
     inputs: Array, target: Array, rng: np.random.Generator, settings: GaussianProcessSettings
 ) -> tuple[float, Array, float]:
     """Amplitude, length scales and noise of the best optimum of the marginal likelihood that any start leads to."""
-    features = inputs.shape[1]
-    amplitude, length, noise = PLAIN_START
-    plain = np.log([amplitude, *[length] * features, noise])
-    limits = np.log([(amplitude, amplitude), *[DRAWN_LENGTH_SCALES] * features, DRAWN_NOISE])
-    drawn = rng.uniform(*limits.T, (settings.starts, features + 2))
+    count = np.array([1, inputs.shape[1], 1])
+    plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
+    low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
+    drawn = rng.uniform(low, high, (settings.starts, len(low)))
     some = np.linspace(0, len(inputs) - 1, min(len(inputs), settings.start_rows)).astype(int)
     found = sorted((_search(start, inputs[some], target[some], COARSE, settings) for start in drawn), key=itemgetter(1))
-    starts = [plain, *(optimum for optimum, _ in found[:2])]
+    starts = [*plain, *(optimum for optimum, _ in found[:2])]
     best, _ = min((_search(start, inputs, target, FINE, settings) for start in starts), key=itemgetter(1))
     best = np.exp(best)
     return float(best[0]), np.asarray(best[1:-1]), float(best[-1])
@@ -191,12 +192,12 @@ def _search(
     """The optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there."""
     from scipy.optimize import fmin_l_bfgs_b
 
-    bounds = [AMPLITUDES] + [settings.length_scales] * inputs.shape[1] + [settings.noise]
+    bounds = np.log([AMPLITUDES, *[settings.length_scales] * inputs.shape[1], settings.noise])
     optimum, value, _ = fmin_l_bfgs_b(
         negative_log_likelihood,
         start,
         args=(inputs, target),
-        bounds=np.log(bounds),
+        bounds=[(low, high) for low, high in bounds.tolist()],
         factr=precision / np.finfo(float).eps,
         maxiter=settings.iterations,
     )
