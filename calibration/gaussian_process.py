@@ -1,7 +1,8 @@
 """Gaussian process regression with one length scale per input (automatic relevance determination).
 
 Kernel s^2 exp(-sum_f (x_f - x'_f)^2 / 2 l_f^2) + noise; hyper-parameters maximise the marginal likelihood with its
-analytic gradient (Rasmussen and Williams 2006, algorithm 2.1, eqs (5.8)-(5.9)). One process per output; NumPy alone.
+analytic gradient (Rasmussen and Williams 2006, algorithm 2.1, eqs (5.8)-(5.9)). That likelihood has several optima, of
+which some take everything for noise, so it is climbed from several starts. One process per output; NumPy alone.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -25,8 +27,19 @@ CHUNK = 2048
 """Rows predicted at once, which bounds the memory of the kernel matrix."""
 
 
-LIKELIHOOD_PRECISION = 1e-5
-"""The search ends when a step gains a smaller share of the log likelihood."""
+AMPLITUDES = (0.03, 30.0)
+"""Bounds of the prior standard deviation, in units of the output's spread."""
+
+PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
+"""Amplitude, every length scale and noise where half is noise and where almost nothing is; all inputs count alike."""
+
+DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
+"""Where amplitude, each length scale and noise of further starts are drawn, so that inputs count differently.
+
+Shorter length scales end in noise alone, longer ones with inputs ignored."""
+
+COARSE, FINE = 1e-5, 1e-7
+"""A search ends when a step gains a smaller share of the log likelihood."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +49,18 @@ class GaussianProcessSettings:
     Attributes:
         rows: Training rows kept at most, drawn evenly; the cost grows with their cube.
         likelihood_rows: Rows at most that the marginal likelihood is taken over.
-        iterations: Iterations of L-BFGS at most, per output.
+        starts: Drawn starts of the search, beside the two plain ones.
+        start_rows: Rows at most that the drawn starts are compared on; the best two go on with all.
+        iterations: Iterations of L-BFGS at most, per search.
         length_scales: Bounds of a length scale, in standardised inputs.
         noise: Bounds of the noise's standard deviation, in units of the output's spread.
     """
 
     rows: int = 2000
     likelihood_rows: int = 600
-    iterations: int = 60
+    starts: int = 4
+    start_rows: int = 200
+    iterations: int = 100
     length_scales: tuple[float, float] = (0.1, 1e3)
     noise: tuple[float, float] = (1e-3, 2.0)
 
@@ -119,7 +136,7 @@ def fit_gaussian_process(
     Args:
         inputs: Standardised inputs ``(N, F)``.
         targets: Residuals to learn ``(N, k)``, m and rad.
-        rng: Draws the rows that are kept where there are too many.
+        rng: Draws the starts of the search, and the rows that are kept where there are too many.
         settings: How; the defaults when left out.
 
     Raises:
@@ -136,7 +153,7 @@ def fit_gaussian_process(
     lengths, amplitudes, noises, weights = [], [], [], []
     with single_threaded():
         for j in range(targets.shape[1]):
-            amplitude, length, noise = _most_likely(inputs[seen], scaled[seen, j], settings)
+            amplitude, length, noise = _most_likely(inputs[seen], scaled[seen, j], rng, settings)
             factor = _factor(_kernel(inputs[kept], inputs[kept], length, amplitude), noise)
             lengths.append(length)
             amplitudes.append(amplitude)
@@ -153,24 +170,38 @@ def fit_gaussian_process(
     )
 
 
-def _most_likely(inputs: Array, target: Array, settings: GaussianProcessSettings) -> tuple[float, Array, float]:
-    """Amplitude, length scales and noise that maximise the marginal likelihood, from one start of middling scales."""
-    from scipy.optimize import fmin_l_bfgs_b
-
-    features = inputs.shape[1]
-    best = np.log(np.concatenate([[1.0], np.full(features, 1.0), [0.5]]))
-    bounds = [(0.03, 30.0)] + [settings.length_scales] * features + [settings.noise]
-    for every in (3, 1):  # a third of the rows costs a 27th and comes near
-        best = fmin_l_bfgs_b(
-            negative_log_likelihood,
-            best,
-            args=(inputs[::every], target[::every]),
-            bounds=[(float(np.log(low)), float(np.log(high))) for low, high in bounds],
-            factr=LIKELIHOOD_PRECISION / np.finfo(float).eps,
-            maxiter=settings.iterations,
-        )[0]
+def _most_likely(
+    inputs: Array, target: Array, rng: np.random.Generator, settings: GaussianProcessSettings
+) -> tuple[float, Array, float]:
+    """Amplitude, length scales and noise of the best optimum of the marginal likelihood that any start leads to."""
+    count = np.array([1, inputs.shape[1], 1])
+    plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
+    low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
+    drawn = rng.uniform(low, high, (settings.starts, len(low)))
+    some = np.linspace(0, len(inputs) - 1, min(len(inputs), settings.start_rows)).astype(int)
+    found = sorted((_search(start, inputs[some], target[some], COARSE, settings) for start in drawn), key=itemgetter(1))
+    starts = [*plain, *(optimum for optimum, _ in found[:2])]
+    best, _ = min((_search(start, inputs, target, FINE, settings) for start in starts), key=itemgetter(1))
     best = np.exp(best)
     return float(best[0]), np.asarray(best[1:-1]), float(best[-1])
+
+
+def _search(
+    start: Array, inputs: Array, target: Array, precision: float, settings: GaussianProcessSettings
+) -> tuple[Array, float]:
+    """The optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there."""
+    from scipy.optimize import fmin_l_bfgs_b
+
+    bounds = np.log([AMPLITUDES, *[settings.length_scales] * inputs.shape[1], settings.noise])
+    optimum, value, _ = fmin_l_bfgs_b(
+        negative_log_likelihood,
+        start,
+        args=(inputs, target),
+        bounds=[(low, high) for low, high in bounds.tolist()],
+        factr=precision / np.finfo(float).eps,
+        maxiter=settings.iterations,
+    )
+    return optimum, float(value)
 
 
 def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple[float, Array]:
@@ -185,13 +216,17 @@ def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple
     smooth = _kernel(inputs, inputs, length, amplitude)
     factor = _factor(smooth, noise)
     dual = cho_solve((factor, True), target)
-    lower = np.tril(dpotri(factor, lower=1)[0])  # the inverse; LAPACK fills one triangle
-    weight = np.outer(dual, dual) - (lower + np.tril(lower, -1).T)
-    weighted = weight * smooth
-    scaled = inputs / length
-    by_length = weighted.sum(axis=1) @ scaled**2 - np.sum(scaled * (weighted @ scaled), axis=0)
-    slope = np.concatenate([[weighted.sum()], by_length, [noise**2 * np.trace(weight)]])
     value = 0.5 * target @ dual + np.log(np.diag(factor)).sum() + 0.5 * len(target) * np.log(2.0 * np.pi)
+    half = dpotri(factor, lower=1, overwrite_c=1)[0].T  # with its diagonal halved, half + half.T is the inverse
+    half[np.diag_indices_from(half)] *= 0.5
+    trace = dual @ dual - 2.0 * np.trace(half)
+    half *= smooth
+    scaled = inputs / length
+    columns = np.column_stack([np.ones(len(inputs)), scaled])
+    # (dual dual^T - inverse), times the kernel element by element, times columns
+    weighted = dual[:, None] * (smooth @ (dual[:, None] * columns)) - half @ columns - half.T @ columns
+    by_length = weighted[:, 0] @ scaled**2 - np.sum(scaled * weighted[:, 1:], axis=0)
+    slope = np.concatenate([[weighted[:, 0].sum()], by_length, [noise**2 * trace]])
     return float(value), -slope
 
 
@@ -199,10 +234,16 @@ def _factor(smooth: Array, noise: float) -> Array:
     """Lower Cholesky factor of the kernel matrix with noise and a whisper of jitter on its diagonal."""
     matrix = smooth.copy()
     matrix[np.diag_indices_from(matrix)] += noise**2 + 1e-10
-    return np.asarray(cholesky(matrix, lower=True, overwrite_a=True, check_finite=False))
+    return np.asarray(cholesky(matrix.T, lower=True, overwrite_a=True, check_finite=False))
 
 
 def _kernel(left: Array, right: Array, length: Array, amplitude: float) -> Array:
+    """Kernel without noise between rows, computed in place: fresh memory costs more than the arithmetic."""
     a, b = left / length, right / length
-    squares = np.sum(a**2, axis=1)[:, None] + np.sum(b**2, axis=1) - 2.0 * a @ b.T
-    return np.asarray(amplitude**2 * np.exp(-0.5 * np.maximum(squares, 0.0)))
+    kernel = a @ b.T
+    kernel -= 0.5 * np.sum(a**2, axis=1)[:, None]
+    kernel -= 0.5 * np.sum(b**2, axis=1)
+    np.minimum(kernel, 0.0, out=kernel)
+    np.exp(kernel, out=kernel)
+    kernel *= amplitude**2
+    return np.asarray(kernel)
