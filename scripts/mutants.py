@@ -184,7 +184,7 @@ def mutants_of(path: str, code: str) -> list[Mutant]:
     for mutation in visitor.mutations:
         old, new = mutation.original_node, mutation.mutated_node
         line = places[old].start.line if old in places else 0
-        change = f"{module.code_for_node(old).strip()} -> {module.code_for_node(new).strip()}"
+        change = " ".join(f"{module.code_for_node(old)} -> {module.code_for_node(new)}".split())
         seen[line, change] += 1
         if seen[line, change] > 1:
             change += f" (no. {seen[line, change]})"
