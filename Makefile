@@ -3,6 +3,9 @@
 #   make demo                 calibrate the arm, pick with it, look at the error: runs/demo
 #   make test                 style, types, tests
 #   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
+#   make mutants              change the lines that make numbers, one at a time: runs/mutants.json says what the tests
+#                             did not notice. Hours for all; goes on where it was; ARGS="--room plant --sample 50" for
+#                             a random part, with its score and interval by room
 #   make demo ARGS=--quick    options for the command
 #   make ... PYTHON=python3.12  another Python, for a new .venv
 
@@ -15,6 +18,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 RUNTIME := $(VENV)/.runtime
 DEVELOPMENT := $(VENV)/.development
 BROWSER := $(VENV)/.browser
+MUTANTS := $(VENV)/.mutants
 # Chromium; Mesa's drivers that draw on the processor, for Vulkan (rerun's own viewer) and OpenGL (the browser); a
 # library that playwright's driver needs; a screen that is none, and what the viewer's window needs on it.
 BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatomic1 \
@@ -24,7 +28,7 @@ BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatom
 TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
-.PHONY: demo test test-slow test-browser lint format benchmark clean
+.PHONY: demo test test-slow test-browser lint format benchmark mutants clean
 
 demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
@@ -51,6 +55,9 @@ format: $(DEVELOPMENT)
 benchmark: $(DEVELOPMENT)
 	$(PYTEST) -m "" --benchmark-enable --benchmark-only $(ARGS)
 
+mutants: $(MUTANTS)
+	$(BIN)/python scripts/mutants.py $(ARGS)
+
 clean:
 	rm -rf $(VENV) runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -69,6 +76,10 @@ $(RUNTIME): pyproject.toml constraints.txt
 
 $(DEVELOPMENT): $(RUNTIME)
 	@$(PIP) install -c constraints.txt -e ".[dev]"
+	@touch $@
+
+$(MUTANTS): $(DEVELOPMENT)
+	@$(PIP) install -c constraints.txt -e ".[mutants]"
 	@touch $@
 
 $(BROWSER): $(DEVELOPMENT)

@@ -16,6 +16,9 @@ from pickenv.errors import InputError
 
 Thing = TypeVar("Thing")
 
+PIECE = 1 << 20
+"""Bytes read at once."""
+
 LARGEST = 1 << 30
 """Bytes; no text file of ours comes near it."""
 
@@ -47,7 +50,8 @@ def read_text(path: str | Path, kind: str) -> str:
         mode = Path(path).stat().st_mode
         if stat.S_ISREG(mode) or stat.S_ISFIFO(mode):
             with Path(path).open("rb") as file:
-                data = file.read(LARGEST + 1)
+                while len(data) <= LARGEST and (more := file.read(PIECE)):
+                    data += more
         else:
             what = "a folder" if stat.S_ISDIR(mode) else "a device"
     except FileNotFoundError as error:

@@ -4,6 +4,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# A busy machine is slow, and nothing that a test says is about time.
+settings.register_profile("pickenv", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("pickenv")
 
 ROOT = Path(__file__).parents[1]
 

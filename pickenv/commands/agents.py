@@ -25,6 +25,10 @@ def train(
     algo: Annotated[str, typer.Option(help="Algorithm: ppo, sac or tqc.")] = "ppo",
     env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
     compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
+    allow: Annotated[
+        list[str] | None,
+        typer.Option(help="Train behind the calibration in spite of this: fitted-frames, do-not-use."),
+    ] = None,
     plant: Annotated[
         str | None, typer.Option(help="Plant preset or plant file; the environment's if left out.")
     ] = None,
@@ -76,6 +80,7 @@ def train(
             seed=seed,
             arguments=arguments,
             compensate=None if compensate is None else str(compensate),
+            allow=allow or [],
             checkpoint_every=checkpoint_every,
             evaluate_every=evaluate_every,
         )
@@ -102,6 +107,7 @@ def _refuse_changes(context: typer.Context, begun: Training, out: Path) -> None:
         "algo": begun.algorithm,
         "env": begun.env_id,
         "compensate": begun.compensate,
+        "allow": begun.allow,
         "plant": begun.arguments.get("plant"),
         "feedback": begun.arguments.get("feedback", "encoders"),
         "camera_noise": begun.arguments.get("camera_noise_mm", 0.0),

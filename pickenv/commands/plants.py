@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from pickenv.limits import check_limit
+from pickenv.reservations import obey
 
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
 
@@ -47,6 +48,9 @@ def effects(
 def iso9283(
     plant: Annotated[str, typer.Option(help="Plant preset or plant file (.toml).")] = "orchard",
     calibration: Annotated[Path | None, typer.Option(help="Fitted calibration (.npz) to test as well.")] = None,
+    allow: Annotated[
+        list[str] | None, typer.Option(help="Test the calibration in spite of this: fitted-frames, do-not-use.")
+    ] = None,
     cycles: Annotated[int, typer.Option(help="Measurements per pose; 30 by the standard.", min=2)] = 30,
     speed: Annotated[float, typer.Option(help="Share of the largest speed.", min=0.01, max=1.0)] = 1.0,
     dwell: Annotated[float, typer.Option(help="Waiting time before each measurement, s.", min=0.0)] = 2.0,
@@ -74,6 +78,8 @@ def iso9283(
     )
     chosen = load_plant(plant)
     fitted = Calibration.load(calibration, chosen.arm) if calibration is not None else None
+    if fitted is not None:
+        obey(fitted.reservations(), allow or ())
     result = test(
         chosen,
         fitted.compensator() if fitted is not None else None,

@@ -104,20 +104,20 @@ def test_a_killed_training_goes_on(tmp_path, hows):
     checkpoint, before, rng = tmp_path / "broken" / "checkpoint.pt", b"", np.random.default_rng(0)
     for how in hows:
         process = start("broken", *(["again"] if before else []))
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 600
         while process.poll() is None and time.monotonic() < deadline:
             if checkpoint.exists() and checkpoint.read_bytes() != before:
                 break
             time.sleep(0.05)
         time.sleep(rng.uniform(0.0, 0.2))
         process.send_signal(how)
-        assert process.wait(60) != 0
+        assert process.wait(600) != 0
         process.stderr.close()
         assert check_checkpoint(checkpoint) is None
         before = checkpoint.read_bytes()
     for name, more in (("broken", ("again",)), ("whole", ())):
         process = start(name, *more)
-        assert process.wait(300) == 0, process.stderr.read().decode()
+        assert process.wait(1800) == 0, process.stderr.read().decode()
         process.stderr.close()
     assert same(tmp_path / "broken", tmp_path / "whole")
     evaluations = [(tmp_path / name / "evaluations.json").read_text() for name in ("whole", "broken")]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, forward, rotation_matrix
+from pickenv.arm import Pose, forward, rotation_matrix, rotation_vector
 
 
 def test_parameters_carry_the_papers_indices(qiao):
@@ -67,3 +67,12 @@ def test_base_and_tool_frame_the_chain(qiao, draw):
     reach = inner.position + inner.rotation @ tool.position
     np.testing.assert_allclose(framed.position, base.position + reach @ base.rotation.T, rtol=0, atol=1e-14)
     np.testing.assert_allclose(framed.rotation, base.rotation @ inner.rotation @ tool.rotation, rtol=0, atol=1e-14)
+
+
+def test_a_batch_of_rotations_is_the_rotations_one_by_one_and_back():
+    vectors = np.random.default_rng(4).uniform(-1.5, 1.5, (2, 4, 3))
+    batch = rotation_matrix(vectors)
+    assert batch.shape == (2, 4, 3, 3)
+    for index in np.ndindex(2, 4):
+        np.testing.assert_allclose(batch[index], rotation_matrix(vectors[index]), atol=1e-15)
+    np.testing.assert_allclose(rotation_vector(batch), vectors, atol=1e-14)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, forward, forward_torch, load_arm, pose_error
+from pickenv.arm.kinematics import pose_of
 
 GOLDEN = {
     key: np.array(value)
@@ -74,3 +75,17 @@ def test_pose_error_is_in_world_axes():
     tilted = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) @ quarter  # then about the world's x
     error = pose_error(Pose(np.zeros(3), quarter), Pose(np.array([0.0, 0, 1e-3]), tilted))
     np.testing.assert_allclose(error, [0, 0, 1e-3, np.pi / 2, 0, 0], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("varies", range(12))
+def test_the_components_of_a_frame_may_have_any_shapes_that_fit(varies):
+    """Only some of them vary over a batch where joints are held; constants may be plain floats."""
+    import torch
+
+    frame = [torch.tensor(float(i)) for i in range(12)]
+    frame[varies], frame[(varies + 1) % 12] = torch.arange(3.0), 0.5
+    pose = pose_of(tuple(frame), torch)
+    arrays = pose_of(tuple(np.asarray(value) for value in frame))
+    assert pose.position.shape == (3, 3) and pose.rotation.shape == (3, 3, 3)
+    np.testing.assert_array_equal(pose.position.numpy(), arrays.position)
+    np.testing.assert_array_equal(pose.rotation.numpy(), arrays.rotation)

@@ -9,7 +9,7 @@ import pytest
 from pickenv.arm import forward, load_plant, pose_error, rotation_matrix, shipped_plants
 from pickenv.arm.effects import BoomBending, JointCompliance, Load, driven_joints
 from pickenv.arm.kinematics import chain_of, frames, pose_of
-from pickenv.arm.plant import EFFECTS
+from pickenv.arm.plant import EFFECTS, placed_chain
 
 MOVING = ["joint_compliance", "boom_bending", "transmission_error"]
 
@@ -128,3 +128,15 @@ def test_drive_errors_come_before_everything_else(name):
     assert max(abs(a - b) for a, b in zip(q, driven, strict=True)) > 0.01
     smooth = rough.without(["transmission_error"])
     np.testing.assert_allclose(rough.tool_frame(math, q), smooth.tool_frame(math, driven), rtol=0, atol=1e-14)
+
+
+def test_every_number_of_a_chain_is_placed_and_nothing_else():
+    geometry = load_plant("geometry_only").geometry
+    for beta in (0.0, 0.3):
+        chain = chain_of(replace(geometry, beta=np.full(6, beta)), np)
+        placed = placed_chain(chain, lambda value: ("placed", float(value)))
+        for link, moved in zip(chain.links, placed.links, strict=True):
+            assert moved.prismatic == link.prismatic
+            assert moved.beta == (None if beta == 0.0 else (("placed", np.cos(beta)), ("placed", np.sin(beta))))
+            for name in ("cos_alpha", "sin_alpha", "a", "theta", "d", "cos_theta", "sin_theta"):
+                assert getattr(moved, name) == ("placed", float(getattr(link, name)))

@@ -71,7 +71,7 @@ def serve(run: Path) -> Iterator[str]:
             yield f"{address[0]}&persist=0&hide_welcome_screen"
         finally:
             server.send_signal(signal.SIGINT)
-            server.wait(timeout=30)
+            server.wait(timeout=600)
 
 
 def _wait_for(address: SplitResult) -> None:

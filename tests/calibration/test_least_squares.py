@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calibration import Measurements, complete_model, identify, link_model, random_joints
+from calibration.arm_model import Conditions
 from calibration.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
 from calibration.least_squares import describe_absorption, is_angle
-from pickenv.arm import forward, load_arm, parameter_jacobian
+from pickenv.arm import forward, load_arm, parameter_jacobian, rotation_matrix
 from pickenv.errors import InputError
 
 PAPER_DROPS = {"a2", "a3", "a5", "d3", "d4", "theta2", "d6"}
@@ -195,3 +196,21 @@ def test_a_step_that_makes_it_worse_is_never_kept(exact, arm):
         found = identify(model, moved(model, nominal, change), data)
         assert (np.diff(found.residual_rms) <= 0).all()
         assert not found.converged or found.residual_rms[-1] < 1e-3 * found.residual_rms[0]
+
+
+@pytest.mark.parametrize("positions", [False, True])
+def test_chi_square_counts_residuals_in_their_stated_uncertainties(qiao, exact, positions):
+    rng, data = np.random.default_rng(6), exact(qiao.true, 300)
+    data = replace(data, position_std=5e-5, attitude_std=2e-4)
+    turn = rotation_matrix(rng.normal(size=(300, 3)) * data.attitude_std)
+    data = replace(
+        data, position=data.position + rng.normal(size=(300, 3)) * data.position_std, rotation=turn @ data.rotation
+    )
+    found = identify(link_model(qiao.nominal), qiao.nominal, data.positions_only() if positions else data)
+    assert found.chi_square / found.degrees_of_freedom == pytest.approx(1.0, abs=0.15)
+
+
+def test_too_few_poses_are_refused_whatever_else_is_known_of_them(qiao, exact):
+    data = replace(exact(qiao.true, 2), conditions=Conditions(payload=np.array([0.0, 0.25])))
+    with pytest.raises(InputError, match="2 poses give 12 equations, too few"):
+        identify(link_model(qiao.nominal), qiao.nominal, data)

@@ -200,7 +200,7 @@ def read_recording(path: Path) -> Reading:
     return Reading(path, reader.stream().collect(), reader.stream(store=blueprint).collect())
 
 
-def await_chunks(path: Path, enough: Callable[[list[Any]], bool], seconds: float = 60.0) -> list[Any]:
+def await_chunks(path: Path, enough: Callable[[list[Any]], bool], seconds: float = 600.0) -> list[Any]:
     """The chunks of a recording that another process is still writing, once there are ``enough``."""
     from rerun.chunk import RrdReader
 

@@ -261,7 +261,7 @@ except InputError as error:
     conftest, path = Path(__file__).with_name("conftest.py"), tmp_path / "errors.rrd"
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     command = [sys.executable, "-c", script, str(conftest), str(path)]
-    done = subprocess.run(command, env=environment, check=False, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, env=environment, check=False, capture_output=True, text=True, timeout=600)
     assert done.stderr == f"error: cannot write {path}: File too large\n"
     assert list(tmp_path.iterdir()) == []
 

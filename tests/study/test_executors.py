@@ -74,7 +74,7 @@ from pickenv.study.executors import Crew, run_joblib
 
 def work(chunk):
     Path(sys.argv[1], str(os.getpid())).touch()
-    time.sleep(60.0)
+    time.sleep(3600.0)
 
 list(run_joblib([0, 1], work, Crew(2)))
 """
@@ -91,7 +91,7 @@ def test_workers_end_with_a_killed_driver(tmp_path):
         driver.kill()
     workers = [int(path.name) for path in tmp_path.iterdir()]
     assert len(workers) == 2
-    patience = time.monotonic() + 30.0
+    patience = time.monotonic() + 600.0
     while any(map(running, workers)) and time.monotonic() < patience:
         time.sleep(0.1)
     assert not any(map(running, workers))
