@@ -82,7 +82,7 @@ def base_frame_error(nominal: Geometry, fitted: Geometry, joints: ArrayLike, lef
     model = frames_model(nominal)
     jacobian = parameter_jacobian(nominal, joints)[:, :3][..., model.columns]
     rng = np.random.default_rng(0)
-    sizes = np.exp(rng.uniform(*np.log(SCALES), (DRAWS, 1)))
+    sizes = np.exp(rng.uniform(np.log(SCALES[0]), np.log(SCALES[1]), (DRAWS, 1)))
     draws = sizes * rng.normal(size=(DRAWS, len(model.columns))) * model.tolerance
     missed = np.einsum("nip,dp->dni", jacobian, draws) + left[:, :3]
     low, high = np.percentile(np.linalg.norm(missed, axis=2).mean(axis=1), [2.5, 97.5])

@@ -29,6 +29,7 @@ from calibration import (
     simulated_tracker,
 )
 from calibration.error_model import residual
+from calibration.result import assess
 from calibration.uncertainty import held_out_errors, pose_uncertainty
 from pickenv.arm import forward, load_plant, noncompensable_error, pose_error
 from pickenv.arm.geometry import Array
@@ -278,7 +279,9 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
             result.identification.write_csv(out / "measurements.csv"),
             result.network.write_csv(out / "network_measurements.csv"),
             result.test.write_csv(out / "test_measurements.csv"),
-            result.fit.calibration.save(out / "calibration"),
+            assess(result.plant.arm, result.fit, result.identification, result.test).calibration.save(
+                out / "calibration"
+            ),
             save_comparison(out, result.comparison),
             save_trace(out, found, result.settings.seed),
         ]
