@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calibration import Measurements, complete_model, identify, link_model, random_joints
-from calibration.arm_model import Conditions
 from calibration.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
 from calibration.least_squares import describe_absorption, is_angle
 from pickenv.arm import forward, load_arm, parameter_jacobian, rotation_matrix
@@ -208,9 +207,3 @@ def test_chi_square_counts_residuals_in_their_stated_uncertainties(qiao, exact, 
     )
     found = identify(link_model(qiao.nominal), qiao.nominal, data.positions_only() if positions else data)
     assert found.chi_square / found.degrees_of_freedom == pytest.approx(1.0, abs=0.15)
-
-
-def test_too_few_poses_are_refused_whatever_else_is_known_of_them(qiao, exact):
-    data = replace(exact(qiao.true, 2), conditions=Conditions(payload=np.array([0.0, 0.25])))
-    with pytest.raises(InputError, match="2 poses give 12 equations, too few"):
-        identify(link_model(qiao.nominal), qiao.nominal, data)
