@@ -330,6 +330,7 @@ def main(
         "MPLBACKEND": "Agg",
         "PICKENV_DATA": os.environ.get("PICKENV_DATA") or str(ROOT.parent / "shared/data"),
     }
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
     WARM.set_forkserver_preload(["__main__", *LIBRARIES])
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "project"

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration import Measurements, complete_model, identify, link_model, random_joints
-from calibration.arm_model import Conditions
+from calibration import Measurements, complete_model, identify, least_squares, link_model, random_joints
 from calibration.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
-from calibration.least_squares import describe_absorption, is_angle
+from calibration.identifiability import RANK_TOLERANCE
+from calibration.least_squares import describe_absorption, identify_surely, is_angle
 from pickenv.arm import forward, load_arm, parameter_jacobian, rotation_matrix
 from pickenv.errors import InputError
 
@@ -210,7 +210,29 @@ def test_chi_square_counts_residuals_in_their_stated_uncertainties(qiao, exact, 
     assert found.chi_square / found.degrees_of_freedom == pytest.approx(1.0, abs=0.15)
 
 
-def test_too_few_poses_are_refused_whatever_else_is_known_of_them(qiao, exact):
-    data = replace(exact(qiao.true, 2), conditions=Conditions(payload=np.array([0.0, 0.25])))
-    with pytest.raises(InputError, match="2 poses give 12 equations, too few"):
-        identify(link_model(qiao.nominal), qiao.nominal, data)
+def test_the_report_gives_lengths_in_mm_and_angles_in_degrees(qiao, exact):
+    found = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.true, 60))
+    told = {line.split()[0]: line.split()[1:] for line in found.report().splitlines() if line.endswith((" mm", " deg"))}
+    assert set(told) == set(found.identifiability.kept_names)
+    for name, delta in zip(found.identifiability.names, found.delta, strict=True):
+        if name in told:
+            value, _, unit = told[name]
+            assert unit == ("deg" if name.startswith(("alpha", "theta")) else "mm")
+            assert float(value) == pytest.approx(np.degrees(delta) if unit == "deg" else 1e3 * delta, abs=1e-5)
+
+
+def test_what_wanders_is_identified_again_with_fewer_and_fewer_parameters(qiao, exact, monkeypatch):
+    data, asked = exact(qiao.true, 60), []
+    found = identify(link_model(qiao.nominal), qiao.nominal, data)
+
+    def wandering(*_, rank_tolerance, **__):
+        asked.append(rank_tolerance / RANK_TOLERANCE)
+        return replace(found, converged=len(asked) > settles)
+
+    monkeypatch.setattr(least_squares, "identify", wandering)
+    settles = 2
+    assert identify_surely(link_model(qiao.nominal), qiao.nominal, data).converged
+    assert asked == [1.0, 3.0, 10.0]
+    asked, settles = [], 3
+    with pytest.raises(InputError, match="the identification did not converge"):
+        identify_surely(link_model(qiao.nominal), qiao.nominal, data)
