@@ -145,7 +145,7 @@ class Words(HTMLParser):
             self.text.append(data)
 
 
-NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?(?![\w])")
+NUMBER = re.compile(r"(?<![\w.^])[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?(?![\w])")
 
 
 def numbers(text: str) -> set[str]:
