@@ -262,3 +262,15 @@ def test_goals_keep_a_twentieth_of_each_range_away_from_both_limits_and_use_the_
     share = (joints - task.lower) / (np.array(task.upper) - task.lower)
     assert share.min() >= 0.05 - 1e-12 and share.max() <= 0.95 + 1e-12
     assert share.min(axis=0).max() < 0.07 and share.max(axis=0).min() > 0.93
+
+
+def test_an_arm_without_error_at_its_goal_has_no_error_of_any_kind_and_the_highest_reward(make):
+    goal = {"start_joints": MIDDLE, "goal_joints": MIDDLE}
+    one, many = make(plant="ideal"), gym.make_vec("pickenv/Reach-v0", num_envs=2, plant="ideal")
+    for env, still in ((one, np.zeros(6, dtype=np.float32)), (many, np.zeros((2, 6), dtype=np.float32))):
+        env.reset(seed=0, options=goal)
+        _, reward, _, _, info = env.step(still)
+        names = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
+        assert [np.max(np.abs(info[name])) for name in names] == [0.0] * 4
+        assert np.max(np.abs(reward)) == 0.0
+    many.close()

@@ -58,3 +58,10 @@ def test_bands_cover_the_true_quantile_at_least_as_often_as_they_say(probability
 def test_a_band_of_few_arms_ends_at_the_smallest_and_the_largest():
     low, _, high = band_levels(5, [0.5])[:, 0]
     assert low <= 0.1 and high >= 0.9
+
+
+@pytest.mark.parametrize(("count", "ranks"), [(20, (6, 15)), (50, (18, 33)), (100, (40, 61))])
+def test_the_band_of_a_median_ends_at_the_order_statistics_of_the_tables(count, ranks):
+    """The usual tables of confidence limits of a median, 95 %."""
+    low, _, high = band_levels(count, [0.5])[:, 0]
+    assert (low * count + 0.5, high * count + 0.5) == pytest.approx(ranks)

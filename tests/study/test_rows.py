@@ -11,7 +11,7 @@ from pickenv.arm.tolerances import TOLERANCES, it_tolerance
 from pickenv.errors import InputError
 from pickenv.study.arm_by_arm import evaluate_arm, evaluate_chunk
 from pickenv.study.config import Noise, load_study
-from pickenv.study.outcomes import figures
+from pickenv.study.outcomes import NOT_FINITE, Outcomes, chunk_table, figures, reach_status
 from pickenv.study.protocol import carrying, prepare
 from pickenv.study.table import FIGURES, OK
 
@@ -231,3 +231,21 @@ def test_the_figures_are_those_of_a_hundred_and_one_fruit_known_by_heart():
             "share_within": 76 / 101,
         }
     )
+
+
+def test_an_arm_without_a_finite_pose_is_not_judged_and_an_earlier_reason_stays(config):
+    protocol = prepare(config)
+    (setting, *_), arms = protocol.populations()[0], range(3)
+    position = np.full((3, config.fruit), 5e-4)
+    position[1:, 0] = np.nan
+    outcomes = Outcomes(setting, (OK, OK, "lost"), (4, 4, 4), position, np.zeros_like(position))
+    table = chunk_table(protocol, arms, [(protocol.draw(setting, arms), [outcomes])])
+    assert table["status"].to_pylist() == [OK, NOT_FINITE, "lost"]
+    np.testing.assert_allclose(table["error_mean_mm"].to_numpy(), [0.5, np.nan, np.nan])
+    np.testing.assert_allclose(table["share_within"].to_numpy(), [1.0, np.nan, np.nan])
+
+
+def test_an_arm_may_miss_as_many_fruit_as_the_required_share_leaves(config):
+    assert (config.fruit, config.share) == (8, 0.75)
+    assert reach_status(2, config) == OK
+    assert reach_status(3, config).startswith("3 of 8 fruit are out of this arm's reach")
