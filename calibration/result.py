@@ -220,12 +220,19 @@ class Result:
     def parameters(self) -> list[dict[str, Any]]:
         """Each identified parameter: name, change and standard deviation on screens' units, and what became of it."""
         found, calibration = self.fit.identification, self.fit.calibration
+        bare = self.geometric.identification
         states, model = self.quality.states, calibration.model
         moved = np.concatenate([calibration.nominal.difference(model.geometry), model.coefficients])
         change = dict(zip(model.parameter_names, moved, strict=True)) | found.unknowns
         rows = []
-        for name, std in zip(found.identifiability.names, found.standard_deviation, strict=True):
-            if np.isnan(std) and name not in found.identifiability.kept_names:
+        known = {
+            name: std
+            for each in (bare, found)
+            for name, std in zip(each.identifiability.names, each.standard_deviation, strict=True)
+        }
+        lost = {item.name for item in found.identifiability.dropped}
+        for name, std in known.items():
+            if name in lost:
                 continue
             unit, scale = unit_of(name, model.geometry.parameter_names)
             state = states.of(name)

@@ -114,7 +114,8 @@ def _share(states: Mapping[str, str]) -> str:
 
 def _table(block: Block, heading: str = "") -> str:
     """A block as a table, with its note."""
-    head = "".join(f"<th class=words>{escape(cell)}</th>" for cell in block.header)
+    columns = zip(block.header, *block.rows, strict=True) if block.header else ()
+    head = "".join(_cell(cells[1], "th", cells[0]) for cells in columns)
     rows = "".join("<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in block.rows)
     note = f'<p class="explain">{escape(_sentence(block.note))}</p>' if block.note else ""
     return (
@@ -123,13 +124,14 @@ def _table(block: Block, heading: str = "") -> str:
     )
 
 
-def _cell(text: str) -> str:
+def _cell(text: str, tag: str = "td", shown: str | None = None) -> str:
+    """A cell, to the right where ``text`` is a number."""
     number = text[:1] in "-0123456789" and text != ""
-    return f"<td>{escape(text)}</td>" if number else f"<td class=words>{escape(text)}</td>"
+    return f"<{tag}{'' if number else ' class=words'}>{escape(text if shown is None else shown)}</{tag}>"
 
 
 def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:].replace("chi^2", "χ²") + ("" if text.endswith(".") else ".")
+    return text[:1].upper() + text[1:].replace("chi^2", "χ²").replace("`", "") + ("" if text.endswith(".") else ".")
 
 
 def _errors(r: Result, blocks: Mapping[str, Block]) -> str:
@@ -150,12 +152,12 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> str:
             f'<tr><td class="name">{before.axis} ({before.unit})</td><td>{figure(before.rmse)}</td>{cells}</tr>'
         )
     shown = [("nominal", "before", stages[0][1]), ("calibrated geometry", "after", stages[1][1])]
-    shown += [(r.best_model, "best", stages[-1][1])] if len(stages) > 2 else []
+    shown += [("model used", "best", stages[-1][1])] if len(stages) > 2 else []
     series = {label: (tone, _norms_mm(values)) for label, tone, values in shown}
     return (
         _table(blocks["Errors on held-out rows"])
         + '<p class="explain">Measured minus predicted, on poses that took no part in the fit.</p>'
-        + f"<div>{cumulative(series, 'position error (mm)')}</div>"
+        + f'<div class="pair"><div>{cumulative(series, "position error (mm)")}</div></div>'
         + f'<div class="scroll"><table>{head}</tr>{"".join(rows)}</table></div>'
     )
 
