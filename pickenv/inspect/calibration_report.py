@@ -157,7 +157,7 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> str:
     return (
         _table(blocks["Errors on held-out rows"])
         + '<p class="explain">Measured minus predicted, on poses that took no part in the fit.</p>'
-        + f'<div class="pair"><div>{cumulative(series, "position error (mm)")}</div></div>'
+        + f'<div style="max-width:34rem">{cumulative(series, "position error (mm)")}</div>'
         + f'<div class="scroll"><table>{head}</tr>{"".join(rows)}</table></div>'
     )
 
