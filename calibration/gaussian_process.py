@@ -50,7 +50,7 @@ class GaussianProcessSettings:
         rows: Training rows kept at most, drawn evenly; the cost grows with their cube.
         likelihood_rows: Rows at most that the marginal likelihood is taken over.
         starts: Drawn starts of the search, beside the two plain ones.
-        start_rows: Rows at most that the drawn starts are compared on; the best two go on with all.
+        start_rows: Rows at most that the starts are compared on; the best two go on with all.
         iterations: Iterations of L-BFGS at most, per search.
         length_scales: Bounds of a length scale, in standardised inputs.
         noise: Bounds of the noise's standard deviation, in units of the output's spread.
@@ -58,7 +58,7 @@ class GaussianProcessSettings:
 
     rows: int = 2000
     likelihood_rows: int = 600
-    starts: int = 4
+    starts: int = 8
     start_rows: int = 200
     iterations: int = 100
     length_scales: tuple[float, float] = (0.1, 1e3)
@@ -178,10 +178,15 @@ def _most_likely(
     plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
     low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
     drawn = rng.uniform(low, high, (settings.starts, len(low)))
+    starts = [*plain, *drawn]
     some = np.linspace(0, len(inputs) - 1, min(len(inputs), settings.start_rows)).astype(int)
-    found = sorted((_search(start, inputs[some], target[some], COARSE, settings) for start in drawn), key=itemgetter(1))
-    starts = [*plain, *(optimum for optimum, _ in found[:2])]
-    best, _ = min((_search(start, inputs, target, FINE, settings) for start in starts), key=itemgetter(1))
+    found = sorted(
+        (_search(start, inputs[some], target[some], COARSE, settings) for start in starts), key=itemgetter(1)
+    )
+    finalists = [optimum for optimum, _ in found[:2]]
+    if len(some) < len(inputs):
+        finalists.append(plain[0])  # where some rows show noise alone, all may show more
+    best, _ = min((_search(start, inputs, target, FINE, settings) for start in finalists), key=itemgetter(1))
     best = np.exp(best)
     return float(best[0]), np.asarray(best[1:-1]), float(best[-1])
 

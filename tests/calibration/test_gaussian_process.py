@@ -142,15 +142,15 @@ def test_more_starts_find_optima_that_one_misses_and_never_lose_one(
     several = np.array([likelihoods(fitted(arm), arm) for arm in arms])
     monkeypatch.setattr(gaussian_process, "PLAIN_STARTS", gaussian_process.PLAIN_STARTS[:1])
     one = np.array([likelihoods(fitted(arm, starts=0), arm) for arm in arms])
-    assert np.all(several <= one)
+    assert np.all(several <= one + 0.01)  # two ways to one optimum
     assert np.max(one - several) > nats
 
 
-def test_with_few_rows_for_the_starts_the_best_still_goes_on_with_all(dynamic: Plant) -> None:
-    """On 40 rows anything may look best; the search on all rows has the last word."""
-    arm = arm_after_least_squares(dynamic, 0)
-    plain, drawn = (likelihoods(fitted(arm, **given), arm) for given in ({"starts": 0}, {"start_rows": 40}))
-    assert np.all(drawn <= plain)
+def test_where_some_rows_show_noise_alone_all_rows_have_the_last_word(dynamic: Plant) -> None:
+    """40 rows leave the process ignorant; it still ends as well as with all rows for every start."""
+    arm = arm_after_least_squares(dynamic, 1)
+    few, every = (likelihoods(fitted(arm, start_rows=rows), arm)[:3] for rows in (40, 200))
+    np.testing.assert_allclose(few, every, atol=LIKELIHOOD_TOLERANCE)
 
 
 def test_the_same_rows_and_generator_give_the_same_process(dynamic: Plant) -> None:
