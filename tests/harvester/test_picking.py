@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pickenv.harvester import picking
 from pickenv.harvester.picking import attempt, displacements, in_the_way, load_picking
 from pickenv.harvester.trees import load_orchard, sample_image, sample_tree
 from pickenv.orchard import coupling, swing
@@ -89,3 +90,14 @@ def test_a_pushed_fruit_first_swings_with_all_of_the_push_and_then_as_its_branch
         np.testing.assert_allclose(moved, [expected, 0.0, 0.0], atol=1e-12)
         if wait < 1e-3:
             assert moved[0] == pytest.approx(start, rel=1e-6)
+
+
+def test_a_cup_that_goes_where_the_fruit_was_pushed_to_takes_it(sure, monkeypatch):
+    fruit, moved = np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.array([[0.0, 0, 0], [0.03, -0.01, 0]])
+    monkeypatch.setattr(picking, "displacements", lambda *_: moved)
+    for tips, lateral in ((fruit + moved, [0.0, 0.0]), (fruit, [0.0, np.hypot(0.03, 0.01)])):
+        arguments = (fruit, np.full(2, 0.06), np.full(2, 0.1), np.arange(2.0), NOTHING)
+        outcome = attempt(sure, tips, *arguments, np.random.default_rng(0))
+        np.testing.assert_allclose(outcome.lateral, lateral, atol=1e-12)
+        np.testing.assert_allclose(outcome.displaced, np.linalg.norm(moved, axis=1))
+        assert outcome.collected.tolist() == [True, lateral[1] == 0.0]
