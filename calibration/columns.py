@@ -236,6 +236,7 @@ def _poses(
             rotation=rotation,
             prismatic=geometry.prismatic,
             position_std=first.position_std,
+            std_stated=first.std_stated,
             attitude_std=first.attitude_std,
             source=source,
             conditions=conditions,

@@ -54,6 +54,7 @@ class ColumnDescription:
         position: Expressions of x, y, z; of all reflectors' x, y, z; of the length; or of the socket's number.
         position_unit: mm or m.
         position_std: Standard uncertainty of a coordinate, of a length, or of a ball's rest, m.
+        std_stated: Whether the description says it, or the default is assumed.
         position_std_columns: Columns of the repeat sigma of each coordinate, in the position's unit; may be empty.
         rotation: Expressions of the attitude's columns; empty for positions only.
         convention: Attitude convention, a key of `CONVENTIONS`; None where the description names none.
@@ -75,6 +76,7 @@ class ColumnDescription:
     position: tuple[str, ...]
     position_unit: str
     position_std: float
+    std_stated: bool = False
     position_std_columns: tuple[str, ...] = ()
     rotation: tuple[str, ...] = ()
     convention: str | None = "rotation_vector"
@@ -207,6 +209,7 @@ def _measured(kind: str, section: Mapping[str, Any], where: str) -> dict[str, An
         "position": columns,
         "position_unit": _unit(section.get("unit"), LENGTHS, kind, where),
         "position_std": _uncertainty(section, "std_mm", where) * 1e-3 if "std_mm" in section else POSITION_STD,
+        "std_stated": "std_mm" in section,
         "position_std_columns": std_columns,
         "lost": tuple(lost),
     }

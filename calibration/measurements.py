@@ -54,6 +54,7 @@ class Measurements:
         origins: File and line of each row; None where they come from no file.
         frames: "known" if these are poses of the arm's own tool in its own base frame; "fitted" if the instrument
             stood anywhere and saw a target anywhere on the tool.
+        std_stated: Whether somebody stated the uncertainties, or the defaults are assumed.
     """
 
     joints: Array
@@ -66,6 +67,7 @@ class Measurements:
     conditions: Conditions = field(default_factory=Conditions)
     origins: Origins | None = None
     frames: Frames = "fitted"
+    std_stated: bool = False
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -163,4 +165,5 @@ def simulated_tracker(plant: Plant, joints: ArrayLike, rng: np.random.Generator)
         attitude_std=noise.attitude_std if noise and noise.attitude_std else ATTITUDE_STD,
         source=f"simulated tracker on plant {plant.name}",
         frames="known",
+        std_stated=noise is not None,
     )

@@ -382,11 +382,12 @@ def assess(
             start = bare.calibration.nominal
             coverage = pose_coverage(geometric_model(start, aligned is None), start, train.measurements)
         uncertainty = pose_uncertainty(fit.identification, list(errors.values())[-1])
-        noise = f"noise of {train.measurements.position_std * 1e3:.4g} mm that is stated or assumed"
+        said = "stated noise" if train.measurements.std_stated else "noise assumed, since none is stated,"
+        noise = f"{said} of {train.measurements.position_std * 1e3:.4g} mm"
     else:
         assert aligned is not None
         before = misses(test, aligned.arm_model, unknowns_of(aligned, train))
-        uncertainty, noise = None, "noise that is stated or assumed"
+        uncertainty, noise = None, "noise stated or assumed"
     after = list(errors.values())[-1]
     unlearnt = replace(fit, calibration=fit.calibration.without_residual())
     base_frame = None

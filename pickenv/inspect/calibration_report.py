@@ -260,7 +260,7 @@ def _origin(r: Result, train: Measurements, test: Measurements, seeds: Mapping[s
     facts = {
         "data": f"{train.source}, fingerprint {record.get('data_fingerprint', 'unknown')}",
         "held out": f"{test.source}, {len(test)} rows, fingerprint {test.fingerprint()}",
-        "noise stated or assumed": f"{train.position_std * 1e3:.4g} mm"
+        "stated noise" if train.std_stated else "noise assumed": f"{train.position_std * 1e3:.4g} mm"
         + ("" if train.rotation is None else f", {np.degrees(train.attitude_std):.4g} deg")
         + " per coordinate",
         "arm": f"{r.arm.name}, nominal fingerprint {r.calibration.arm_fingerprint}",

@@ -20,11 +20,11 @@ app.command()(calibrations.apply)
 app.command()(calibrations.export)
 
 
-def call(*words):
+def call(*words, code=0):
     done = CliRunner().invoke(app, [str(word) for word in words])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         raise done.exception
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == code, done.output
     return done.output
 
 
@@ -62,6 +62,16 @@ def test_targets_become_commands(folder):
     assert "30 targets can be reached" in said and "standard uncertainty" in said
     header = (folder / "c.csv").read_text().splitlines()[0]
     assert header.startswith("q1_deg,q2_mm") and "uncertainty_mm" in header and "noncompensable_error_deg" in header
+
+
+def test_what_cannot_be_reached_has_no_command_and_its_own_exit_code(folder):
+    targets, out = folder / "poses.csv", folder / "some.csv"
+    targets.write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n700,-750,400,0,0,0\n5000,0,0,0,0,0\n", encoding="utf-8")
+    said = call("apply", folder / "arm.npz", targets, "--arm", "qiao2026", "--out", out, code=3)
+    assert "1 of 2 targets can be reached" in said and "row 3: no joints" in said
+    first, second = (row.split(",") for row in out.read_text().splitlines()[1:])
+    assert all(first[:6]) and first[6] == "yes"
+    assert second[:6] == [""] * 6 and second[6] == "no" and "no joints" in ",".join(second)
 
 
 def test_the_corrected_arm_is_exported(folder):

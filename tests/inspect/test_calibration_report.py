@@ -96,7 +96,7 @@ def test_the_verdict_comes_first_and_in_words(page, evidence):
     mean = evidence.best.mean
     assert text.index("Good: the calibration can be used") < text.index("Errors on held-out rows")
     assert f"the tool stood {figure(mean)} mm" in text and "40 measured poses that the fit never saw" in text
-    assert "times the noise of 0.015 mm that is stated or assumed" in text
+    assert "times the stated noise of 0.015 mm" in text
 
 
 def test_text_from_files_is_no_markup(page):
