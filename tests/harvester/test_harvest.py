@@ -1,5 +1,7 @@
 """Whole harvests: better than Li's rule on the same trees, repeatable, and honest about what was out of reach."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -157,3 +159,8 @@ def test_500_trees_are_picked_without_a_collision(true):
     found = measures(true, done)
     assert found["recovery"].low > 0.95 and found["collisions"].value == 0
     assert done[7].seconds == trees(true, best(true), 8)[7].seconds  # whatever the number of workers
+
+
+def test_the_plain_strategy_guards_its_side_arms_as_li_does_and_pays_for_it_in_time(true):
+    guarded, free = (trees(true, strategy, 2) for strategy in (li(true), replace(li(true), guard=False)))
+    assert sum(done.seconds for done in guarded) > sum(done.seconds for done in free)
