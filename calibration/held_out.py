@@ -72,17 +72,13 @@ def judge(arm: Arm, train: Observations, test: Observations, choices: Choices | 
     if isinstance(train, PoseObservations) and isinstance(test, PoseObservations):
         return _judge_poses(arm, train.measurements, test.measurements, choices)
     _refuse_options(train, choices)
-    geometric = best = fit_kind(arm, train)
+    geometric = fit_kind(arm, train)
     found = geometric.identification
     missed = [misses(part, found.arm_model, unknowns_of(found, train)) for part in (train, test)]
     refuse_misses(train, test, (missed[0], missed[1]))
-    chosen, terms = _terms(arm, train, geometric, choices)
-    steps = {}
-    if terms:
-        added = _with_terms(geometric, terms, train)
-        if added.identification.converged:
-            best = added
-            steps[f"geometry+{chosen.chosen if chosen else choices.terms}"] = best
+    chosen = _chosen_terms(arm, train, geometric, choices)
+    name, best, _ = _with_terms(geometric, chosen.chosen if chosen else choices.terms, arm, train)
+    steps = {} if best is geometric else {name: best}
     return assess(arm, best, train, test, geometric=geometric, steps=steps, terms=chosen)
 
 
@@ -97,24 +93,25 @@ def _refuse_options(train: Observations, choices: Choices) -> None:
             )
 
 
-def _terms(
-    arm: Arm, train: Observations, geometric: Fit, choices: Choices
-) -> tuple[TermChoice | None, tuple[Term, ...]]:
-    """The terms asked for, or chosen within the training rows."""
-    if choices.terms != "auto":
-        return None, terms_of(choices.terms, arm, train)
-    if len(train.joints) < ENOUGH:
-        return None, ()
-    chosen = choose_terms(arm, geometric.calibration.nominal, train, geometric.aligned is None)
-    return chosen, terms_of(chosen.chosen, arm, train)
+def _chosen_terms(arm: Arm, train: Observations, geometric: Fit, choices: Choices) -> TermChoice | None:
+    """Terms chosen within the training rows; None where they were named, or the rows are too few to choose."""
+    if choices.terms != "auto" or len(train.joints) < ENOUGH:
+        return None
+    return choose_terms(arm, geometric.calibration.nominal, train, geometric.aligned is None)
 
 
-def _with_terms(geometric: Fit, terms: tuple[Term, ...], train: Observations) -> Fit:
-    """The calibration with parametric terms."""
-    found = identify_terms(terms, geometric.identification, train, geometric.aligned is None)
-    names = sorted({term.specification()["kind"] for term in terms})
-    record = {**geometric.calibration.record, "terms": names}
-    return Fit(replace(geometric.calibration, model=found.arm_model, record=record), found, geometric.aligned)
+def _with_terms(geometric: Fit, wanted: str, arm: Arm, train: Observations) -> tuple[str, Fit, tuple[Term, ...]]:
+    """The calibration with as many of the wanted terms, in their order, as converge; its name, and those terms."""
+    names = [] if wanted == "auto" else wanted.split("+")
+    while terms := terms_of("+".join(names) or "none", arm, train):
+        found = identify_terms(terms, geometric.identification, train, geometric.aligned is None)
+        if found.converged:
+            kinds = sorted({term.specification()["kind"] for term in terms})
+            record = {**geometric.calibration.record, "terms": kinds}
+            calibration = replace(geometric.calibration, model=found.arm_model, record=record)
+            return f"geometry+{'+'.join(names)}", Fit(calibration, found, geometric.aligned), terms
+        names.pop()
+    return "geometry", geometric, ()
 
 
 def _judge_poses(arm: Arm, train: Measurements, test: Measurements, choices: Choices) -> Result:
@@ -125,19 +122,14 @@ def _judge_poses(arm: Arm, train: Measurements, test: Measurements, choices: Cho
         )
     known = (choices.frames or train.frames) == "known"
     train, test, left_out = checked_rows(arm, train, test, known=known, robust=choices.robust)
-    geometric = best = fit(arm, train, known_frames=known)
+    geometric = fit(arm, train, known_frames=known)
     start = geometric.calibration.nominal
     coverage = pose_coverage(geometric_model(start, known), start, train)
     refuse_lost(coverage, start, train)
-    steps, name = {}, "geometry"
-    chosen, terms = _terms(arm, PoseObservations(train), geometric, choices)
-    if terms:
-        added = _with_terms(geometric, terms, PoseObservations(train))
-        if added.identification.converged:
-            best, name = added, f"{name}+{chosen.chosen if chosen else choices.terms}"
-            steps[name] = best
-        else:
-            terms = ()
+    data = PoseObservations(train)
+    chosen = _chosen_terms(arm, data, geometric, choices)
+    name, best, terms = _with_terms(geometric, chosen.chosen if chosen else choices.terms, arm, data)
+    steps = {} if best is geometric else {name: best}
     gate, selected = _gate(train, best, terms, choices)
     if selected is not None:
         best, name = _with_residual(best, train, selected, choices.seed), f"{name}+{selected}"

@@ -110,8 +110,6 @@ def choose_terms(arm: Arm, aligned: Geometry, observations: Observations, known:
         for bare, here, there in folds:
             terms = terms_of(name, arm, data)
             found = identify_terms(terms, bare, here, known) if terms else bare
-            if not found.converged:
-                return float("inf")  # a model that does not converge is never chosen
             missed.append(misses(there, found.arm_model, unknowns_of(found, there)))
         return float(np.sqrt(np.mean(np.sum(np.concatenate(missed) ** 2, axis=1))))
 

@@ -46,7 +46,7 @@ def fitted(plant: Plant, poses: tuple[Measurements, Measurements]) -> Fit:
 
 
 @pytest.fixture(scope="module")
-def calibration(fitted: Fit, poses: tuple[Measurements, Measurements]) -> Calibration:
+def calibration(fitted: Fit, poses: tuple[Measurements, Measurements], plant: Plant) -> Calibration:
     return assess(plant.arm, fitted, *poses).calibration
 
 
