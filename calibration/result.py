@@ -23,12 +23,14 @@ from calibration.diagnosis import LeftOut
 from calibration.error_model import geometric_model
 from calibration.fitting import Fit
 from calibration.gate import GateReport
-from calibration.least_squares import describe_absorption, is_angle
+from calibration.least_squares import describe_absorption
 from calibration.measurements import Measurements
 from calibration.metrics import ErrorStatistics, error_statistics
 from calibration.observations import Observations, PoseObservations
-from calibration.quality import LOST, MEASURED, Quality, judge_quality
+from calibration.quality import Quality, judge_quality
 from calibration.rows import misses, unknowns_of
+from calibration.screen import Block, figure, main_parts, unit_of
+from calibration.states import LOST, MEASURED
 from calibration.term_choice import TermChoice
 from calibration.uncertainty import PoseUncertainty, held_out_errors, pose_uncertainty
 from pickenv.arm import Arm
@@ -36,45 +38,6 @@ from pickenv.arm.geometry import Array
 
 NOMINAL = "nominal"
 GEOMETRIC = "geometric"
-
-
-def figure(value: float | None) -> str:
-    """A number as screens show it: four significant digits."""
-    if value is None or np.isnan(value):
-        return "unknown"
-    if value == 0 or 1e-3 <= abs(value) < 1e4:
-        return f"{value:#.4g}".rstrip(".")
-    return f"{value:.0f}" if 1e4 <= abs(value) < 1e9 else f"{value:.3e}"
-
-
-@dataclass(frozen=True)
-class Block:
-    """A titled table of text, as terminal and page show it.
-
-    Attributes:
-        title: What it is about.
-        header: Column titles with units; empty for plain lines.
-        rows: Cells.
-        note: What a reader must know of it, or empty.
-    """
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
-
-    def text(self) -> str:
-        """For the terminal."""
-        lines = [self.title + (f": {self.note}" if self.note else "")]
-        columns = list(zip(*self.rows, strict=True))
-        heads = self.header or ("",) * len(columns)
-        padded = []
-        for head, cells in zip(heads, columns, strict=True):
-            width = max(map(len, (head, *cells)))
-            side = ">" if cells[0][:1] in "-0123456789" and self.header else "<"
-            padded.append([f"{cell:{side}{width}}" for cell in ((head, *cells) if self.header else cells)])
-        lines += ["  " + "  ".join(row).rstrip() for row in zip(*padded, strict=True)]
-        return "\n".join(lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,7 +330,7 @@ def assess(
         left_out: Rows left out.
         coverage: What the poses hide, where it was computed already.
     """
-    train, test = observations_of(train), observations_of(test)
+    train, test = as_observations(train), as_observations(test)
     bare = geometric or replace(fit, calibration=fit.calibration.without_residual())
     nominal = ArmModel.of(bare.calibration.nominal)
     aligned = bare.aligned
@@ -419,7 +382,7 @@ def assess(
     )
 
 
-def observations_of(data: Observations | Measurements) -> Observations:
+def as_observations(data: Observations | Measurements) -> Observations:
     """Poses and positions in the role of observations; other kinds as they are."""
     return PoseObservations(data) if isinstance(data, Measurements) else data
 
@@ -429,18 +392,3 @@ def _left(fit: Fit, data: Observations, train: Observations) -> Array:
     if isinstance(data, PoseObservations):
         return held_out_errors(fit.calibration, data.measurements)
     return misses(data, fit.identification.arm_model, unknowns_of(fit.identification, train))
-
-
-def main_parts(absorbed: Mapping[str, float]) -> dict[str, float]:
-    """What absorbs a parameter, without shares below a hundredth of the largest."""
-    largest = max((abs(share) for share in absorbed.values()), default=0.0)
-    return {name: share for name, share in absorbed.items() if abs(share) >= 0.01 * largest}
-
-
-def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
-    """Unit of a parameter on screens, and the factor from SI; coefficients of effects stay in SI."""
-    if name in geometric:
-        return ("deg", float(np.degrees(1.0))) if is_angle(name) else ("mm", 1e3)
-    if name.startswith(("reflector", "anchor", "socket")):
-        return "mm", 1e3
-    return "SI", 1.0

@@ -16,8 +16,10 @@ import numpy as np
 
 from calibration.measurements import Measurements, random_joints
 from calibration.observations import PoseObservations
-from calibration.quality import MEASURED, axis_errors, base_combinations
-from calibration.result import NOMINAL, Block, Result, figure
+from calibration.quality import axis_errors, base_combinations
+from calibration.result import NOMINAL, Result
+from calibration.screen import Block, figure
+from calibration.states import MEASURED
 from pickenv.arm.geometry import Array
 from pickenv.errors import InputError
 from pickenv.files import write_text

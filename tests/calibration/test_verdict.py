@@ -15,9 +15,9 @@ from agents.calibrated import load_compensator
 from calibration import Calibration, Measurements, fit, random_joints, read_measurements, simulated_tracker
 from calibration.held_out import Choices, judge
 from calibration.observations import PoseObservations
-from calibration.quality import HELD, LOST, MEASURED
 from calibration.result import assess
 from calibration.rows import choose, select
+from calibration.states import HELD, LOST, MEASURED
 from pickenv.arm import forward, load_arm
 from pickenv.arm.batch import plant_at
 from pickenv.arm.tolerances import draw_plants, load_tolerances

@@ -10,7 +10,8 @@ import pytest
 from calibration import fit, random_joints, simulated_tracker
 from calibration.gate import GateReport, Verdict
 from calibration.least_squares import is_angle
-from calibration.result import assess, figure, unit_of
+from calibration.result import assess
+from calibration.screen import figure, unit_of
 from pickenv.arm import load_plant
 from pickenv.errors import InputError
 from pickenv.inspect.calibration_report import calibration_page, write_calibration_report
