@@ -207,3 +207,14 @@ def test_a_calibration_of_another_arm_is_refused(short, tmp_path):
     path = calibration.save(tmp_path / "other.npz")
     with pytest.raises(InputError, match="belongs to arm 'li2016_slave'"):
         train(short(compensate=str(path)), tmp_path / "run")
+
+
+def test_a_calibration_with_fitted_frames_is_refused_until_it_is_named_and_resumed_so(short, tmp_path):
+    plant, rng = load_plant("qiao2026"), np.random.default_rng(0)
+    data = simulated_tracker(plant, random_joints(plant.arm.nominal, 30, rng), rng)
+    file = fit(plant.arm, data).calibration.save(tmp_path / "fitted.npz")
+    with pytest.raises(InputError, match="base and tool of this calibration were fitted"):
+        make_model(short("ppo", compensate=str(file)))
+    named = short("ppo", compensate=str(file), allow=["fitted-frames"])
+    train(named, tmp_path / "run")
+    assert resumed(tmp_path / "run") == named
