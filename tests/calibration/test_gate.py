@@ -203,6 +203,7 @@ def test_nothing_to_judge_is_refused(qiao: Arm, displaced: Displaced) -> None:
         judge_residuals(data, lambda _: qiao.nominal, np.random.default_rng(0), models=())
 
 
+@pytest.mark.slow
 def test_a_measured_ur5_gains_a_quarter_on_blocks(measured_ur5: tuple[Geometry, Measurements]) -> None:
     """Geometric 0.102 mm; the residual that inner blocks choose stays below 0.080 mm on blocks it never saw."""
     nominal, data = measured_ur5
