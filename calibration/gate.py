@@ -93,16 +93,6 @@ class GateReport:
             models[verdict.model] = dict(sorted(named.items()))
         return {"models": models, "selected": self.selected, "blocked_rms_mm": self.blocked_rms * 1e3}
 
-    def report(self) -> str:
-        """For people, in mm."""
-        first = self.verdicts[0]
-        rows = [("without residual", first.geometric_random_rms, first.geometric_blocked_rms, "")]
-        rows += [(f"+ {v.model}", v.random_rms, v.blocked_rms, v.reason) for v in self.verdicts]
-        lines = [f"{'held-out RMS, mm':>18}  {'random':>8}  {'blocked':>8}  verdict"]
-        lines += [f"{label:>18}  {a * 1e3:8.4f}  {b * 1e3:8.4f}  {reason}".rstrip() for label, a, b, reason in rows]
-        chosen = f"the residual '{self.selected}' is on" if self.selected else "no gain: the residual stays off"
-        return "\n".join([*lines, f"{chosen}; chosen on blocks within the training rows, judged on others"])
-
 
 def judge_residuals(
     measurements: Measurements,

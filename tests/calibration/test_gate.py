@@ -75,7 +75,6 @@ def test_noise_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
     assert not any(verdict.accepted for verdict in gate.verdicts)
     assert all("no gain" in verdict.reason for verdict in gate.verdicts)
     assert gate.blocked_rms == gate.verdicts[0].geometric_blocked_rms
-    assert "the residual stays off" in gate.report()
 
 
 def test_a_smooth_residual_is_accepted(qiao: Arm, displaced: Displaced) -> None:
@@ -87,7 +86,6 @@ def test_a_smooth_residual_is_accepted(qiao: Arm, displaced: Displaced) -> None:
     chosen = next(verdict for verdict in gate.verdicts if verdict.model == "gp")
     assert chosen.accepted
     assert gate.blocked_rms == chosen.blocked_rms < 0.2 * chosen.geometric_blocked_rms
-    assert "residual 'gp' is on" in gate.report()
 
 
 def test_winning_on_a_random_split_alone_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
