@@ -1,13 +1,13 @@
-"""Policies, their training and their evaluation; torch and stable-baselines3 are loaded by `agents.training` alone."""
+"""Policies, their training and their evaluation; torch and stable-baselines3 are loaded by `pickenv.agents.training.training` alone."""
 
-from agents.adaptive import AdaptiveReach, AdaptiveSettings
-from agents.evaluation import Reaches, episode_seeds, run_reaches
-from agents.learned import LearnedPolicy, load_policy
-from agents.oracle import OracleReach
-from agents.policy import Policy
-from agents.rollout import Rollout, roll_out
-from agents.scripted import RandomReach, ScriptedReach
-from agents.servo import ServoReach
+from pickenv.agents.evaluation.reaches import Reaches, episode_seeds, run_reaches
+from pickenv.agents.evaluation.rollout import Rollout, roll_out
+from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
+from pickenv.agents.policies.learned import LearnedPolicy, load_policy
+from pickenv.agents.policies.oracle import OracleReach
+from pickenv.agents.policies.policy import Policy
+from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
+from pickenv.agents.policies.servo import ServoReach
 
 __all__ = [
     "AdaptiveReach",

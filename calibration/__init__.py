@@ -3,17 +3,23 @@
 Usable without Gymnasium; imports only `pickenv.arm`. torch is loaded when a network is trained, not before.
 """
 
-from calibration.alignment import align
-from calibration.bpnn import Bpnn, BpnnSettings, train_bpnn
-from calibration.calibration import Calibration
-from calibration.columns import read_measurements
-from calibration.compensation import Compensator
-from calibration.error_model import complete_model, frames_model, link_model
-from calibration.fitting import Fit, fit
-from calibration.identifiability import Identifiability, identifiability
-from calibration.least_squares import Identification, identify
-from calibration.measurements import Measurements, random_joints, simulated_tracker
-from calibration.metrics import ErrorStatistics, bootstrap_interval, error_statistics, held_out_r2, paper_eta
+from pickenv.calibration.assessment.metrics import (
+    ErrorStatistics,
+    bootstrap_interval,
+    error_statistics,
+    held_out_r2,
+    paper_eta,
+)
+from pickenv.calibration.compensation.compensator import Compensator
+from pickenv.calibration.identification.alignment import align
+from pickenv.calibration.identification.least_squares import Identification, identify
+from pickenv.calibration.model.error_model import complete_model, frames_model, link_model
+from pickenv.calibration.model.identifiability import Identifiability, identifiability
+from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.fitting import Fit, fit
+from pickenv.calibration.reading.read import read_measurements
+from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 
 __all__ = [
     "Bpnn",

@@ -22,15 +22,15 @@ for _name, _module, _class in (
     gymnasium.register(
         id=f"pickenv/{_name}-v0",
         entry_point=f"pickenv.envs.{_module}:{_class}Env",
-        vector_entry_point=f"pickenv.envs.vector:{_class}VectorEnv",
+        vector_entry_point=f"pickenv.envs.reaching.vector:{_class}VectorEnv",
         max_episode_steps=60,
     )
 gymnasium.register(
     id="pickenv/Harvest-v0",
-    entry_point="pickenv.envs.harvest:HarvestEnv",
-    vector_entry_point="pickenv.envs.harvest_vector:HarvestVectorEnv",
+    entry_point="pickenv.envs.harvesting.harvest_env:HarvestEnv",
+    vector_entry_point="pickenv.envs.harvesting.harvest_vector:HarvestVectorEnv",
     max_episode_steps=600,
 )
-gymnasium.register(id="pickenv/Pick-v0", entry_point="pickenv.envs.pick:PickEnv", max_episode_steps=400)
+gymnasium.register(id="pickenv/Pick-v0", entry_point="pickenv.envs.picking.pick:PickEnv", max_episode_steps=400)
 
 __all__ = ["InputError", "__version__"]

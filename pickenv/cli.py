@@ -10,11 +10,13 @@ from typing import Annotated, Any
 
 import typer
 
-from pickenv.commands import agents, calibrations, inspection, plants, reports
+from pickenv.commands import corrections as calibrations
+from pickenv.commands import inspection, plants, reports
+from pickenv.commands import learning as agents
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
 from pickenv.commands.guard import INTERRUPTED, guarded
-from pickenv.commands.study import study
+from pickenv.commands.studies import study
 
 app = typer.Typer(
     name="pickenv",

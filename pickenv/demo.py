@@ -16,8 +16,11 @@ import gymnasium as gym
 import numpy as np
 
 import pickenv
-from agents import Reaches, ScriptedReach, episode_seeds, run_reaches
-from calibration import (
+from pickenv.agents import Reaches, ScriptedReach, episode_seeds, run_reaches
+from pickenv.arm import forward, load_plant, noncompensable_error, pose_error
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import Plant
+from pickenv.calibration import (
     BpnnSettings,
     Compensator,
     Fit,
@@ -28,16 +31,13 @@ from calibration import (
     random_joints,
     simulated_tracker,
 )
-from calibration.error_model import residual
-from calibration.result import assess
-from calibration.uncertainty import held_out_errors, pose_uncertainty
-from pickenv.arm import forward, load_plant, noncompensable_error, pose_error
-from pickenv.arm.geometry import Array
-from pickenv.arm.plant import Plant
+from pickenv.calibration.model.error_model import residual
+from pickenv.calibration.pipeline.result import assess
+from pickenv.calibration.pipeline.uncertainty import held_out_errors, pose_uncertainty
 from pickenv.files import write_text
-from pickenv.inspect.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.comparison import Comparison, PolicyErrors
-from pickenv.inspect.field_grid import field_grid
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
+from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
+from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.wrappers import CompensationWrapper
 
 LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN"}
@@ -267,10 +267,10 @@ def _figures(error: Array, impossible: Array) -> dict[str, Any]:
 
 def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -> list[Path]:
     """Write the run folder: data, calibration, summary, figures and the Rerun recording; returns what was written."""
-    from pickenv.inspect.demo_report import demo_report
-    from pickenv.inspect.drawings import comparison_drawings, trace_drawings, write_drawings
-    from pickenv.inspect.recording import record_comparison
-    from pickenv.inspect.run_folder import recorded_run, save_comparison, save_trace
+    from pickenv.inspect.figures.run_drawings import comparison_drawings, trace_drawings, write_drawings
+    from pickenv.inspect.recordings.comparison_recording import record_comparison
+    from pickenv.inspect.reports.demo_report import demo_report
+    from pickenv.inspect.runs.run_folder import recorded_run, save_comparison, save_trace
 
     report = progress or (lambda stage, done, total: None)
     found = trace(result)

@@ -27,9 +27,9 @@ import typer
 from benchmark_calibration import last_words, machine
 
 from pickenv.files import write_text
-from pickenv.study.config import load_study
-from pickenv.study.executors import Crew
-from pickenv.study.run import run_study
+from pickenv.study.design.config import load_study
+from pickenv.study.running.run_study import run_study
+from pickenv.study.running.runners import Crew
 
 SCRIPTS = Path(__file__).parent
 POSES, FRUIT = 30, 100

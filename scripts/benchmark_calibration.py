@@ -32,16 +32,16 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares
 
-from calibration import Measurements, align, complete_model, frames_model, identify, read_measurements
-from calibration.error_model import residual, row_weights
-from calibration.least_squares import Identification
-from calibration.splits import random_split
-from calibration.threads import single_threaded
 from pickenv.arm import Geometry, Pose, load_arm
-from pickenv.arm.geometry import Array
-from pickenv.arm.urdf import urdf_text
+from pickenv.arm.files.urdf import urdf_text
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration import Measurements, align, complete_model, frames_model, identify, read_measurements
+from pickenv.calibration.identification.least_squares import Identification
+from pickenv.calibration.model.error_model import residual, row_weights
+from pickenv.calibration.model.splits import random_split
 from pickenv.errors import InputError
 from pickenv.files import write_text
+from pickenv.threads import single_threaded
 
 ROOT = Path(__file__).parents[1]
 WORKERS = ROOT / "scripts" / "peers"

@@ -26,8 +26,8 @@ from rich.console import Console
 from rich.table import Table
 
 import pickenv  # noqa: F401
-from calibration import Compensator, fit, random_joints, simulated_tracker
 from pickenv.arm import load_plant
+from pickenv.calibration import Compensator, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.files import write_text
 

@@ -21,14 +21,14 @@ from findings_day import Day, day_figure, day_section, run_day
 from findings_noise import Noise, noise_figure, noise_section, run_noise
 from train_baselines import calibration_file
 
-from agents.calibrated import Protocol
-from agents.figures import LABELS, aggregate_figure, cycle_figure, success_curves
-from agents.grid import Grid, GridSettings, run_grid
-from agents.statistics import interval, paired
-from agents.training import Training, train
-from pickenv.envs.task import CONTROL_PERIOD
+from pickenv.agents.evaluation.calibrated import Protocol
+from pickenv.agents.evaluation.grid import Grid, GridSettings, run_grid
+from pickenv.agents.evaluation.grid_figures import LABELS, aggregate_figure, cycle_figure, success_curves
+from pickenv.agents.evaluation.statistics import interval, paired
+from pickenv.agents.training.training import Training, train
+from pickenv.envs.shared.task import CONTROL_PERIOD
 from pickenv.files import write_text
-from pickenv.inspect.figures import save_figure
+from pickenv.inspect.figures.style import save_figure
 
 TRAININGS: dict[str, dict[str, Any]] = {
     "calibrated": {"compensate": "calibration.npz"},

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agents.calibrated import Protocol, calibrate_arm
-from agents.grid import GridSettings, population
-from agents.statistics import interval, paired
-from calibration import Compensator, complete_model, random_joints
-from calibration.kalman import predict, random_walk, start_filter, update
+from pickenv.agents.evaluation.calibrated import Protocol, calibrate_arm
+from pickenv.agents.evaluation.grid import GridSettings, population
+from pickenv.agents.evaluation.statistics import interval, paired
 from pickenv.arm import forward
-from pickenv.arm.batch import plant_at
-from pickenv.arm.geometry import Array
-from pickenv.arm.plant import MeasurementNoise, Plant
-from pickenv.inspect.figures import WIDTH, new_figure, style
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import MeasurementNoise, Plant
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.calibration import Compensator, complete_model, random_joints
+from pickenv.calibration.identification.extended_kalman_filter import predict, random_walk, start_filter, update
+from pickenv.inspect.figures.style import WIDTH, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agents.figures import LABELS, colour
-from agents.grid import Grid, GridSettings
-from agents.rollout import roll_out
-from agents.scripted import ScriptedReach
-from agents.servo import ServoReach
-from pickenv.arm.geometry import Array
-from pickenv.inspect.figures import WIDTH, new_figure, plain_decades, style
+from pickenv.agents.evaluation.grid import Grid, GridSettings
+from pickenv.agents.evaluation.grid_figures import LABELS, colour
+from pickenv.agents.evaluation.rollout import roll_out
+from pickenv.agents.policies.scripted import ScriptedReach
+from pickenv.agents.policies.servo import ServoReach
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

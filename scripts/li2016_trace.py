@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pickenv.harvester.harvest import Harvest
+from pickenv.harvester.harvest_summary import Measure, funnel
+from pickenv.harvester.joint_motion import joint_curves, workspace
 from pickenv.harvester.machine import Machine
-from pickenv.harvester.motion import joint_curves, workspace
-from pickenv.harvester.summary import Measure, funnel
-from pickenv.inspect.harvest_trace import HarvestTrace, JointCurves, picked_tree
+from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, picked_tree
 
 CLOUD = 4000
 """Points of the workspace cloud."""

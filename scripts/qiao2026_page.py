@@ -13,10 +13,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pickenv.arm.geometry import Array
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.files import write_text
-from pickenv.inspect import plot_calibration, plot_errors
-from pickenv.inspect.figures import save_figure
+from pickenv.inspect.figures import plot_calibration, plot_errors
+from pickenv.inspect.figures.style import save_figure
 
 HEADS = ("mean (mm)", "RMS (mm)", "mean (deg)", "RMS (deg)")
 NOTES = (

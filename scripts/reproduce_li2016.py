@@ -20,27 +20,27 @@ from li2016_trace import trace_of
 from rich.console import Console
 from rich.table import Table
 
-from calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.arm import Plant
-from pickenv.arm.geometry import Array
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.harvester.assignment import assign, lower_bound
-from pickenv.harvester.evaluation import work_images, work_trees
 from pickenv.harvester.harvest import Harvest, Strategy
+from pickenv.harvester.harvest_summary import Measure, funnel, summary
+from pickenv.harvester.joint_motion import workspace
 from pickenv.harvester.machine import Machine, load_machine
-from pickenv.harvester.motion import workspace
 from pickenv.harvester.pick_point import METHODS, pick_point
 from pickenv.harvester.picking import load_picking
-from pickenv.harvester.summary import Measure, funnel, summary
+from pickenv.harvester.strategies import work_images, work_trees
 from pickenv.harvester.trees import lab_runs, load_orchard, sample_image
 from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine, tip_errors
 from pickenv.harvester.work import timetable, zone_work
 from pickenv.harvester.zones import load_grid
-from pickenv.inspect.drawings import harvest_drawings, write_drawings
-from pickenv.inspect.harvest_recording import inspect_harvest
-from pickenv.inspect.plain_report import harvest_report
-from pickenv.inspect.run_folder import recorded_run, save_harvest
+from pickenv.inspect.figures.run_drawings import harvest_drawings, write_drawings
+from pickenv.inspect.recordings.harvest_recording import inspect_harvest
+from pickenv.inspect.reports.plain_report import harvest_report
+from pickenv.inspect.runs.run_folder import recorded_run, save_harvest
 
 TARGETS_MM = {"left": (420, -1400, 1000), "middle": (96, -1450, 1280), "right": (-500, -1386, 1500)}
 PICK_POINT_MM = (-80, -660, 1220)

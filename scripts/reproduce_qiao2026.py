@@ -20,7 +20,10 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from calibration import (
+from pickenv.arm import Geometry, forward, load_plant, noncompensable_error, pose_error
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import Plant
+from pickenv.calibration import (
     BpnnSettings,
     Compensator,
     ErrorStatistics,
@@ -35,13 +38,10 @@ from calibration import (
     simulated_tracker,
     train_bpnn,
 )
-from calibration.compensation import ResidualModel
-from calibration.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
-from calibration.kalman import filter_measurements
-from calibration.residual_models import fit_residual
-from pickenv.arm import Geometry, forward, load_plant, noncompensable_error, pose_error
-from pickenv.arm.geometry import Array
-from pickenv.arm.plant import Plant
+from pickenv.calibration.compensation.compensator import ResidualModel
+from pickenv.calibration.identification.extended_kalman_filter import filter_measurements
+from pickenv.calibration.model.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
+from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.files import write_text
 
 PAPER = tomllib.loads((Path(__file__).parent / "qiao2026_paper.toml").read_text(encoding="utf-8"))

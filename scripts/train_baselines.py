@@ -1,4 +1,4 @@
-"""Train, judge and ship the learned baselines: `python scripts/train_baselines.py` writes agents/baselines again.
+"""Train, judge and ship the learned baselines: `python scripts/train_baselines.py` writes agents/policies/baselines again.
 
 Three seeds each; the first is shipped. Judged on 512 episodes on arms that no training saw, with calibrations of their
 own. Options: `--out FOLDER` for the runs, `--only NAME`, `--seeds N`.
@@ -15,11 +15,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from agents.calibrated import Protocol, calibrate_arm
-from agents.grid import GridSettings, run_grid
-from agents.learned import BASELINES
-from agents.statistics import interval
-from agents.training import Trained, Training, train
+from pickenv.agents.evaluation.calibrated import Protocol, calibrate_arm
+from pickenv.agents.evaluation.grid import GridSettings, run_grid
+from pickenv.agents.evaluation.statistics import interval
+from pickenv.agents.policies.learned import BASELINES
+from pickenv.agents.training.training import Trained, Training, train
 from pickenv.arm import load_plant
 from pickenv.files import write_text
 
@@ -98,11 +98,11 @@ def card(name: str, trained: list[Trained], figures: dict[str, Any]) -> str:
             "## Use",
             "",
             f"Feedback `{'camera' if policy.scaling.camera else 'encoders'}`. Observations and actions are scaled by "
-            "the gap to the fruit (`agents/scaling.py`), so accuracy is limited by what the policy can see, not by its "
+            "the gap to the fruit (`agents/policies/gap.py`), so accuracy is limited by what the policy can see, not by its "
             "network.",
             "",
             "```python",
-            "from agents.learned import load_policy",
+            "from pickenv.agents.policies.learned import load_policy",
             "",
             f'policy = load_policy("{name}")',
             "action = policy.act(observation)",

@@ -116,13 +116,13 @@ def test_imports_run_downwards_only() -> None:
 @pytest.mark.parametrize(
     ("file", "line", "complaint"),
     [
-        ("pickenv/arm/spy.py", "from calibration import Calibration", "imports calibration.Calibration"),
-        ("pickenv/arm/spy.py", "from ..inspect import figures", "imports pickenv.inspect.figures"),
+        ("pickenv/arm/spy.py", "from pickenv.calibration import Calibration", "imports calibration.Calibration"),
+        ("pickenv/arm/spy.py", "from ..inspect import figures", "imports pickenv.inspect.figures.style"),
         ("pickenv/arm/spy.py", "from pickenv.orchard import fruit", "imports pickenv.orchard.fruit"),
         ("pickenv/errors.py", "def late():\n    import pickenv.files", "imports pickenv.files"),
         ("calibration/spy.py", "from pickenv import orchard", "imports pickenv.orchard"),
-        ("calibration/spy.py", "import pickenv.envs.reach", "imports pickenv.envs.reach"),
-        ("pickenv/wrappers/spy.py", "import calibration", "imports calibration"),
+        ("calibration/spy.py", "import pickenv.envs.reaching.reach", "imports pickenv.envs.reaching.reach"),
+        ("pickenv/wrappers/spy.py", "import pickenv.calibration", "imports calibration"),
         ("pickenv/inspect/spy.py", "from pickenv.wrappers import compensation", "imports pickenv.wrappers"),
         ("agents/spy.py", "from pickenv.cli import main", "imports pickenv.cli.main"),
         ("pickenv/__init__.py", "from pickenv.arm import load_arm", "imports pickenv.arm.load_arm"),
@@ -140,10 +140,13 @@ def test_an_import_upwards_or_sideways_is_found(tmp_path: Path, file: str, line:
 @pytest.mark.parametrize(
     ("file", "line"),
     [
-        ("calibration/fine.py", "from pickenv.arm import Plant\nfrom calibration.metrics import mean\nimport math"),
+        (
+            "calibration/fine.py",
+            "from pickenv.arm import Plant\nfrom pickenv.calibration.assessment.metrics import mean\nimport math",
+        ),
         ("pickenv/inspect/fine.py", "from ..arm import Plant\nfrom . import figures\nfrom calibration import metrics"),
-        ("pickenv/wrappers/fine.py", "from pickenv.envs.reach import ReachEnv"),
-        ("pickenv/cli.py", "import agents.evaluate\nfrom pickenv import __version__\nimport pickenv"),
+        ("pickenv/wrappers/fine.py", "from pickenv.envs.reaching.reach import ReachEnv"),
+        ("pickenv/cli.py", "import pickenv.agents.evaluate\nfrom pickenv import __version__\nimport pickenv"),
         ("pickenv/__init__.py", "from pickenv.errors import InputError\nimport gymnasium"),
     ],
 )

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration import random_joints, simulated_tracker
 from pickenv.arm import load_plant
-from pickenv.arm.arm_file import ARMS
+from pickenv.arm.files.arm_file import ARMS
+from pickenv.calibration import random_joints, simulated_tracker
 
 Table = list[list[str]]
 

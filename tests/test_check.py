@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from agents.calibrated import Protocol, compensators
-from agents.learned import BASELINES
-from calibration import Calibration, fit, random_joints, simulated_tracker
+from pickenv.agents.evaluation.calibrated import Protocol, compensators
+from pickenv.agents.policies.learned import BASELINES
 from pickenv.arm import load_plant
+from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.cli import app
 from pickenv.container import write_container
 from pickenv.files import write_text
-from pickenv.inspect.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.run_folder import recorded_run, save_trace
-from pickenv.study.config import load_study
-from pickenv.study.run import run_study
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
+from pickenv.inspect.runs.run_folder import recorded_run, save_trace
+from pickenv.study.design.config import load_study
+from pickenv.study.running.run_study import run_study
 
 NAMES = ("calibration.npz", "calibration_trace.npz", "figures.json")
 

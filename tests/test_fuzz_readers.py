@@ -11,14 +11,14 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from calibration import Measurements, random_joints
-from calibration.columns import read_observations
-from calibration.description import DESCRIPTIONS, load_description
-from calibration.targets import read_targets
 from pickenv.arm import forward, load_arm, load_plant
-from pickenv.arm.arm_file import ARMS
-from pickenv.arm.plant_file import PLANTS
-from pickenv.arm.urdf import urdf_text
+from pickenv.arm.files.arm_file import ARMS
+from pickenv.arm.files.urdf import urdf_text
+from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.calibration import Measurements, random_joints
+from pickenv.calibration.reading.description import DESCRIPTIONS, load_description
+from pickenv.calibration.reading.read import read_observations
+from pickenv.calibration.reading.targets import read_targets
 from pickenv.errors import InputError
 
 SECONDS = 5

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.inspect.run_folder import RECORD, recorded_run
+from pickenv.inspect.runs.run_folder import RECORD, recorded_run
 from pickenv.locks import locked
 
 ROOT = Path(__file__).parents[1]
@@ -114,14 +114,14 @@ def recording(folder: Path) -> None:
 
 
 def studying(folder: Path) -> None:
-    from pickenv.study.config import load_study
-    from pickenv.study.run import run_study
+    from pickenv.study.design.config import load_study
+    from pickenv.study.running.run_study import run_study
 
     run_study(load_study(ROOT / "scripts" / "tolerance_study.toml").quick(), folder, executor="serial")
 
 
 def training(folder: Path) -> None:
-    from agents.training import Training, train
+    from pickenv.agents.training.training import Training, train
 
     train(Training("ppo", steps=1, arguments={"plant": "ideal"}), folder)
 

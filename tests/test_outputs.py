@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.arm.plant_file import PLANTS
+from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.cli import app
 from pickenv.commands import plants, reports
-from pickenv.commands.results import deliver
+from pickenv.commands.handing_over import deliver
 from pickenv.errors import InputError
 from pickenv.files import write_text
-from pickenv.inspect.run_folder import read_run, recorded_run
+from pickenv.inspect.runs.run_folder import read_run, recorded_run
 
 ROOT = Path(__file__).parents[1]
 
@@ -72,7 +72,7 @@ def test_a_figure_that_is_a_link_to_the_numbers_is_not_drawn(tmp_path, monkeypat
 
 
 def reports_drawing(name):
-    from pickenv.inspect.drawings import Drawing
+    from pickenv.inspect.figures.run_drawings import Drawing
 
     return Drawing(name, "", lambda: pytest.fail("drawn"))
 

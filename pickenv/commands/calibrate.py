@@ -13,7 +13,7 @@ import typer
 from pickenv.errors import InputError
 
 if TYPE_CHECKING:
-    from calibration.result import Result
+    from pickenv.calibration.pipeline.result import Result
 
 DO_NOT_USE = 3
 """Exit code of a calibration whose verdict is "do not use", and of targets that cannot be reached."""
@@ -62,13 +62,13 @@ def calibrate(
     """
     import numpy as np
 
-    from calibration.columns import read_observations
-    from calibration.held_out import Choices, judge
-    from calibration.observations import PoseObservations
-    from calibration.rows import choose, select
     from pickenv.arm import load_arm
+    from pickenv.calibration.identification.rows import choose, select
+    from pickenv.calibration.model.observations import PoseObservations
+    from pickenv.calibration.pipeline.held_out import Choices, judge
+    from pickenv.calibration.reading.read import read_observations
     from pickenv.files import separate, write_text
-    from pickenv.inspect.calibration_report import write_calibration_report
+    from pickenv.inspect.reports.calibration_report import write_calibration_report
 
     separate(
         {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
@@ -108,11 +108,11 @@ def calibrate(
 
 def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
-    from calibration.observations import PoseObservations
+    from pickenv.calibration.model.observations import PoseObservations
     from pickenv.files import write_text
-    from pickenv.inspect.calibration_report import write_calibration_report
-    from pickenv.inspect.calibration_trace import trace_of
-    from pickenv.inspect.run_folder import REPORT, recorded_run, save_trace
+    from pickenv.inspect.reports.calibration_report import write_calibration_report
+    from pickenv.inspect.runs.calibration_trace import trace_of
+    from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_trace
 
     assert isinstance(result.train, PoseObservations) and isinstance(result.test, PoseObservations)
     stages = list(result.errors.values())

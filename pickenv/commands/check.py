@@ -91,12 +91,12 @@ def findings_of(path: Path) -> list[Finding]:
 
 def folder_findings(folder: Path) -> list[Finding]:
     """What is found about every file of a run, of a study, or of another folder that holds sealed files."""
-    from pickenv.inspect.run_folder import RECORD, STUDY
+    from pickenv.inspect.runs.run_folder import RECORD, STUDY
 
     if (folder / RECORD).exists():
         return run_findings(folder)
     if (folder / STUDY).exists():
-        from pickenv.study.folder import check_folder
+        from pickenv.study.results.study_folder import check_folder
 
         return [Finding(str(path), "file of a study", reason=reason) for path, reason in check_folder(folder)]
     held = sorted(path for path in folder.rglob("*") if path.suffix in SEALED and path.is_file())
@@ -107,7 +107,7 @@ def folder_findings(folder: Path) -> list[Finding]:
 
 def run_findings(folder: Path) -> list[Finding]:
     """What is found about a run folder's record and every file that it lists or that lies beside it."""
-    from pickenv.inspect.run_folder import FORMAT, RECORD, faults_of, read_run
+    from pickenv.inspect.runs.run_folder import FORMAT, RECORD, faults_of, read_run
 
     record = str(folder / RECORD)
     try:
@@ -150,8 +150,8 @@ def _foreign(path: Path, what: str) -> tuple[int | None, str]:
 
 
 def _calibration(path: Path) -> tuple[int | None, str]:
-    from agents.calibrated import ORIGIN
-    from calibration.calibration import FORMAT, Calibration
+    from pickenv.agents.evaluation.calibrated import ORIGIN
+    from pickenv.calibration.pipeline.calibration import FORMAT, Calibration
 
     found = Calibration.load(path)
     origin = found.record.get(ORIGIN)
@@ -163,14 +163,14 @@ def _calibration(path: Path) -> tuple[int | None, str]:
 
 
 def _policy(path: Path) -> tuple[int | None, str]:
-    from agents.learned import FORMAT, load_policy
+    from pickenv.agents.policies.learned import FORMAT, load_policy
 
     found = load_policy(path)
     return FORMAT, f"{found.algorithm} on arm '{found.arm}'"
 
 
 def _checkpoint(path: Path) -> tuple[int | None, str]:
-    from agents.checkpoints import FORMAT, check_checkpoint
+    from pickenv.agents.training.checkpoints import FORMAT, check_checkpoint
 
     reason = check_checkpoint(path)
     if reason is not None:
@@ -190,12 +190,12 @@ def _chunk(path: Path) -> tuple[int | None, str]:
 
 
 def _saved(path: Path) -> tuple[int | None, str]:
-    from agents.grid import Grid
+    from pickenv.agents.evaluation.grid import Grid
     from pickenv.container import read_container
-    from pickenv.inspect import saved
-    from pickenv.inspect.calibration_trace import CalibrationTrace
-    from pickenv.inspect.comparison import Comparison
-    from pickenv.inspect.harvest_trace import HarvestTrace
+    from pickenv.inspect.runs import saved
+    from pickenv.inspect.runs.calibration_trace import CalibrationTrace
+    from pickenv.inspect.runs.comparison import Comparison
+    from pickenv.inspect.runs.harvest_trace import HarvestTrace
 
     kinds: tuple[type, ...] = (CalibrationTrace, Comparison, Grid, HarvestTrace)
     name = read_container(path, None, remake=REMAKE).kind

@@ -10,7 +10,7 @@ import typer
 from pickenv.errors import InputError
 
 if TYPE_CHECKING:
-    from pickenv.inspect.run_folder import Run
+    from pickenv.inspect.runs.run_folder import Run
 
 
 def inspect(
@@ -28,7 +28,7 @@ def inspect(
     ] = None,
 ) -> None:
     """Open a run's recording in the Rerun viewer; it is made from the run's numbers where there is none yet."""
-    from pickenv.inspect import open_recording as opening
+    from pickenv.inspect.recordings import open_recording as opening
 
     if web + (connect is not None) + (serve is not None) > 1:
         raise InputError("--web, --connect and --serve exclude each other; give one of them")
@@ -51,7 +51,7 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
     Raises:
         InputError: If there is no such run, or nothing in it that can be recorded.
     """
-    from pickenv.inspect.run_folder import added_to, read_run
+    from pickenv.inspect.runs.run_folder import added_to, read_run
 
     if run.is_file() or run.suffix == ".rrd":
         return [run]
@@ -64,8 +64,8 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
 
 
 def _record(run: Run, policy: str | None) -> Path:
-    from pickenv.inspect.recording import record_comparison
-    from pickenv.inspect.run_folder import load_comparison
+    from pickenv.inspect.recordings.comparison_recording import record_comparison
+    from pickenv.inspect.runs.run_folder import load_comparison
 
     if run.kind == "evaluation":
         return _record_evaluation(run, policy)
@@ -74,7 +74,7 @@ def _record(run: Run, policy: str | None) -> Path:
     if run.kind == "demo":
         return record_comparison(load_comparison(run.folder), run.folder / "errors.rrd")
     if run.kind == "study":
-        from pickenv.study.recording import record_study
+        from pickenv.study.analysis.study_recording import record_study
 
         return record_study(run.folder, 0, run.folder / "arms.rrd")
     raise InputError(f"a run of kind '{run.kind}' has no recording; see its figures with `pickenv report {run.folder}`")
@@ -82,10 +82,10 @@ def _record(run: Run, policy: str | None) -> Path:
 
 def _record_evaluation(run: Run, policy: str | None) -> Path:
     """One policy's compensations side by side, on the first plant and with the first feedback."""
-    from agents.tables import read_grid
+    from pickenv.agents.evaluation.grid_tables import read_grid
     from pickenv.arm import load_plant
     from pickenv.inspect.colours import policy_key
-    from pickenv.inspect.inspections import inspect_evaluation
+    from pickenv.inspect.recordings.inspections import inspect_evaluation
 
     grid = read_grid(run)
     names = list(dict.fromkeys(cell.policy for cell in grid.cells))

@@ -28,9 +28,9 @@ def effects(
     import numpy as np
 
     from pickenv.arm import load_plant
-    from pickenv.arm.effect_shares import draw_reaches, effect_shares
-    from pickenv.arm.motion import Pace
-    from pickenv.commands.results import deliver
+    from pickenv.arm.plant.effect_shares import draw_reaches, effect_shares
+    from pickenv.arm.plant.motion import Pace
+    from pickenv.commands.handing_over import deliver
     from pickenv.files import separate, write_text
 
     check_limit("--reaches", reaches, "reaches")
@@ -61,14 +61,14 @@ def iso9283(
     """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated."""
     import numpy as np
 
-    from calibration import Calibration
-    from calibration.iso9283 import Iso9283Settings
-    from calibration.iso9283 import iso9283 as test
     from pickenv.arm import load_plant
-    from pickenv.arm.motion import Pace
-    from pickenv.commands.results import deliver
+    from pickenv.arm.plant.iso9283 import Iso9283Settings
+    from pickenv.arm.plant.iso9283 import iso9283 as test
+    from pickenv.arm.plant.motion import Pace
+    from pickenv.calibration import Calibration
+    from pickenv.commands.handing_over import deliver
     from pickenv.files import separate, write_text
-    from pickenv.inspect.run_folder import ISO9283, RECORD, recorded_run
+    from pickenv.inspect.runs.run_folder import ISO9283, RECORD, recorded_run
 
     check_limit("--cycles", cycles, "cycles")
     check_limit("--dwell", dwell, "dwell_s")

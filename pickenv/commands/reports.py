@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from pickenv.inspect.drawings import Drawings
-    from pickenv.inspect.run_folder import Run
+    from pickenv.inspect.figures.run_drawings import Drawings
+    from pickenv.inspect.runs.run_folder import Run
 
 MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
 """Suffixes of pages and pictures, which may be made again."""
@@ -24,8 +24,8 @@ def figures(
 ) -> None:
     """Draw every figure that a run's numbers allow, for papers and reports; say which are left out, and why."""
     from pickenv.files import separate
-    from pickenv.inspect.drawings import LeftOut, write_drawings
-    from pickenv.inspect.run_folder import added_to, read_run
+    from pickenv.inspect.figures.run_drawings import LeftOut, write_drawings
+    from pickenv.inspect.runs.run_folder import added_to, read_run
 
     found, folder = read_run(run), out or run / "figures"
     drawings, suffixes = drawings_of(found), formats.split(",")
@@ -50,13 +50,13 @@ def report(
 ) -> None:
     """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
     from pickenv.files import separate, write_text
-    from pickenv.inspect.run_folder import added_to, read_run
+    from pickenv.inspect.runs.run_folder import added_to, read_run
 
     found = read_run(run)
     path = out or run / "report.html"
     separate({"RUN": _numbers(run)}, {"--out": path})
     if found.kind == "study":
-        from pickenv.study.report import study_report
+        from pickenv.study.analysis.study_report import study_report
 
         print(f"wrote {study_report(run, path)}")
         return
@@ -71,15 +71,16 @@ def _numbers(run: Path) -> list[Path]:
 
 def drawings_of(run: Run) -> Drawings:
     """Every figure of a run, drawable or left out."""
-    from pickenv.inspect import drawings, run_folder
+    from pickenv.inspect.figures import run_drawings as drawings
+    from pickenv.inspect.runs import run_folder
 
     if run.kind == "evaluation":
-        from agents.figures import grid_drawings
-        from agents.tables import read_grid
+        from pickenv.agents.evaluation.grid_figures import grid_drawings
+        from pickenv.agents.evaluation.grid_tables import read_grid
 
         return grid_drawings(read_grid(run))
     if run.kind == "study":
-        from pickenv.study.drawings import gather, study_drawings
+        from pickenv.study.analysis.study_drawings import gather, study_drawings
 
         return study_drawings(gather(run.folder))
     if run.kind == "harvest":
@@ -94,14 +95,14 @@ def drawings_of(run: Run) -> Drawings:
 
 def page_of(run: Run, picture: bool) -> str:
     """A run's report as HTML."""
-    from pickenv.inspect import run_folder
-    from pickenv.inspect.demo_report import demo_report
-    from pickenv.inspect.plain_report import harvest_report, iso9283_report
-    from pickenv.inspect.viewer_picture import viewer_picture
+    from pickenv.inspect.recordings.viewer_picture import viewer_picture
+    from pickenv.inspect.reports.demo_report import demo_report
+    from pickenv.inspect.reports.plain_report import harvest_report, iso9283_report
+    from pickenv.inspect.runs import run_folder
 
     if run.kind == "evaluation":
-        from agents.report import grid_report
-        from agents.tables import read_grid
+        from pickenv.agents.evaluation.grid_report import grid_report
+        from pickenv.agents.evaluation.grid_tables import read_grid
 
         return grid_report(run, read_grid(run))
     if run.kind == "harvest":

@@ -1,7 +1,7 @@
 """Gymnasium environments; `import pickenv` registers them."""
 
-from pickenv.envs.reach import ReachEnv
-from pickenv.envs.reach_goal import ReachGoalEnv
-from pickenv.envs.reach_ideal import ReachIdealEnv
+from pickenv.envs.reaching.reach import ReachEnv
+from pickenv.envs.reaching.reach_goal import ReachGoalEnv
+from pickenv.envs.reaching.reach_ideal import ReachIdealEnv
 
 __all__ = ["ReachEnv", "ReachGoalEnv", "ReachIdealEnv"]

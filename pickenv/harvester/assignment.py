@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
-from pickenv.arm.geometry import Array
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.harvester.work import Plan, Work
 

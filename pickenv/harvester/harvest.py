@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.geometry import Array
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.interference import arm_distances
+from pickenv.harvester.joint_motion import master_time, profile, travel_time
 from pickenv.harvester.machine import Machine
-from pickenv.harvester.motion import master_time, profile, travel_time
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.picking import Outcome, Picking, attempt
 from pickenv.harvester.trees import Tree

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm
-from pickenv.arm.arm_file import read_toml, refuse_unknown
-from pickenv.arm.geometry import Array
-from pickenv.arm.tables import Table
+from pickenv.arm.files.arm_file import read_toml, refuse_unknown
+from pickenv.arm.files.tables import Table
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 
 SHIPPED = Path(__file__).parent / "li2016.toml"

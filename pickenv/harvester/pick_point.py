@@ -13,9 +13,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.arm_file import read_toml
-from pickenv.arm.geometry import Array
-from pickenv.arm.tables import Table
+from pickenv.arm.files.arm_file import read_toml
+from pickenv.arm.files.tables import Table
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.zones import SHIPPED

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Geometry, Plant, Pose, forward, load_plant
-from pickenv.arm.arm_file import read_toml, refuse_unknown
-from pickenv.arm.geometry import Array
-from pickenv.arm.plant import EFFECTS
-from pickenv.arm.tables import Table
+from pickenv.arm.files.arm_file import read_toml, refuse_unknown
+from pickenv.arm.files.tables import Table
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import EFFECTS
 from pickenv.errors import InputError
 from pickenv.harvester.machine import MOST_SLAVES, SHIPPED, Machine, composed, shifted
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.geometry import Array
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.harvester.interference import excursion_distances
+from pickenv.harvester.joint_motion import travel_time
 from pickenv.harvester.machine import Machine
-from pickenv.harvester.motion import travel_time
 
 Plan = tuple[tuple[int, ...], ...]
 """For each arm the fruit it picks, in order."""

@@ -1,14 +1,6 @@
 """The orchard: fruit and canopy, what cameras see of it, what grippers forgive, and how fruit swings and comes off."""
 
-from pickenv.orchard.branch import (
-    Branch,
-    coupling,
-    load_branch,
-    natural_frequencies,
-    pushed,
-    settling_time,
-    swing,
-)
+from pickenv.orchard.branch import Branch, coupling, load_branch, natural_frequencies, pushed, settling_time, swing
 from pickenv.orchard.camera import (
     DRAWS,
     SUNLIGHT,

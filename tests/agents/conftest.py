@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.training import Training, train
+from pickenv.agents.training.training import Training, train
 
 
 @pytest.fixture

@@ -12,12 +12,12 @@ import torch
 from typer import Typer
 from typer.testing import CliRunner
 
-from agents.checkpoints import check_checkpoint, read_checkpoint, save_checkpoint
-from agents.training import Inputs, Training, check_inputs, inputs_of, make_model, resumed, train
-from calibration import fit, random_joints, simulated_tracker
+from pickenv.agents.training.checkpoints import check_checkpoint, read_checkpoint, save_checkpoint
+from pickenv.agents.training.training import Inputs, Training, check_inputs, inputs_of, make_model, resumed, train
 from pickenv.arm import load_plant
-from pickenv.arm.plant_file import PLANTS
-from pickenv.commands import agents as commands
+from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.commands import learning as commands
 from pickenv.container import read_container, write_container
 from pickenv.errors import InputError
 
@@ -228,7 +228,7 @@ def test_a_training_refuses_files_that_have_changed_since_it_was_begun(files, ca
             if moment == "between":
                 raise Stopped
 
-    monkeypatch.setattr("agents.callbacks.save_checkpoint", save)
+    monkeypatch.setattr("pickenv.agents.training.callbacks.save_checkpoint", save)
     with pytest.raises(Stopped if moment == "between" else InputError, match=None if moment == "between" else said):
         train(training, out)
     with pytest.raises(InputError, match=said) as caught:

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401
-from agents import ScriptedReach, episode_seeds, run_reaches
-from calibration import Compensator
+from pickenv.agents import ScriptedReach, episode_seeds, run_reaches
 from pickenv.arm import load_plant
+from pickenv.calibration import Compensator
 from pickenv.errors import InputError
 from pickenv.wrappers import CompensationWrapper
 
@@ -98,7 +98,7 @@ def test_no_seeds_are_refused(env):
 
 
 def test_an_episode_without_end_is_refused(monkeypatch):
-    monkeypatch.setattr("agents.evaluation.LONGEST_EPISODE", 100)
+    monkeypatch.setattr("pickenv.agents.evaluation.reaches.LONGEST_EPISODE", 100)
     endless = gym.make("pickenv/Reach-v0", max_episode_steps=-1)
     with pytest.raises(InputError, match="did not end within 100 steps; give the environment a time limit"):
         run_reaches(endless, Idle(), [1])

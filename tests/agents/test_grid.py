@@ -9,16 +9,16 @@ import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
-from agents.calibrated import Protocol, compensators
-from agents.figures import grid_drawings
-from agents.grid import GridSettings, run_grid
-from agents.statistics import interquartile_mean, interval, paired
-from agents.tables import command_of, read_grid, write_grid, write_rows
+from pickenv.agents.evaluation.calibrated import Protocol, compensators
+from pickenv.agents.evaluation.grid import GridSettings, run_grid
+from pickenv.agents.evaluation.grid_figures import grid_drawings
+from pickenv.agents.evaluation.grid_tables import command_of, read_grid, write_grid, write_rows
+from pickenv.agents.evaluation.statistics import interquartile_mean, interval, paired
 from pickenv.arm import load_plant
-from pickenv.commands import agents as commands
+from pickenv.commands import learning as commands
 from pickenv.errors import InputError
-from pickenv.inspect.drawings import write_drawings
-from pickenv.inspect.run_folder import read_run
+from pickenv.inspect.figures.run_drawings import write_drawings
+from pickenv.inspect.runs.run_folder import read_run
 
 KEYS = {"policy", "compensation", "feedback", "plant", "gripper", "mean_mm", "p95_mm", "success_rate", "ci95"}
 SMALL = GridSettings(
@@ -106,7 +106,7 @@ def test_a_kept_calibration_is_left_alone_when_code_or_plant_have_changed(tmp_pa
     protocol = Protocol(30)
     compensators(plant, "ls", protocol, tmp_path)
     if changed == "code":
-        monkeypatch.setattr("agents.calibrated.code_fingerprint", lambda: "another")
+        monkeypatch.setattr("pickenv.agents.evaluation.calibrated.code_fingerprint", lambda: "another")
     else:
         geometry = replace(plant.geometry, a=plant.geometry.a + 1e-12)
         plant = replace(plant, geometry=geometry)

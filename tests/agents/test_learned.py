@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401
-from agents.gap_scaling import GapScaling
-from agents.grid import GridSettings, run_grid
-from agents.learned import BASELINES, FORMAT, load_policy, shipped_baselines
-from agents.scaling import Scaling
+from pickenv.agents.evaluation.grid import GridSettings, run_grid
+from pickenv.agents.policies.gap import Scaling
+from pickenv.agents.policies.gap_wrapper import GapScaling
+from pickenv.agents.policies.learned import BASELINES, FORMAT, load_policy, shipped_baselines
 from pickenv.arm import load_arm
 from pickenv.container import read_container, write_container
 from pickenv.errors import InputError

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401
-from agents import ScriptedReach
+from pickenv.agents import ScriptedReach
 from pickenv.errors import InputError
 
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.checkpoints import check_checkpoint
-from agents.hyperparams import tuned
-from agents.learned import load_policy
-from agents.training import Training, make_model, resumed, train
-from calibration import Calibration, fit, random_joints, simulated_tracker
+from pickenv.agents.policies.learned import load_policy
+from pickenv.agents.training.checkpoints import check_checkpoint
+from pickenv.agents.training.hyperparams import tuned
+from pickenv.agents.training.training import Training, make_model, resumed, train
 from pickenv.arm import load_plant
+from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 
 ROOT = Path(__file__).parents[2]
@@ -38,9 +38,9 @@ class Killed(Exception):
 
 def stop_after(monkeypatch, writes: int) -> None:
     """Let the training end right after its n-th checkpoint was written."""
-    import agents.callbacks
+    import pickenv.agents.training.callbacks
 
-    real, count = agents.callbacks.save_checkpoint, [0]
+    real, count = pickenv.agents.training.callbacks.save_checkpoint, [0]
 
     def save(*arguments):
         real(*arguments)
@@ -48,7 +48,7 @@ def stop_after(monkeypatch, writes: int) -> None:
         if count[0] == writes:
             raise Killed
 
-    monkeypatch.setattr("agents.callbacks.save_checkpoint", save)
+    monkeypatch.setattr("pickenv.agents.training.callbacks.save_checkpoint", save)
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac", "tqc"])
@@ -92,7 +92,7 @@ def test_a_population_of_arms_is_resumed_too(short, tmp_path, monkeypatch):
 @pytest.mark.parametrize("hows", [[signal.SIGKILL], [signal.SIGINT], [signal.SIGTERM, signal.SIGKILL, signal.SIGKILL]])
 def test_a_killed_training_goes_on(tmp_path, hows):
     code = (
-        "import sys; from agents.training import Training, train;"
+        "import sys; from pickenv.agents.training.training import Training, train;"
         "train(Training('ppo', steps=60000, arguments={'plant': 'geometry_only'}, checkpoint_every=3840,"
         " evaluate_every=30000, parameters={'n_envs': 64}), sys.argv[1], resume=len(sys.argv) > 2)"
     )
@@ -155,7 +155,7 @@ def test_what_the_native_environment_shows_is_what_the_policy_file_sees(short):
     training = short()
     model, env = make_model(training)
     shown = env.reset()
-    from agents.training import actor_of
+    from pickenv.agents.training.training import actor_of
 
     policy = actor_of(model, training, env)
     predicted, _ = model.predict(shown, deterministic=True)

@@ -55,7 +55,7 @@ def blueprint(recording: Path) -> Blueprint:
 @pytest.fixture(scope="session")
 def arrows(run_folder: Path) -> dict[str, Any]:
     """The raw arm's error field, from the run's numbers and not from its recording: metres, errors in mm."""
-    from pickenv.inspect.run_folder import load_comparison
+    from pickenv.inspect.runs.run_folder import load_comparison
 
     comparison = load_comparison(run_folder)
     raw = comparison.policies[0]

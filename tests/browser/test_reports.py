@@ -80,7 +80,7 @@ def test_a_report_fits_paper(browser: Any, reports: dict[str, Path], name: str, 
 
 
 def test_hovering_reads_a_poses_millimetres(browser: Any, reports: dict[str, Path], run_folder: Path) -> None:
-    from pickenv.inspect.run_folder import load_trace, read_run
+    from pickenv.inspect.runs.run_folder import load_trace, read_run
 
     errors = load_trace(read_run(run_folder)).errors
     with open_report(browser, reports["report"], viewport=SIZE) as report:
@@ -94,7 +94,7 @@ def test_hovering_reads_a_poses_millimetres(browser: Any, reports: dict[str, Pat
 
 
 def test_hovering_reads_an_arrows_millimetres(browser: Any, reports: dict[str, Path], run_folder: Path) -> None:
-    from pickenv.inspect.run_folder import load_comparison
+    from pickenv.inspect.runs.run_folder import load_comparison
 
     comparison = load_comparison(run_folder)
     pattern = rf"{NUMBER} mm ?x {NUMBER}, y {NUMBER}, z {NUMBER} mm ?at x {NUMBER}, y {NUMBER}, z {NUMBER} m"

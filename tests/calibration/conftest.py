@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration import Fit, Measurements, fit, random_joints, read_measurements, simulated_tracker
 from pickenv.arm import Arm, Geometry, Plant, forward, load_arm, load_plant
+from pickenv.calibration import Fit, Measurements, fit, random_joints, read_measurements, simulated_tracker
 
 Exact = Callable[..., Measurements]
 

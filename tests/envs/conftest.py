@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401  (registers the environments)
-from calibration import Compensator
 from pickenv.arm import load_plant
+from pickenv.calibration import Compensator
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import RecordEpisodeStatistics, RescaleAction, TimeLimit
 
-from agents import ScriptedReach
+from pickenv.agents import ScriptedReach
 from pickenv.errors import InputError
 from pickenv.wrappers import CompensationWrapper
 

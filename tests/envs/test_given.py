@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401, registers the environments
-from pickenv.envs.harvest import HarvestEnv
-from pickenv.envs.harvest_vector import HarvestVectorEnv
-from pickenv.envs.pick import PickEnv
-from pickenv.envs.reach import ReachEnv
-from pickenv.envs.vector import ReachVectorEnv
+from pickenv.envs.harvesting.harvest_env import HarvestEnv
+from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
+from pickenv.envs.picking.pick import PickEnv
+from pickenv.envs.reaching.reach import ReachEnv
+from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
 
 MAKERS = {

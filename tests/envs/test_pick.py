@@ -11,15 +11,15 @@ from gymnasium.utils.env_checker import check_env
 from scipy import stats
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
-import pickenv.envs.pick
-from agents.picking import HASTY, ScriptedPick
-from calibration import Compensator
+import pickenv.envs.picking.pick
+from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
 from pickenv.arm import forward, load_plant
-from pickenv.arm.batch import plant_at
-from pickenv.arm.kinematics import pose_of
-from pickenv.arm.pose_error import pose_error
-from pickenv.envs.pick import PickEnv
-from pickenv.envs.pick_scene import BRUISE_SPEED
+from pickenv.arm.kinematics.forward import pose_of
+from pickenv.arm.kinematics.pose_error import pose_error
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.calibration import Compensator
+from pickenv.envs.picking.pick import PickEnv
+from pickenv.envs.picking.pick_scene import BRUISE_SPEED
 from pickenv.errors import InputError
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 

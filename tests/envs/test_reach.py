@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, forward, load_plant, pose_error, rotation_matrix
-from pickenv.arm.kinematics import frame_of
-from pickenv.envs.executors import FLOATS, NUMPY
-from pickenv.envs.simulation import attitude_difference, goal_attempt
-from pickenv.envs.streams import seed_word
+from pickenv.arm.kinematics.forward import frame_of
+from pickenv.envs.shared.backends import FLOATS, NUMPY
+from pickenv.envs.shared.simulation import attitude_difference, goal_attempt
+from pickenv.envs.shared.streams import seed_word
 from pickenv.errors import InputError
 
 MIDDLE = [math.radians(7.5), 0.3, 0.4, 0.0, 0.1, 0.0]

@@ -14,9 +14,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
-import pickenv.envs.reach
+import pickenv.envs.reaching.reach
 import pickenv.wrappers.compensation
-from pickenv.arm.plant_file import PLANTS
+from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.errors import InputError
 
 IDS = sorted(name for name in gym.registry if name.startswith("pickenv/"))

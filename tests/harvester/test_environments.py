@@ -10,9 +10,9 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import pickenv  # noqa: F401
-from agents.harvest import ScriptedHarvest
-from pickenv.envs.harvest import HarvestEnv
-from pickenv.envs.harvest_vector import HarvestVectorEnv
+from pickenv.agents.policies.harvest_policy import ScriptedHarvest
+from pickenv.envs.harvesting.harvest_env import HarvestEnv
+from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
 from pickenv.errors import InputError
 from pickenv.harvester.true_machine import Controller
 from pickenv.wrappers import CompensationWrapper
@@ -148,7 +148,7 @@ def test_pettingzoos_checkers_and_registry():
     pettingzoo = pytest.importorskip("pettingzoo")
     from pettingzoo.test import parallel_api_test, parallel_seed_test
 
-    from pickenv.envs.harvest_parallel import HarvestParallelEnv
+    from pickenv.envs.harvesting.harvest_parallel import HarvestParallelEnv
 
     parallel_api_test(HarvestParallelEnv(max_cycles=40), num_cycles=100)
     parallel_seed_test(lambda: HarvestParallelEnv(max_cycles=40), num_cycles=15)
@@ -160,7 +160,7 @@ def test_pettingzoos_checkers_and_registry():
 
 def test_agents_together_do_what_the_single_policy_does():
     pytest.importorskip("pettingzoo")
-    from pickenv.envs.harvest_parallel import HarvestParallelEnv
+    from pickenv.envs.harvesting.harvest_parallel import HarvestParallelEnv
 
     env = HarvestParallelEnv(ideal=True)
     policy = ScriptedHarvest(env)

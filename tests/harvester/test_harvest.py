@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.harvester.evaluation import work_images, work_trees
 from pickenv.harvester.harvest import Strategy, harvest
+from pickenv.harvester.harvest_summary import STAGES, funnel, funnel_by_arm, summary
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.picking import load_picking
-from pickenv.harvester.summary import STAGES, funnel, funnel_by_arm, summary
+from pickenv.harvester.strategies import work_images, work_trees
 from pickenv.harvester.trees import Tree, load_orchard
 from pickenv.harvester.true_machine import Controller, Nominal, load_true_machine
 from pickenv.harvester.zones import load_grid

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pickenv.inspect.plain_report import harvest_report
-from pickenv.inspect.run_folder import load_harvest, read_run
+from pickenv.inspect.reports.plain_report import harvest_report
+from pickenv.inspect.runs.run_folder import load_harvest, read_run
 
 ROOT = Path(__file__).parents[2]
 

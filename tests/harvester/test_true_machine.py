@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration import fit, random_joints, simulated_tracker
+from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.pick_point import pick_point

@@ -11,13 +11,13 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from calibration import fit, random_joints, simulated_tracker
 from pickenv.arm import Geometry, Plant, Pose, forward, inverse, load_plant, parameter_jacobian, pose_error
-from pickenv.arm.geometry import Array
-from pickenv.inspect.calibration_trace import trace_of
-from pickenv.inspect.comparison import Comparison, PolicyErrors
-from pickenv.inspect.recording import record_comparison
-from pickenv.inspect.run_folder import Run, recorded_run, save_comparison, save_trace
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.inspect.recordings.comparison_recording import record_comparison
+from pickenv.inspect.runs.calibration_trace import trace_of
+from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
+from pickenv.inspect.runs.run_folder import Run, recorded_run, save_comparison, save_trace
 
 STEP = 0.055
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.inspect import blueprint
-from pickenv.inspect.comparison import Comparison
-from pickenv.inspect.recording import record_comparison
+from pickenv.inspect.recordings import blueprint
+from pickenv.inspect.recordings.comparison_recording import record_comparison
+from pickenv.inspect.runs.comparison import Comparison
 
 
 def rows(reading: Any, component: str) -> list[Any]:

@@ -7,16 +7,16 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from calibration import fit, random_joints, simulated_tracker
-from calibration.gate import GateReport, Verdict
-from calibration.least_squares import is_angle
-from calibration.result import assess
-from calibration.screen import figure, unit_of
 from pickenv.arm import load_plant
+from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.calibration.assessment.screen import figure, unit_of
+from pickenv.calibration.identification.least_squares import is_angle
+from pickenv.calibration.pipeline.result import assess
+from pickenv.calibration.residuals.gate import GateReport, Verdict
 from pickenv.errors import InputError
-from pickenv.inspect.calibration_report import calibration_page, write_calibration_report
-from pickenv.inspect.report_words import parameter_words
-from pickenv.inspect.svg_plots import bar, cumulative, heat_map, strips, ticks
+from pickenv.inspect.reports.calibration_report import calibration_page, write_calibration_report
+from pickenv.inspect.reports.report_words import parameter_words
+from pickenv.inspect.reports.svg_plots import bar, cumulative, heat_map, strips, ticks
 
 VOID = {"meta", "br", "line", "rect", "path", "polyline"}
 

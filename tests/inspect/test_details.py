@@ -12,12 +12,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import forward, load_plant, noncompensable_error
-from pickenv.arm.effect_shares import effect_shares
-from pickenv.arm.jacobians import joint_jacobian
-from pickenv.inspect.comparison import Comparison
-from pickenv.inspect.details import FLOOR, attitude_fields, day_of, details_of, drifting_plant, effect_fields
-from pickenv.inspect.recording import record_comparison
-from pickenv.inspect.summary import cell_means
+from pickenv.arm.kinematics.jacobians import joint_jacobian
+from pickenv.arm.plant.effect_shares import effect_shares
+from pickenv.inspect.recordings.comparison_recording import record_comparison
+from pickenv.inspect.recordings.details import FLOOR, attitude_fields, day_of, details_of, drifting_plant, effect_fields
+from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import cell_means
 
 
 def orchard(comparison: Comparison) -> Comparison:

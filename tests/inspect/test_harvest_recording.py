@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.harvester.evaluation import work_trees
 from pickenv.harvester.harvest import Harvest, Strategy
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.picking import load_picking
+from pickenv.harvester.strategies import work_trees
 from pickenv.harvester.trees import load_orchard
 from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine
 from pickenv.harvester.zones import load_grid
-from pickenv.inspect.harvest_recording import FATES, inspect_harvest
+from pickenv.inspect.recordings.harvest_recording import FATES, inspect_harvest
 
 
 @pytest.fixture(scope="module")

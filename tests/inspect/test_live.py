@@ -19,16 +19,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.grid import GridSettings, run_grid
-from agents.tables import write_grid
+from pickenv.agents.evaluation.grid import GridSettings, run_grid
+from pickenv.agents.evaluation.grid_tables import write_grid
 from pickenv.commands.inspection import inspect, recordings_of
 from pickenv.errors import InputError
-from pickenv.inspect import open_recording
-from pickenv.inspect.comparison import Comparison
-from pickenv.inspect.live import Live, open_live
-from pickenv.inspect.open_recording import check_recording
-from pickenv.inspect.recording import record_comparison
-from pickenv.inspect.run_folder import recorded_run, save_comparison
+from pickenv.inspect.recordings import open_recording
+from pickenv.inspect.recordings.comparison_recording import record_comparison
+from pickenv.inspect.recordings.live import Live, open_live
+from pickenv.inspect.recordings.open_recording import check_recording
+from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.run_folder import recorded_run, save_comparison
 
 RERUN = Path(sys.executable).with_name("rerun")
 ROOT = Path(__file__).parents[2]

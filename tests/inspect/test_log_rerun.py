@@ -20,12 +20,13 @@ import pytest
 
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.arm import forward
-from pickenv.envs.harvest import HarvestEnv
-from pickenv.envs.vector import ReachVectorEnv
+from pickenv.envs.harvesting.harvest_env import HarvestEnv
+from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
-from pickenv.inspect import LogRerun, LogRerunVector, live, log_rerun
-from pickenv.inspect.episodes import capped_cubic
-from pickenv.inspect.live import Live, check_answers
+from pickenv.inspect import LogRerun, LogRerunVector
+from pickenv.inspect.recordings import live, log_rerun
+from pickenv.inspect.recordings.episodes import capped_cubic
+from pickenv.inspect.recordings.live import Live, check_answers
 
 RERUN = Path(sys.executable).with_name("rerun")
 ROOT = Path(__file__).parents[2]

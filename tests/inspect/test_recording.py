@@ -13,13 +13,13 @@ import pytest
 
 from pickenv.arm import forward
 from pickenv.errors import InputError
-from pickenv.inspect import recording
 from pickenv.inspect.colours import viridis
-from pickenv.inspect.comparison import Comparison
-from pickenv.inspect.recording import record_comparison
-from pickenv.inspect.scribe import Scribe, f32, recording_bytes, send_arrows
-from pickenv.inspect.summary import colour_scale_mm
-from pickenv.inspect.view import cut_away
+from pickenv.inspect.recordings import comparison_recording as recording
+from pickenv.inspect.recordings.comparison_recording import record_comparison
+from pickenv.inspect.recordings.scribe import Scribe, f32, recording_bytes, send_arrows
+from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import colour_scale_mm
+from pickenv.inspect.runs.view import cut_away
 
 RERUN = Path(sys.executable).with_name("rerun")
 KEYS = ("raw", "ls", "ls_bpnn")
@@ -309,7 +309,7 @@ def test_a_gain_of_nothing_is_refused(comparison: Comparison, tmp_path: Path) ->
 def test_importing_the_room_loads_neither_rerun_nor_matplotlib() -> None:
     script = """
 import sys
-import pickenv.inspect.recording, pickenv.inspect.blueprint, pickenv.inspect.figures, pickenv.inspect.field_figure
+import pickenv.inspect.recordings.comparison_recording, pickenv.inspect.recordings.blueprint, pickenv.inspect.figures.style, pickenv.inspect.figures.field_figure
 sys.exit(bool({"rerun", "matplotlib"} & set(sys.modules)))
 """
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}

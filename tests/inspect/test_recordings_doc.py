@@ -20,7 +20,7 @@ TEXT = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
 def test_its_programs_run_and_write_what_it_says(tmp_path: Path) -> None:
     from numpy.random import default_rng
 
-    from calibration import fit, random_joints, simulated_tracker
+    from pickenv.calibration import fit, random_joints, simulated_tracker
 
     plant, rng = load_plant("qiao2026"), default_rng(0)
     measured = simulated_tracker(plant, random_joints(plant.arm.nominal, 60, rng), rng)

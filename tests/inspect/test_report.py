@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.metrics import error_statistics
-from pickenv.inspect.calibration_trace import CalibrationTrace
-from pickenv.inspect.comparison import Comparison
-from pickenv.inspect.demo_report import Share, demo_report, verdict
-from pickenv.inspect.drawings import LeftOut, trace_drawings
-from pickenv.inspect.report_interactive import field_spec, library, pose_spec
-from pickenv.inspect.report_page import Verdict, contents, facts, section, table, tiles, verdict_box
-from pickenv.inspect.report_page import page as page_of
-from pickenv.inspect.run_folder import Run, load_trace
+from pickenv.calibration.assessment.metrics import error_statistics
+from pickenv.inspect.figures.run_drawings import LeftOut, trace_drawings
+from pickenv.inspect.reports.demo_report import Share, demo_report, verdict
+from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
+from pickenv.inspect.reports.report_page import Verdict, contents, facts, section, table, tiles, verdict_box
+from pickenv.inspect.reports.report_page import page as page_of
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace
+from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.run_folder import Run, load_trace
 
 VOID = {"meta", "link", "img", "br"}
 

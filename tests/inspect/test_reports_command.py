@@ -12,16 +12,16 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from calibration import random_joints, simulated_tracker
 from pickenv.arm import load_plant
+from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.cli import app
 from pickenv.commands.reports import drawings_of, page_of
 from pickenv.errors import InputError
-from pickenv.harvester.summary import Measure
-from pickenv.inspect.comparison import Comparison
-from pickenv.inspect.drawings import Drawing, LeftOut
-from pickenv.inspect.harvest_trace import HarvestTrace, JointCurves, PickedTree
-from pickenv.inspect.run_folder import ISO9283, Run, read_run, recorded_run, save_harvest
+from pickenv.harvester.harvest_summary import Measure
+from pickenv.inspect.figures.run_drawings import Drawing, LeftOut
+from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
+from pickenv.inspect.runs.run_folder import ISO9283, Run, read_run, recorded_run, save_harvest
 
 LITERATURE = {
     "error_per_test_pose",

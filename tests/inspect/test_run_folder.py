@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration import fit, random_joints, simulated_tracker
 from pickenv.arm import load_plant
-from pickenv.arm.plant_file import shipped_plants
+from pickenv.arm.plant.plant_file import shipped_plants
+from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.container import read_container, write_container
 from pickenv.errors import InputError
 from pickenv.files import write_text
-from pickenv.inspect import saved
-from pickenv.inspect.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.comparison import Comparison
-from pickenv.inspect.run_folder import (
+from pickenv.inspect.runs import saved
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
+from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.run_folder import (
     MADE_BY,
     Run,
     added_to,

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.inspect.comparison import Comparison
-from pickenv.inspect.recording import record_comparison
-from pickenv.inspect.viewer_picture import WINDOW, viewer_picture
+from pickenv.inspect.recordings.comparison_recording import record_comparison
+from pickenv.inspect.recordings.viewer_picture import WINDOW, viewer_picture
+from pickenv.inspect.runs.comparison import Comparison
 
 pytestmark = pytest.mark.browser
 

@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm.tolerances import TOLERANCES
+from pickenv.arm.plant.tolerances import TOLERANCES
 from pickenv.errors import InputError
-from pickenv.study import batched, batched_identification
-from pickenv.study.arm_by_arm import evaluate_chunk
-from pickenv.study.batched import evaluate_batch
-from pickenv.study.config import Noise, load_study
-from pickenv.study.executors import Crew
-from pickenv.study.protocol import prepare
-from pickenv.study.run import run_study
-from pickenv.study.table import OK
+from pickenv.study.design.config import Noise, load_study
+from pickenv.study.design.protocol import prepare
+from pickenv.study.results.row_table import OK
+from pickenv.study.running import batched, batched_identification
+from pickenv.study.running.arm_by_arm import evaluate_chunk
+from pickenv.study.running.batched import evaluate_batch
+from pickenv.study.running.run_study import run_study
+from pickenv.study.running.runners import Crew
 
 AGREEMENT = 1e-9
 """Relative; what rounding leaves is about 1e-12."""
@@ -120,8 +120,8 @@ def peak_memory(study_file, out: Path, arms: int) -> float:
     code = f"""
 import resource, sys
 from pathlib import Path
-from pickenv.study.config import load_study
-from pickenv.study.run import run_study
+from pickenv.study.design.config import load_study
+from pickenv.study.running.run_study import run_study
 run_study(load_study({str(path)!r}), Path({str(out)!r}), executor="batched")
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from pickenv.arm.plant_file import PLANTS
-from pickenv.arm.tolerances import TOLERANCES
+from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.arm.plant.tolerances import TOLERANCES
 from pickenv.errors import InputError
-from pickenv.study.config import Noise, load_study
+from pickenv.study.design.config import Noise, load_study
 
 ROOT = Path(__file__).parents[2]
 
@@ -148,7 +148,7 @@ def test_an_impossible_arm_is_refused(study_file, tmp_path, old, new, named):
 
 
 def test_reversed_joint_limits_are_refused(study_file, tmp_path):
-    from pickenv.arm.arm_file import ARMS
+    from pickenv.arm.files.arm_file import ARMS
 
     arm, plant = tmp_path / "arm.toml", tmp_path / "plant.toml"
     text = (ARMS / "qiao2026.toml").read_text(encoding="utf-8")

@@ -12,12 +12,12 @@ import pyarrow as pa
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.study import executors
-from pickenv.study.config import load_study
-from pickenv.study.executors import Crew, load_executor, run_joblib, run_serial
-from pickenv.study.folder import table_sha256
-from pickenv.study.run import run_study
-from pickenv.study.table import chunk_path
+from pickenv.study.design.config import load_study
+from pickenv.study.results.row_table import chunk_path
+from pickenv.study.results.study_folder import table_sha256
+from pickenv.study.running import runners as executors
+from pickenv.study.running.run_study import run_study
+from pickenv.study.running.runners import Crew, load_executor, run_joblib, run_serial
 
 ROOT = Path(__file__).parents[2]
 
@@ -70,7 +70,7 @@ def test_a_chunk_that_always_kills_its_worker_ends_the_study_with_one_sentence()
 ORPHANS = """
 import os, sys, time
 from pathlib import Path
-from pickenv.study.executors import Crew, run_joblib
+from pickenv.study.running.runners import Crew, run_joblib
 
 def work(chunk):
     Path(sys.argv[1], str(os.getpid())).touch()

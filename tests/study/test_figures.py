@@ -8,11 +8,11 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.inspect.figures import save_figure
-from pickenv.study import figures
-from pickenv.study.quantiles import quantiles_of
-from pickenv.study.sensitivity import sensitivities_of
-from pickenv.study.yields import yields_of
+from pickenv.inspect.figures.style import save_figure
+from pickenv.study.analysis import study_figures as figures
+from pickenv.study.analysis.sensitivity import sensitivities_of
+from pickenv.study.results.quantiles import quantiles_of
+from pickenv.study.results.yields import yields_of
 
 ARMS = 60
 REQUIRED = 0.95

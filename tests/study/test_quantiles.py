@@ -4,8 +4,8 @@ import numpy as np
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.study.quantiles import PROBABILITIES, band_levels, quantiles_of
-from pickenv.study.table import FIGURES
+from pickenv.study.results.quantiles import PROBABILITIES, band_levels, quantiles_of
+from pickenv.study.results.row_table import FIGURES
 
 
 def test_quantiles_are_exact_and_leave_failed_arms_out(written):

@@ -16,11 +16,11 @@ from unittest import mock
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.study.config import load_study
-from pickenv.study.executors import Crew, load_executor
-from pickenv.study.folder import read_rows
-from pickenv.study.run import run_study
-from pickenv.study.table import chunk_path
+from pickenv.study.design.config import load_study
+from pickenv.study.results.row_table import chunk_path
+from pickenv.study.results.study_folder import read_rows
+from pickenv.study.running.run_study import run_study
+from pickenv.study.running.runners import Crew, load_executor
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "RAY_ADDRESS": "127.0.0.1:1"}  # nothing answers there
@@ -30,9 +30,9 @@ LOCAL = """
 import json, sys, threading
 from pathlib import Path
 import psutil
-from pickenv.study.config import load_study
-from pickenv.study.executors import Crew
-from pickenv.study.run import run_study
+from pickenv.study.design.config import load_study
+from pickenv.study.running.runners import Crew
+from pickenv.study.running.run_study import run_study
 
 found = {"killed": None, "listens": []}
 
@@ -75,8 +75,8 @@ finally:
 HOPELESS = """
 import os, signal
 from pickenv.errors import InputError
-from pickenv.study.executors import Crew
-from pickenv.study.ray_executor import run_ray
+from pickenv.study.running.runners import Crew
+from pickenv.study.running.ray_runner import run_ray
 
 def dies(chunk):
     os.kill(os.getpid(), signal.SIGKILL)
@@ -188,7 +188,7 @@ class SlowToStart:
 
 
 def test_a_slow_start_is_tried_again_and_a_cluster_that_refuses_is_not():
-    from pickenv.study.ray_executor import STARTS, start
+    from pickenv.study.running.ray_runner import STARTS, start
 
     slow, hopeless, refusing = SlowToStart(STARTS - 1), SlowToStart(STARTS), SlowToStart(1)
     start(slow, {}, Crew(1))

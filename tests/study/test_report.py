@@ -8,21 +8,21 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from pickenv.arm.batch import plant_at
-from pickenv.arm.tolerances import random_columns
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm.plant.tolerances import random_columns
 from pickenv.errors import InputError
-from pickenv.inspect.drawings import Drawing, LeftOut
-from pickenv.study.arm_by_arm import evaluate_arm
-from pickenv.study.config import load_study
-from pickenv.study.drawings import gather, specification, study_drawings
-from pickenv.study.folder import read_rows, study_at, write_record
-from pickenv.study.placement import place, ranked
-from pickenv.study.protocol import prepare
-from pickenv.study.recording import arms_compared, record_study
-from pickenv.study.report import study_page, study_report, verdict, write_outputs
-from pickenv.study.run import run_study
-from pickenv.study.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
-from pickenv.study.yields import wilson_interval
+from pickenv.inspect.figures.run_drawings import Drawing, LeftOut
+from pickenv.study.analysis.single_arms import place, ranked
+from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
+from pickenv.study.analysis.study_drawings import gather, specification, study_drawings
+from pickenv.study.analysis.study_recording import arms_compared, record_study
+from pickenv.study.analysis.study_report import study_page, study_report, verdict, write_outputs
+from pickenv.study.design.config import load_study
+from pickenv.study.design.protocol import prepare
+from pickenv.study.results.study_folder import read_rows, study_at, write_record
+from pickenv.study.results.yields import wilson_interval
+from pickenv.study.running.arm_by_arm import evaluate_arm
+from pickenv.study.running.run_study import run_study
 
 STUDY = """
 plant = "qiao2026"

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_plant, pose_error
-from pickenv.arm.batch import plant_at
-from pickenv.arm.tolerances import TOLERANCES, it_tolerance
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm.plant.tolerances import TOLERANCES, it_tolerance
 from pickenv.errors import InputError
-from pickenv.study.arm_by_arm import evaluate_arm, evaluate_chunk
-from pickenv.study.config import Noise, load_study
-from pickenv.study.outcomes import NOT_FINITE, Outcomes, chunk_table, figures, reach_status
-from pickenv.study.protocol import carrying, prepare
-from pickenv.study.table import FIGURES, OK
+from pickenv.study.design.config import Noise, load_study
+from pickenv.study.design.protocol import carrying, prepare
+from pickenv.study.results.outcomes import NOT_FINITE, Outcomes, chunk_table, figures, reach_status
+from pickenv.study.results.row_table import FIGURES, OK
+from pickenv.study.running.arm_by_arm import evaluate_arm, evaluate_chunk
 
 
 def rows(config):

@@ -14,9 +14,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.study.config import load_study
-from pickenv.study.drawings import gather
-from pickenv.study.folder import (
+from pickenv.study.analysis.study_drawings import gather
+from pickenv.study.design.config import load_study
+from pickenv.study.results.row_table import Study, chunk_path, read_chunk, write_chunk
+from pickenv.study.results.study_folder import (
     check_folder,
     missing_chunks,
     read_rows,
@@ -25,8 +26,7 @@ from pickenv.study.folder import (
     table_sha256,
     write_record,
 )
-from pickenv.study.run import run_study
-from pickenv.study.table import Study, chunk_path, read_chunk, write_chunk
+from pickenv.study.running.run_study import run_study
 
 ROOT = Path(__file__).parents[2]
 

@@ -6,7 +6,7 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.study.sensitivity import kind_of, sensitivities_of, sobol_table
+from pickenv.study.analysis.sensitivity import kind_of, sensitivities_of, sobol_table
 
 
 def rows_of(columns, squared_error, arm=None):

@@ -10,8 +10,8 @@ import pytest
 from typer.main import get_command
 
 from pickenv.cli import app
-from pickenv.study.executors import EXECUTORS
-from pickenv.study.run import BATCHED
+from pickenv.study.running.run_study import BATCHED
+from pickenv.study.running.runners import EXECUTORS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/tolerance-studies.md").read_text(encoding="utf-8")

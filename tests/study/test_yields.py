@@ -5,8 +5,8 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.study.streaming import SETTING
-from pickenv.study.yields import wilson_interval, yields_of
+from pickenv.study.results.streaming import SETTING
+from pickenv.study.results.yields import wilson_interval, yields_of
 
 REQUIRED = 0.95
 

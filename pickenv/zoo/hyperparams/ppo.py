@@ -1,10 +1,10 @@
 """PPO on the flat environments; found on the ideal arm, they hold for every plant and feedback.
 
-The gap to the fruit is scaled (`agents.gap_scaling`); without that wrapper no network of this size sees millimetres.
+The gap to the fruit is scaled (`pickenv.agents.policies.gap_wrapper`); without that wrapper no network of this size sees millimetres.
 """
 
 _REACH = {
-    "env_wrapper": "agents.gap_scaling.GapScaling",
+    "env_wrapper": "pickenv.agents.policies.gap_wrapper.GapScaling",
     "n_envs": 64,
     "n_timesteps": 2.5e5,
     "policy": "MlpPolicy",

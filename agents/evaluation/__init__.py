@@ -1,0 +1,1 @@
+"""Policies on seeded fruit, compared over arms and seeds."""

@@ -1,0 +1,155 @@
+"""Calibrations of a population of simulated arms, each measured by its own tracker run, as in the demo."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pickenv.arm.files.arm_file import Arm
+from pickenv.arm.files.content import content_sha256
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant_batch import plant_at, plant_count
+from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
+from pickenv.errors import InputError
+from pickenv.provenance import code_fingerprint
+from pickenv.reservations import obey
+
+COMPENSATIONS = ("raw", "ls", "ls_bpnn", "best")
+"""No calibration; least squares; with the paper's network; with the best residual model (Gaussian process)."""
+
+RESIDUALS = {"ls_bpnn": "bpnn", "best": "gp"}
+
+ORIGIN = "evaluated_arm_sha256"
+"""In a kept calibration's record: hash of the arm and of how it was calibrated."""
+
+Compensate = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How each arm is measured and fitted.
+
+    Attributes:
+        identification_poses: Poses for least squares (the paper: 100).
+        residual_poses: Poses for the residual model (the paper: 200).
+        epochs: Passes of the network's training (the paper: 500).
+        seed: Seed of poses, noise and networks; arm i has child i.
+    """
+
+    identification_poses: int = 100
+    residual_poses: int = 200
+    epochs: int = 200
+    seed: int = 0
+
+
+def calibrate_arm(plant: Plant, compensation: str, protocol: Protocol, number: int) -> Calibration:
+    """Calibrate one arm; equal arguments give equal calibrations.
+
+    Raises:
+        InputError: If the compensation is not one of `COMPENSATIONS` that calibrate.
+    """
+    check_compensation(compensation)
+    poses, learning = (np.random.default_rng(part) for part in np.random.SeedSequence([protocol.seed, number]).spawn(2))
+    counts = (protocol.identification_poses, protocol.residual_poses)
+    first, second = (
+        simulated_tracker(plant, random_joints(plant.arm.nominal, count, poses), poses) for count in counts
+    )
+    residual = RESIDUALS.get(compensation)
+    return fit(
+        plant.arm,
+        first,
+        second if residual else None,
+        known_frames=True,
+        residual=residual or "bpnn",
+        rng=learning,
+        settings=BpnnSettings(epochs=protocol.epochs) if residual == "bpnn" else None,
+    ).calibration
+
+
+def compensators(
+    plants: Plant,
+    compensation: str,
+    protocol: Protocol,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Compensate] | None:
+    """One compensator per arm of a population, or None for "raw".
+
+    Args:
+        plants: The population, or a single arm.
+        compensation: One of `COMPENSATIONS`.
+        protocol: How they are measured and fitted.
+        folder: Where calibrations are kept for the next time, or None.
+        progress: Told how many are done, and how many there are.
+
+    Raises:
+        InputError: If a kept calibration is damaged, or of another arm or protocol than its name says.
+    """
+    check_compensation(compensation)
+    if compensation == "raw":
+        return None
+    count = plant_count(plants)
+    found: list[Compensate] = []
+    for number in range(count or 1):
+        plant = plants if count is None else plant_at(plants, number)
+        if folder is None:
+            calibration = calibrate_arm(plant, compensation, protocol, number)
+        else:
+            calibration = _kept(folder, plant, compensation, protocol, number)
+        found.append(calibration.compensator())
+        if progress is not None:
+            progress(number + 1, count or 1)
+    return found
+
+
+def the_same(compensate: Compensate, arms: int) -> list[Compensate]:
+    """One compensator for all arms: a calibration of one arm on others of its design."""
+    return [compensate] * arms
+
+
+def check_compensation(compensation: str) -> None:
+    """Refuse an unknown compensation.
+
+    Raises:
+        InputError: If it is not one of `COMPENSATIONS`.
+    """
+    if compensation not in COMPENSATIONS:
+        raise InputError(f"unknown compensation '{compensation}'; give one of {', '.join(COMPENSATIONS)}")
+
+
+def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) -> Compensate:
+    """The compensator of a calibration file, for environments whose fruit stand in the arm's own base frame.
+
+    Raises:
+        InputError: If the file is missing, damaged or of another arm, or if something stands against its calibration
+            that ``allow`` does not name (`pickenv.reservations`).
+    """
+    calibration = Calibration.load(path, arm)
+    obey(calibration.reservations(), allow)
+    return calibration.compensator()
+
+
+def _kept(folder: Path, plant: Plant, compensation: str, protocol: Protocol, number: int) -> Calibration:
+    """The calibration of an arm from a folder, where it is made if it is not there.
+
+    A file belongs to the arm's own numbers, to the protocol and to the code that fits; its record says so as well.
+    """
+    origin = content_sha256(plant, compensation, protocol, number, code_fingerprint())
+    path = folder / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', plant.name)}-{compensation}-{origin[:16]}.npz"
+    if not path.is_file():
+        calibration = calibrate_arm(plant, compensation, protocol, number)
+        calibration = replace(calibration, record={**calibration.record, ORIGIN: origin})
+        calibration.save(path)
+        return calibration
+    calibration = Calibration.load(path, plant.arm)
+    if calibration.record.get(ORIGIN) != origin:
+        raise InputError(
+            f"{path} is the calibration of another arm or protocol than its name says; delete it, or give another "
+            "--cache"
+        )
+    return calibration

@@ -1,0 +1,123 @@
+"""Figures of compared policies: aggregates with intervals, success against error, accuracy against cycle time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pickenv.agents.evaluation.grid import Grid
+from pickenv.agents.evaluation.statistics import interquartile_mean, interval, mean
+from pickenv.envs.shared.task import CONTROL_PERIOD
+from pickenv.inspect.colours import policy_colours
+from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
+from pickenv.inspect.figures.plot_policies import (
+    CycleCurve,
+    Estimate,
+    accuracy_against_cycle_time,
+    aggregates,
+    success_against_misalignment,
+)
+from pickenv.inspect.figures.run_drawings import Drawing
+from pickenv.inspect.runs.gripping import gripper_curves
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN", "best": "LS+GP"}
+STATISTICS: Mapping[str, Any] = {
+    "mean": mean,
+    "interquartile mean": interquartile_mean,
+    "95th percentile": lambda values: np.percentile(values, 95, axis=-1),
+}
+
+
+def colour(compensation: str) -> tuple[float, ...]:
+    """A compensation's colour for matplotlib."""
+    colours = dict(zip(LABELS, policy_colours(list(LABELS)), strict=True))
+    return tuple(value / 255 for value in colours[compensation])
+
+
+def aggregate_figure(grid: Grid) -> Figure:
+    """Mean, interquartile mean and 95th percentile of every cell with 95 % intervals, one panel row per plant."""
+    panels: dict[str, dict[str, dict[str, dict[str, Estimate]]]] = {}
+    for cell in grid.cells:
+        for title, statistic in STATISTICS.items():
+            low, high = interval(cell.errors_mm, np.random.default_rng(0), statistic)
+            found = Estimate(float(statistic(cell.errors_mm.ravel())), low, high)
+            policies = panels.setdefault(cell.plant, {}).setdefault(title, {})
+            policies.setdefault(f"{cell.policy}\n{cell.feedback}", {})[LABELS[cell.compensation]] = found
+    return aggregates(panels)
+
+
+def success_curves(grid: Grid, plant: str) -> Figure:
+    """Success against lateral error for each gripper, and where the scripted policy lies on it."""
+    points = {
+        LABELS[cell.compensation]: {
+            name: (float(cell.errors_mm.mean()), float(cell.rollout.capture(gripper).mean()))
+            for name, gripper in grid.grippers.items()
+        }
+        for cell in grid.cells
+        if cell.policy == "scripted" and cell.plant == plant
+    }
+    return success_against_misalignment(gripper_curves(tuple(grid.grippers)), points)
+
+
+def cycle_figure(grid: Grid, period: float, plant: str) -> Figure:
+    """Accuracy against cycle time: mean error if the pick were made after each step, and the Pareto front of all.
+
+    Policies with a camera are shown on raw arms only.
+    """
+    curves = [
+        CycleCurve(cell.policy, LABELS[cell.compensation], cell.rollout.error_mm.mean(axis=1))
+        for cell in grid.cells
+        if cell.plant == plant
+        and cell.policy != "random"
+        and not (cell.feedback == "camera" and cell.compensation != "raw")  # then all compensations look alike
+    ]
+    return accuracy_against_cycle_time(curves, period, title=plant)
+
+
+def grid_drawings(grid: Grid) -> Sequence[Drawing]:
+    """Every figure of a comparison."""
+    found = [
+        Drawing(
+            "aggregates",
+            "Final position errors of every policy with 95 % intervals over arms.",
+            lambda: aggregate_figure(grid),
+        )
+    ]
+    for plant in dict.fromkeys(cell.plant for cell in grid.cells):
+        scripted = {
+            LABELS[cell.compensation]: cell.errors_mm.ravel()
+            for cell in grid.cells
+            if cell.plant == plant and cell.policy == "scripted"
+        }
+        found.append(
+            Drawing(
+                f"accuracy_against_cycle_time_{Path(plant).stem}",
+                f"Mean position error on {plant} if the pick were made after each step.",
+                lambda plant=plant: cycle_figure(grid, CONTROL_PERIOD, plant),  # type: ignore[misc]
+            )
+        )
+        if scripted:
+            found += [
+                Drawing(
+                    f"success_against_misalignment_{Path(plant).stem}",
+                    f"What each gripper forgives, and where the scripted policy on {plant} lies on its curve.",
+                    lambda plant=plant: success_curves(grid, plant),  # type: ignore[misc]
+                ),
+                Drawing(
+                    f"error_by_compensation_{Path(plant).stem}",
+                    f"Final position errors of the scripted policy on {plant}.",
+                    lambda e=scripted: error_by_method(e, counted="reaches"),  # type: ignore[misc]
+                ),
+                Drawing(
+                    f"error_cumulative_{Path(plant).stem}",
+                    f"Share of the scripted policy's reaches on {plant} whose error is at most x.",
+                    lambda e=scripted: error_cumulative(e, counted="reaches"),  # type: ignore[misc]
+                ),
+            ]
+    return found

@@ -1,0 +1,173 @@
+"""Many reaches at once through the native vector environment: one row per arm and fruit, the same for every policy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.agents.evaluation.reaches import Reaches, episode_seeds
+from pickenv.agents.policies.policy import Policy, read_observation
+from pickenv.arm import Pose, displace_pose, forward, noncompensable_error
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.envs.reaching.vector import ReachVectorEnv
+from pickenv.errors import InputError
+from pickenv.orchard.gripper import Gripper, capture_probability, misalignment
+
+MOST_ROWS = 2048
+"""Rows that a vector environment hands to a compensator in one piece (`pickenv.envs.reaching.batch.BLOCK`)."""
+
+Compensate = Callable[[Array], Array]
+PolicyMaker = Callable[[Any, int], Policy]
+"""Makes a policy for an environment, from a seed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """The ends of episodes on many arms, and the way there.
+
+    Attributes:
+        reaches: Last steps, R of them.
+        arm: Number of each one's arm ``(R,)``.
+        wanted_rotation: Wanted attitudes ``(R, 3, 3)``.
+        error_mm: Distance between true tool and fruit after each step ``(steps, R)``.
+    """
+
+    reaches: Reaches
+    arm: NDArray[np.int64]
+    wanted_rotation: Array
+    error_mm: Array
+
+    def capture(self, gripper: Gripper) -> Array:
+        """Probability ``(R,)`` that the gripper takes each fruit."""
+        wanted = Pose(np.zeros((len(self.arm), 3)), self.wanted_rotation)
+        turn = self.reaches.pose_error.copy()
+        turn[:, :3] = 0.0
+        axis = displace_pose(wanted, turn).rotation[..., 2]
+        offset = self.reaches.fruit_position - self.reaches.tool_position
+        lying = misalignment(offset, axis, self.wanted_rotation[..., 2])
+        return capture_probability(gripper, lying.lateral, lying.axial, lying.angle)
+
+    def cycle_steps(self, tolerance_mm: float) -> Array:
+        """Steps until the tool is within ``tolerance_mm`` to stay ``(R,)``; NaN where it never is."""
+        inside = np.flip(np.logical_and.accumulate(np.flip(self.error_mm <= tolerance_mm, axis=0), axis=0), axis=0)
+        return np.where(inside.any(axis=0), inside.argmax(axis=0) + 1.0, np.nan)
+
+
+@dataclass(frozen=True)
+class PerArm:
+    """A compensator for a vector environment whose rows are different arms."""
+
+    compensators: tuple[Compensate, ...]
+    arm: tuple[int, ...]
+
+    def __call__(self, joints: ArrayLike) -> Array:
+        """Joint commands ``(R, n)``, each row by its own arm's compensator."""
+        joints = np.asarray(joints, dtype=float)
+        if len(joints) != len(self.arm):
+            raise InputError(f"{len(joints)} rows of joints were given to compensators of {len(self.arm)} rows")
+        command, rows = np.empty_like(joints), np.array(self.arm)
+        for number in np.unique(rows):
+            chosen = rows == number
+            command[chosen] = self.compensators[number](joints[chosen])
+        return command
+
+
+def roll_out(
+    make: PolicyMaker,
+    arms: int,
+    episodes: int,
+    seed: int,
+    *,
+    compensators: Sequence[Compensate] | None = None,
+    sequential: bool = False,
+    steps: int = 60,
+    **arguments: Any,
+) -> Rollout:
+    """Let a policy reach for ``episodes`` fruits on each of ``arms`` arms.
+
+    Args:
+        make: Makes the policy.
+        arms: Number of arms of the population.
+        episodes: Fruits per arm. Fruit, arms and camera noise depend on ``seed`` alone, so that runs can be paired.
+        seed: Seed of the episodes and of the policy's own draws.
+        compensators: One per arm, or None for raw arms.
+        sequential: Whether each arm meets its fruit one after the other, for policies that learn from episode to
+            episode.
+        steps: Steps of an episode.
+        arguments: Arguments of `pickenv/Reach-v0`; ``arms`` is "per_episode" unless they say otherwise, and
+            ``population`` the number of arms.
+
+    Raises:
+        InputError: If there are no arms or no episodes.
+    """
+    if arms < 1 or episodes < 1:
+        raise InputError(f"there are {arms} arms and {episodes} episodes; give at least one of each")
+    arguments = {"arms": "per_episode", **arguments}
+    if arguments["arms"] == "fixed":
+        if arms != 1:
+            raise InputError("arms='fixed' has one arm; ask for one, or for a population")
+    else:
+        arguments["population"] = arms
+    numbers = np.arange(arms)
+    seeds = np.array(episode_seeds(seed, arms * episodes)).reshape(episodes, arms)
+    # One round holds every arm once; rows of several rounds run side by side where nothing is learnt in between.
+    rounds = 1 if sequential else max(1, min(episodes, MOST_ROWS // arms))
+    parts: list[Rollout] = []
+    policy: Policy | None = None
+    env: ReachVectorEnv | None = None
+    for first in range(0, episodes, rounds):
+        block = seeds[first : first + rounds]
+        rows = np.tile(numbers, len(block))
+        if env is None or env.num_envs != len(rows):
+            env = ReachVectorEnv(len(rows), max_episode_steps=None, autoreset_mode="Disabled", **arguments)
+            if compensators is not None:
+                env.compensator = PerArm(tuple(compensators), tuple(rows.tolist()))
+            policy = make(env, seed + first)
+        assert policy is not None
+        parts.append(_run(env, policy, rows, block.ravel(), steps))
+    return _joined(parts)
+
+
+def _run(env: ReachVectorEnv, policy: Policy, rows: NDArray[np.int64], seeds: NDArray[np.int64], steps: int) -> Rollout:
+    options = {} if env.task.arms == "fixed" else {"arm": rows}
+    observation, infos = env.reset(seed=seeds.tolist(), options=options)
+    geometry = env.task.plant.arm.nominal
+    reading = read_observation(geometry, observation)
+    turn = np.concatenate([np.zeros_like(reading.turn), reading.turn], axis=-1)
+    wanted = displace_pose(forward(geometry, reading.joints), turn).rotation
+    policy.reset()
+    errors = []
+    for _ in range(steps):
+        observation, _, _, _, infos = env.step(policy.act(observation))
+        errors.append(infos["position_error_mm"].copy())
+    error, command = infos["pose_error"].copy(), infos["joint_command"].copy()
+    reaches = Reaches(
+        seeds=tuple(seeds.tolist()),
+        pose_error=error,
+        noncompensable=noncompensable_error(env.plant.geometry, command, error),
+        success=infos["is_success"].copy(),
+        joint_command=command,
+        tool_position=infos["tool_position"].copy(),
+        fruit_position=infos["fruit_position"].copy(),
+    )
+    return Rollout(reaches, rows.astype(np.int64), wanted, np.array(errors))
+
+
+def _joined(parts: Sequence[Rollout]) -> Rollout:
+    if len(parts) == 1:
+        return parts[0]
+    arrays = ("pose_error", "noncompensable", "success", "joint_command", "tool_position", "fruit_position")
+    reaches = Reaches(
+        seeds=tuple(seed for part in parts for seed in part.reaches.seeds),
+        **{name: np.concatenate([getattr(part.reaches, name) for part in parts]) for name in arrays},
+    )
+    return Rollout(
+        reaches=reaches,
+        arm=np.concatenate([part.arm for part in parts]),
+        wanted_rotation=np.concatenate([part.wanted_rotation for part in parts]),
+        error_mm=np.concatenate([part.error_mm for part in parts], axis=1),
+    )

@@ -1,0 +1,1 @@
+"""Policies: scripted, servoed, adaptive, learned."""

@@ -1,0 +1,118 @@
+"""A policy that goes on calibrating while it picks: the Kalman filter learns from what the camera saw of past picks.
+
+It drives open loop, corrected by its own estimate of the arm. Once it stands still before a fruit, it averages the
+camera's view; when the next episode begins, each arm's filter takes that as one observation of the tool's position.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.agents.policies.policy import Reading, camera_of, read_observation
+from pickenv.agents.policies.scripted import ScriptedReach
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import MeasurementNoise
+from pickenv.calibration import Compensator, link_model, random_joints
+from pickenv.calibration.identification.extended_kalman_filter import (
+    FilterState,
+    predict,
+    random_walk,
+    start_filter,
+    update,
+)
+
+ARRIVED = 0.02
+"""The arm stands where its largest action is below this share of an increment."""
+
+
+@dataclass(frozen=True)
+class AdaptiveSettings:
+    """How the filter learns.
+
+    Attributes:
+        camera_std: Standard deviation per axis of what the camera sees, m.
+        unmodelled_std: What the geometry cannot explain, m.
+        prior: Standard deviation of a parameter before the first pick, in its tolerances; small for a calibrated arm.
+        drift: Tolerances per root hour by which every parameter may wander.
+        pick_seconds: Time from pick to pick, s.
+        gate: Innovations less likely than 1 - gate are refused; None accepts all.
+    """
+
+    camera_std: float = 1e-3
+    unmodelled_std: float = 0.5e-3
+    prior: float = 1.0
+    drift: float = 0.0
+    pick_seconds: float = 7.5
+    gate: float | None = None
+
+
+class AdaptiveReach(ScriptedReach):
+    """Reach with an arm model that every pick improves; rows of a batch are arms, each with its own filter.
+
+    Behind a compensator it learns what the compensator leaves: the arm that it sees is the compensated one.
+    """
+
+    def __init__(self, env: Any, settings: AdaptiveSettings | None = None) -> None:
+        """``env`` gives the nominal arm that the filters start from."""
+        super().__init__(env)
+        self.settings = settings or AdaptiveSettings()
+        typical = random_joints(self.geometry, 200, np.random.default_rng(0))  # decides only what is identifiable
+        model = link_model(self.geometry)
+        self.start: FilterState = start_filter(
+            model, self.geometry, typical, full_pose=False, prior=self.settings.prior
+        )
+        self.filters: list[FilterState] = []
+        self._single = False
+        self._joints: Array = np.empty(0)
+        self._sum: Array = np.empty(0)
+        self._count: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+
+    def reset(self) -> None:
+        """Learn from the last episode."""
+        super().reset()
+        for i in np.flatnonzero(self._count):
+            self.filters[i] = self._learnt(self.filters[i], self._joints[i], self._sum[i], int(self._count[i]))
+        self._count = np.zeros(len(self.filters), dtype=np.int64)
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The next action.
+
+        Raises:
+            InputError: If the observation holds no camera.
+        """
+        reading = read_observation(self.geometry, np.atleast_2d(observation))
+        camera = camera_of(reading, "adaptive")
+        if not self.filters:
+            self.filters = [self.start] * len(camera)
+            self._count = np.zeros(len(camera), dtype=np.int64)
+        if self._wanted is None:
+            self._wanted = self._corrected(self.wanted_joints(reading))
+            self._joints, self._sum = np.zeros_like(reading.joints), np.zeros_like(camera)
+        action = self.action(self._wanted - reading.joints)
+        self._note(reading, camera, np.abs(action).max(axis=-1) < ARRIVED)
+        return action[0] if np.ndim(observation) == 1 else action
+
+    def _note(self, reading: Reading, camera: Array, arrived: NDArray[np.bool_]) -> None:
+        """Add one picture to the averages of the arms that stand."""
+        self._joints = np.where(arrived[:, None], reading.joints, self._joints)
+        self._sum += np.where(arrived[:, None], reading.seen - camera, 0.0)
+        self._count += arrived
+
+    def _corrected(self, joints: Array) -> Array:
+        """Joint targets that bring each arm, as its filter knows it, to the nominal arm's place at ``joints``."""
+        corrected = (
+            Compensator(self.geometry, state.geometry)(row) for state, row in zip(self.filters, joints, strict=True)
+        )
+        return np.stack(list(corrected))
+
+    def _learnt(self, state: FilterState, joints: Array, total: Array, count: int) -> FilterState:
+        chosen = self.settings
+        if chosen.drift:
+            state = predict(state, random_walk(state, chosen.drift), chosen.pick_seconds)
+        # The fruit is seen once per episode, the gap in every picture.
+        std = float(np.sqrt(chosen.camera_std**2 * (1.0 + 1.0 / count) + chosen.unmodelled_std**2))
+        return update(state, joints, total / count, MeasurementNoise(std, 0.0), gate=chosen.gate)

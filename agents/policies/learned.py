@@ -1,0 +1,168 @@
+"""Learned policies as files: the actor's weights in one verified file, run by NumPy, loaded without executing code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.agents.policies.gap import Scaling, flattened
+from pickenv.arm import Arm
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.container import read_container, refusing_damage, write_container
+from pickenv.errors import InputError
+
+KIND = "policy"
+FORMAT = 2
+"""Version of the file's content."""
+
+REMAKE = "run `pickenv train` to make one anew"
+
+
+def _relu(values: Array) -> Array:
+    return np.maximum(values, 0.0)
+
+
+def _tanh(values: Array) -> Array:
+    return np.asarray(np.tanh(values))
+
+
+ACTIVATIONS = {"tanh": _tanh, "relu": _relu}
+BASELINES = Path(__file__).parent / "baselines"
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedPolicy:
+    """A trained actor, acting without noise.
+
+    Attributes:
+        algorithm: What trained it.
+        arm: Name of the arm it was trained for.
+        arm_fingerprint: Hash of that arm's nominal geometry.
+        scaling: What it sees, and what its actions are multiplied by.
+        activation: Of the hidden layers, of `ACTIVATIONS`.
+        squashed: Whether the last layer ends in a hyperbolic tangent; else actions are clipped.
+        weights: One matrix ``(inputs, outputs)`` per layer.
+        biases: One vector per layer.
+        record: How it was trained: settings, seeds, versions.
+    """
+
+    algorithm: str
+    arm: str
+    arm_fingerprint: str
+    scaling: Scaling
+    activation: str
+    squashed: bool
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
+    record: Mapping[str, Any]
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Any) -> NDArray[np.float32]:
+        """Actions ``(..., n)`` for observations ``(..., k)``, or for goal observations.
+
+        Raises:
+            InputError: If the observation is not of the kind that it was trained on.
+        """
+        values = flattened(observation)
+        if self.scaling.goal and not isinstance(observation, dict):
+            values = self._goal(values)
+        self.scaling.check(values.shape[-1])
+        layer = np.asarray(self.scaling.observe(values, np), dtype=float)
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            layer = layer @ weight + bias
+            if i + 1 < len(self.weights):
+                layer = ACTIVATIONS[self.activation](layer)
+        action = np.tanh(layer) if self.squashed else layer.clip(-1.0, 1.0)
+        return np.asarray(action * self.scaling.share(values, np), dtype=np.float32)
+
+    def _goal(self, values: Any) -> Any:
+        """A flat observation as the goal environment would give it."""
+        n, camera = self.scaling.joints, self.scaling.camera
+        if values.shape[-1] != n + 12 + 3 * camera:
+            return values  # `Scaling.check` says what is wrong
+        achieved = values[..., n + 3 : n + 6] - values[..., n + 12 :] if camera else values[..., n : n + 3]
+        parts = (values[..., : n + 3], values[..., n + 9 : n + 12], achieved, values[..., n + 3 : n + 6])
+        return np.concatenate(parts, axis=-1)
+
+    def save(self, path: str | Path) -> Path:
+        """Write one verified file (see `pickenv.container`), whole or not at all; ``.npz`` is appended if missing."""
+        header = {
+            "algorithm": self.algorithm,
+            "arm": self.arm,
+            "arm_fingerprint": self.arm_fingerprint,
+            "scaling": asdict(self.scaling),
+            "activation": self.activation,
+            "squashed": self.squashed,
+            "record": dict(self.record),
+        }
+        arrays = {f"weight{i}": np.asarray(value, dtype=np.float32) for i, value in enumerate(self.weights)}
+        arrays |= {f"bias{i}": np.asarray(value, dtype=np.float32) for i, value in enumerate(self.biases)}
+        path = Path(path)
+        path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
+        return write_container(path, KIND, header, arrays, version=FORMAT)
+
+
+def shipped_baselines() -> list[str]:
+    """Names of the policies that come with pickenv."""
+    return sorted(path.stem for path in BASELINES.glob("*.npz"))
+
+
+def load_policy(name: str | Path, arm: Arm | None = None) -> LearnedPolicy:
+    """Read a policy by the name of a shipped baseline or from a path; nothing in it is executed.
+
+    Args:
+        name: Name or path.
+        arm: If given, the arm that it must have been trained for.
+
+    Raises:
+        InputError: If it is missing, damaged, newer than this program, or of another arm.
+    """
+    path = Path(name)
+    if path.suffix != ".npz":
+        path = BASELINES / f"{name}.npz"
+    if not path.is_file():
+        raise InputError(
+            f"unknown policy '{name}'; give one of {', '.join(shipped_baselines()) or 'none shipped'}, or a file "
+            "(.npz) that `pickenv train` wrote"
+        )
+    found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
+    with refusing_damage(path, f"a {KIND} file", REMAKE):
+        policy = _from_parts(found.header, found.arrays)
+    if arm is not None and policy.arm_fingerprint != arm.fingerprint():
+        raise InputError(f"{path} was trained for arm '{policy.arm}', not for '{arm.name}'; train one for this arm")
+    return policy
+
+
+def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> LearnedPolicy:
+    """The policy that a file's parts make; raises anything at all where they make none."""
+    layers = len(arrays) // 2
+    scaling = Scaling(**header["scaling"])
+    weights, biases = ([arrays[f"{name}{i}"] for i in range(layers)] for name in ("weight", "bias"))
+    widths = [scaling.features, *(len(bias) for bias in biases)]
+    if layers == 0 or len(arrays) != 2 * layers or widths[-1] != scaling.joints:
+        raise InputError(f"its layers have {widths} numbers, but must lead to {scaling.joints} joints")
+    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        if weight.shape != (widths[i], widths[i + 1]) or bias.shape != (widths[i + 1],):
+            raise InputError(f"its layer {i + 1} does not fit to the layer before")
+        if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+            raise InputError(f"its layer {i + 1} holds numbers that are not finite")
+    if header["activation"] not in ACTIVATIONS:
+        raise InputError(f"its activation is {header['activation']!r}, not {' or '.join(ACTIVATIONS)}")
+    return LearnedPolicy(
+        algorithm=str(header["algorithm"]),
+        arm=str(header["arm"]),
+        arm_fingerprint=str(header["arm_fingerprint"]),
+        scaling=scaling,
+        activation=header["activation"],
+        squashed=bool(header["squashed"]),
+        weights=tuple(weight.astype(float) for weight in weights),
+        biases=tuple(bias.astype(float) for bias in biases),
+        record=dict(header["record"]),
+    )

@@ -1,0 +1,103 @@
+"""What a policy is, and what it reads from the flat observation of `pickenv/Reach-v0`. SI units.
+
+Policies take one observation ``(k,)`` or a batch ``(N, k)`` and answer in kind, so that the same policy drives a single
+environment and a native vector environment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm import Geometry
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.errors import InputError
+
+
+class Policy(Protocol):
+    """What the evaluation asks of a policy."""
+
+    def reset(self) -> None:
+        """Called at the start of every episode."""
+        ...
+
+    def act(self, observation: NDArray[np.float32], /) -> NDArray[np.float32]:
+        """The next action, or actions."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A flat observation by its parts.
+
+    Attributes:
+        joints: Joint readings ``(..., n)``, rad or m.
+        believed: Believed tool position ``(..., 3)``, m.
+        seen: Fruit position as the camera saw it ``(..., 3)``, m.
+        offset: Fruit minus believed tool ``(..., 3)``, m.
+        turn: Wanted against believed attitude ``(..., 3)``, rad.
+        camera: Fruit minus true tool as the camera measures it ``(..., 3)``, m, or None without camera feedback.
+    """
+
+    joints: Array
+    believed: Array
+    seen: Array
+    offset: Array
+    turn: Array
+    camera: Array | None
+
+    @property
+    def arms(self) -> int | None:
+        """Number of arms in the batch, or None for a single one."""
+        return len(self.joints) if self.joints.ndim == 2 else None
+
+
+def read_observation(geometry: Geometry, observation: ArrayLike) -> Reading:
+    """The parts of an observation ``(..., k)`` of an arm that its controller believes to be ``geometry``.
+
+    Raises:
+        InputError: If it has another length than `pickenv/Reach-v0` gives for such an arm.
+    """
+    values, n = np.asarray(observation, dtype=float), geometry.joints
+    if values.shape[-1] not in (n + 12, n + 15):
+        raise InputError(
+            f"the observation has {values.shape[-1]} numbers; a policy for {n} joints reads {n + 12}, or {n + 15} with "
+            "feedback='camera'"
+        )
+    span = geometry.upper - geometry.lower
+    return Reading(
+        joints=geometry.lower + (values[..., :n] + 1.0) / 2.0 * span,
+        believed=values[..., n : n + 3],
+        seen=values[..., n + 3 : n + 6],
+        offset=values[..., n + 6 : n + 9],
+        turn=values[..., n + 9 : n + 12],
+        camera=values[..., n + 12 :] if values.shape[-1] == n + 15 else None,
+    )
+
+
+def camera_of(reading: Reading, policy: str) -> Array:
+    """The camera's offset.
+
+    Raises:
+        InputError: If the environment gives none.
+    """
+    if reading.camera is None:
+        raise InputError(f"the {policy} policy needs a camera; make the environment with feedback='camera'")
+    return reading.camera
+
+
+class ReachController:
+    """What policies that know the nominal arm share: its geometry, and joint steps turned into actions."""
+
+    def __init__(self, env: Any) -> None:
+        """Read the nominal geometry and the increments from ``env``, a `pickenv/Reach-v0`, single or native vector."""
+        inner = env.unwrapped
+        self.geometry: Geometry = inner.plant.arm.nominal
+        self.increment = np.array(inner.increment)
+
+    def action(self, step: Array) -> NDArray[np.float32]:
+        """Actions for wanted joint steps ``(..., n)``, rad or m."""
+        return np.asarray((step / self.increment).clip(-1.0, 1.0), dtype=np.float32)

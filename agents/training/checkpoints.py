@@ -1,0 +1,196 @@
+"""Checkpoints from which training goes on as if it had never stopped: weights, optimisers, randomness, environments.
+
+A checkpoint is a container (`pickenv.container`): every byte is sealed, and the state inside it, tensors and plain
+values only, is read without executing code. Its header says which training it is of, and of which files.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+import torch
+
+from pickenv.agents.training.training import Inputs, Training
+from pickenv.container import read_container, refusing_damage, write_container
+from pickenv.errors import InputError
+from pickenv.wrappers.sb3 import Sb3Vec
+
+KIND, FORMAT = "checkpoint", 2
+STATE = "state.pt"
+AGAIN = "start the training again"
+
+LIMIT = 1 << 35
+"""Bytes that a checkpoint may have (32 GiB): the replay buffer is in it."""
+
+BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", "_current_ep_start")
+"""Arrays of a replay buffer, where it has them; observations come in one or two more."""
+
+COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
+PARTS = {
+    *("parameters", "variables", "counts", "torch_random", "numpy_random", "action_random"),
+    *("last", "starts", "env", "buffer"),
+}
+"""What a state consists of."""
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """A checkpoint as it was read.
+
+    Attributes:
+        path: Its file.
+        training: What is trained.
+        inputs: Which calibration and arms it was begun with.
+        evaluations: The evaluations so far.
+        state: Everything that the rest of the training depends on.
+    """
+
+    path: Path
+    training: Training
+    inputs: Inputs
+    evaluations: list[dict[str, float]]
+    state: dict[str, Any]
+
+
+def save_checkpoint(
+    path: Path, model: Any, env: Sb3Vec, training: Training, inputs: Inputs, evaluations: list[dict[str, float]]
+) -> Path:
+    """Write everything that the rest of a training depends on, whole or not at all.
+
+    Args:
+        path: The file.
+        model: The algorithm, between an update and the next rollout.
+        env: Its environments.
+        training: What is trained.
+        inputs: Which calibration and arms it was begun with.
+        evaluations: The evaluations so far.
+    """
+    name, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
+    state = {
+        "parameters": model.get_parameters(),
+        "variables": {key: getattr(model, key).detach().clone() for key in model._get_torch_save_params()[1]},
+        "counts": {key: getattr(model, key) for key in COUNTS},
+        "torch_random": torch.get_rng_state(),
+        "numpy_random": [name, _tensor(keys), int(position), int(has_gauss), float(gauss)],
+        "action_random": json.dumps(model.action_space.np_random.bit_generator.state),
+        "last": _tensors(model._last_obs),
+        "starts": _tensor(model._last_episode_starts),
+        "env": _tensors(env.state()),
+        "buffer": _buffer(model),
+    }
+    stored = io.BytesIO()
+    torch.save(state, stored)
+    header = {"training": asdict(training), "inputs": asdict(inputs), "evaluations": evaluations}
+    return write_container(path, KIND, header, {}, {STATE: stored.getvalue()}, version=FORMAT)
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """The content of a checkpoint; nothing in it is executed.
+
+    Raises:
+        InputError: If it is missing, damaged in any byte, or of another version.
+    """
+    if not path.exists():
+        raise InputError(f"there is no checkpoint {path} to go on from; start the training without --resume")
+    container = read_container(path, KIND, remake=AGAIN, version=FORMAT, limit=LIMIT)
+    with refusing_damage(path, "a checkpoint", AGAIN):
+        header, settings = container.header, container.header["training"]
+        kinds = get_type_hints(Training)
+        if set(settings) != set(kinds) or not all(_is_a(value, kinds[name]) for name, value in settings.items()):
+            raise ValueError("its settings are not those of a training")
+        state = torch.load(io.BytesIO(container.blobs[STATE]), weights_only=True)
+        if set(state) != PARTS:
+            raise ValueError("its state is not that of a training")
+        rows = [{str(key): float(value) for key, value in row.items()} for row in header["evaluations"]]
+        return Checkpoint(path, Training(**settings), Inputs(**header["inputs"]), rows, state)
+
+
+def _is_a(value: Any, kind: Any) -> bool:
+    """Whether a value is of an annotated kind, such as int | None; what a list or a dict holds is not looked at."""
+    kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
+    return type(value) in {get_origin(each) or each for each in kinds}
+
+
+def check_checkpoint(path: str | Path) -> str | None:
+    """Verify a checkpoint from end to end: None, or the sentence that says why it is refused."""
+    try:
+        read_checkpoint(Path(path))
+    except InputError as error:
+        return str(error)
+    return None
+
+
+def take_checkpoint(checkpoint: Checkpoint, model: Any, env: Sb3Vec) -> None:
+    """Bring a freshly made training to where the checkpoint was written.
+
+    Raises:
+        InputError: If the state does not fit the training.
+    """
+    with refusing_damage(checkpoint.path, "a checkpoint of this training", AGAIN):
+        _take(checkpoint.state, model, env)
+
+
+def _take(content: dict[str, Any], model: Any, env: Sb3Vec) -> None:
+    model.set_parameters(content["parameters"], exact_match=True)
+    for key, value in content["variables"].items():
+        getattr(model, key).data.copy_(value)
+    for key in COUNTS:
+        setattr(model, key, content["counts"][key])
+    model._last_obs = _arrays(content["last"])
+    model._last_episode_starts = content["starts"].numpy().copy()
+    env.take_state(_arrays(content["env"]))
+    _take_buffer(model, content["buffer"])
+    model.action_space.np_random.bit_generator.state = json.loads(content["action_random"])
+    name, keys, position, has_gauss, gauss = content["numpy_random"]
+    np.random.set_state((name, keys.numpy(), position, has_gauss, gauss))
+    torch.set_rng_state(content["torch_random"])
+
+
+def _buffer(model: Any) -> dict[str, Any]:
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is None:
+        return {}
+    filled = buffer.buffer_size if buffer.full else buffer.pos
+    parts: dict[str, Any] = {"pos": int(buffer.pos), "full": bool(buffer.full)}
+    for key in BUFFER:
+        if hasattr(buffer, key):
+            values = getattr(buffer, key)
+            parts[key] = _tensor(values if key == "_current_ep_start" else values[:filled])
+    for key in ("observations", "next_observations"):
+        values = getattr(buffer, key)
+        some = {k: v[:filled] for k, v in values.items()} if isinstance(values, dict) else values[:filled]
+        parts[key] = _tensors(some)
+    return parts
+
+
+def _take_buffer(model: Any, parts: dict[str, Any]) -> None:
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is None:
+        return
+    buffer.pos, buffer.full = parts["pos"], parts["full"]
+    for key, value in parts.items():
+        if isinstance(value, dict):
+            for name, part in value.items():
+                getattr(buffer, key)[name][: len(part)] = part.numpy()
+        elif isinstance(value, torch.Tensor):
+            getattr(buffer, key)[: len(value)] = value.numpy()
+
+
+def _tensor(values: Any) -> torch.Tensor:
+    return torch.from_numpy(np.array(values))
+
+
+def _tensors(values: Any) -> Any:
+    return {key: _tensor(value) for key, value in values.items()} if isinstance(values, dict) else _tensor(values)
+
+
+def _arrays(values: Any) -> Any:
+    if isinstance(values, dict):
+        return {key: value.numpy().copy() for key, value in values.items()}
+    return values.numpy().copy()

@@ -1,0 +1,107 @@
+"""SAC and TQC policies that scale inside their networks, so that hindsight may exchange goals in the replay buffer.
+
+The buffer holds observations and actions as they were; the actor multiplies its output by the scaling's share of the
+very goal it sees, and the critics divide by it again. The entropy is that of the actor's own output.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch as th
+from gymnasium import spaces
+from sb3_contrib.tqc import policies as tqc
+from stable_baselines3.common.policies import ContinuousCritic
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.sac import policies as sac
+
+from pickenv.agents.policies.gap import Scaling, flattened
+
+MOST = 3.0
+"""Critics see actions up to this multiple of the share; hindsight puts goals beside the tool, and shares near zero."""
+
+
+class ScaledFeatures(BaseFeaturesExtractor):
+    """What the networks see of an observation; nothing in it is learnt."""
+
+    def __init__(self, observation_space: spaces.Space[Any], scaling: Scaling) -> None:
+        super().__init__(observation_space, scaling.features)
+        self.scaling = scaling
+
+    def forward(self, observations: Any) -> th.Tensor:
+        """Features ``(N, features)``."""
+        seen: th.Tensor = self.scaling.observe(flattened(observations, th), th)
+        return seen
+
+    def share(self, observations: Any) -> th.Tensor:
+        """The scaling's share ``(N, 1)``."""
+        found: th.Tensor = self.scaling.share(flattened(observations, th), th)
+        return found
+
+
+def _scaling(module: Any) -> ScaledFeatures:
+    found = module.features_extractor
+    assert isinstance(found, ScaledFeatures)
+    return found
+
+
+class _ScaledActions:
+    """For actors: outputs are multiplied by the share."""
+
+    def forward(self, obs: Any, deterministic: bool = False) -> th.Tensor:
+        """Actions."""
+        action: th.Tensor = super().forward(obs, deterministic)  # type: ignore[misc]
+        return action * _scaling(self).share(obs)
+
+    def action_log_prob(self, obs: Any) -> tuple[th.Tensor, th.Tensor]:
+        """Actions, and the logarithm of the probability of the actor's own output."""
+        action, log_prob = super().action_log_prob(obs)  # type: ignore[misc]
+        return action * _scaling(self).share(obs), log_prob
+
+
+class _ScaledValues:
+    """For critics: actions are divided by the share."""
+
+    def forward(self, obs: Any, actions: th.Tensor) -> Any:
+        """Values."""
+        return super().forward(obs, (actions / _scaling(self).share(obs)).clamp(-MOST, MOST))  # type: ignore[misc]
+
+
+class SacActor(_ScaledActions, sac.Actor):
+    """SAC's actor."""
+
+
+class SacCritic(_ScaledValues, ContinuousCritic):
+    """SAC's critics."""
+
+
+class TqcActor(_ScaledActions, tqc.Actor):
+    """TQC's actor."""
+
+
+class TqcCritic(_ScaledValues, tqc.Critic):
+    """TQC's critics."""
+
+
+class SacPolicy(sac.SACPolicy):
+    """SAC's policy."""
+
+    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> SacActor:
+        """The actor."""
+        return SacActor(**self._update_features_extractor(self.actor_kwargs, features_extractor)).to(self.device)
+
+    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> SacCritic:
+        """The critics."""
+        return SacCritic(**self._update_features_extractor(self.critic_kwargs, features_extractor)).to(self.device)
+
+
+class TqcPolicy(tqc.TQCPolicy):
+    """TQC's policy."""
+
+    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> TqcActor:
+        """The actor."""
+        return TqcActor(**self._update_features_extractor(self.actor_kwargs, features_extractor)).to(self.device)
+
+    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> TqcCritic:
+        """The critics."""
+        return TqcCritic(**self._update_features_extractor(self.critic_kwargs, features_extractor)).to(self.device)

@@ -1,0 +1,1 @@
+"""How good a calibration is: error statistics, states of parameters, grades, intervals."""

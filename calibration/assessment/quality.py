@@ -1,0 +1,354 @@
+"""Is this calibration good? Verdict first, then what it rests on: errors per degree of freedom, rank, condition, chi^2.
+
+The chi^2 test asks whether the model is complete for the stated noise (s^2 = r^T W r / (N - p) against 1). Units: mm
+and degrees on screens, SI inside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy import stats
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.assessment.states import States, parameter_states
+from pickenv.calibration.identification.least_squares import Identification, is_angle
+from pickenv.calibration.model.coverage import Coverage
+from pickenv.calibration.model.identifiability import Identifiability
+from pickenv.calibration.model.observability import Observability, observability_of
+
+CORRELATED = 0.9
+"""Parameters whose estimates correlate more than this are hard to tell apart."""
+
+ILL_CONDITIONED = 300.0
+"""Condition number above which small errors of the data move parameters far."""
+
+OPTIMISTIC = 1.5
+"""Held-out errors above this many times the training errors: the fit does not carry over."""
+
+SMALL_SHARE = 0.01
+"""Part of a combination that a reader need not see."""
+
+SIGNIFICANCE = 0.05
+"""Level of the chi^2 test."""
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+ENOUGH = 3
+"""Fewer held-out rows than this judge nothing."""
+
+Grade = Literal["good", "with care", "do not use"]
+
+
+@dataclass(frozen=True)
+class Completeness:
+    """The chi^2 test of whether model and stated noise explain the residuals.
+
+    Attributes:
+        chi_square: Sum of squared residuals in stated standard uncertainties.
+        degrees_of_freedom: Equations minus parameters.
+        p_value: Chance of a chi^2 this large if the model were complete and the noise as stated.
+        p_small: Chance of a chi^2 this small.
+        noise: What the noise is called: stated, or assumed where the files state none.
+    """
+
+    chi_square: float
+    degrees_of_freedom: int
+    p_value: float
+    p_small: float
+    noise: str = "stated noise"
+
+    @property
+    def reduced(self) -> float:
+        """chi^2 per degree of freedom; 1 is expected. NaN without spare equations."""
+        return self.chi_square / self.degrees_of_freedom if self.degrees_of_freedom > 0 else float("nan")
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing beyond the stated noise is left."""
+        return self.p_value >= SIGNIFICANCE
+
+    def sentence(self) -> str:
+        """The test in words."""
+        if self.degrees_of_freedom <= 0:
+            return "there are no spare equations, so the model cannot be tested"
+        said = f"reduced chi^2 {self.reduced:.3g}, {self.degrees_of_freedom} degrees of freedom"
+        if not self.complete:
+            return (
+                f"what remains is {np.sqrt(self.reduced):.2g} times the {self.noise} ({said}): effects beyond the "
+                "model are left, or that noise is too small"
+            )
+        if self.p_small < SIGNIFICANCE / 2:
+            return f"what remains is smaller than the {self.noise} ({said}), which is probably too large"
+        return f"what remains is the {self.noise} ({said}, p = {self.p_value:.2g}): the model is complete for it"
+
+
+def completeness(found: Identification, noise: str = "stated noise") -> Completeness:
+    """The chi^2 test of an identification."""
+    freedom = found.degrees_of_freedom
+    if freedom <= 0:
+        return Completeness(found.chi_square, freedom, float("nan"), float("nan"), noise)
+    law = stats.chi2(freedom)
+    sizes = float(law.sf(found.chi_square)), float(law.cdf(found.chi_square))
+    return Completeness(found.chi_square, freedom, *sizes, noise)
+
+
+def correlated_pairs(found: Identification, limit: float = CORRELATED) -> tuple[tuple[str, str, float], ...]:
+    """Pairs of kept parameters whose estimates correlate by more than ``limit``, strongest first."""
+    std = np.sqrt(np.diag(found.covariance))
+    rho = found.covariance / std[:, None] / std
+    names = found.identifiability.kept_names
+    pairs = [(names[i], names[j], float(rho[i, j])) for i, j in np.argwhere(np.triu(np.abs(rho) > limit, 1))]
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
+
+
+def base_combinations(found: Identifiability) -> dict[str, str]:
+    """What each kept parameter really stands for, as text: its own deviation and those of the dropped ones it absorbs.
+
+    Coefficients between lengths and angles are in mm/deg or deg/mm; shares below `SMALL_SHARE` are left out.
+    """
+    texts = {name: name for name in found.kept_names}
+    for item in found.dropped:
+        for name, share in item.absorbed_by.items():
+            if abs(share) < SMALL_SHARE and is_angle(name) == is_angle(item.name):
+                continue
+            texts[name] += f" {'-' if share < 0 else '+'} {_coefficient(share, name, item.name)}{item.name}"
+    return texts
+
+
+def _coefficient(share: float, kept: str, dropped: str) -> str:
+    unit, value = "", abs(share)
+    if is_angle(kept) and not is_angle(dropped):
+        unit, value = " deg/mm ", float(np.degrees(value)) * 1e-3
+    elif is_angle(dropped) and not is_angle(kept):
+        unit, value = " mm/deg ", float(np.radians(value)) * 1e3
+    return (unit and f"{value:.4g}{unit}") or ("" if abs(value - 1) < 1e-6 else f"{value:.4g} ")
+
+
+@dataclass(frozen=True)
+class AxisErrors:
+    """Errors along one degree of freedom, mm or deg.
+
+    Attributes:
+        axis: x, y, z, rx, ry or rz.
+        unit: mm or deg.
+        mean: Signed mean (bias).
+        std: Standard deviation.
+        rmse: Root mean square.
+        max: Largest size.
+    """
+
+    axis: str
+    unit: str
+    mean: float
+    std: float
+    rmse: float
+    max: float
+
+
+def axis_errors(errors: Array) -> tuple[AxisErrors, ...]:
+    """Statistics of pose errors ``(N, 6)`` or position errors ``(N, 3)``, m and rad, per degree of freedom."""
+    scale = np.repeat([1e3, np.degrees(1.0)], 3)[: errors.shape[1]]
+    rows = []
+    axes = AXES if errors.shape[1] > 1 else ("length",)
+    for axis, column in zip(axes, (errors * scale).T, strict=False):
+        rmse = float(np.sqrt(np.mean(column**2)))
+        unit = "deg" if axis.startswith("r") else "mm"
+        rows.append(
+            AxisErrors(axis, unit, float(column.mean()), float(column.std()), rmse, float(np.abs(column).max()))
+        )
+    return tuple(rows)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a reader must know.
+
+    Attributes:
+        weight: "fail" (do not use it), "caution" (know this before use) or "note".
+        text: One sentence.
+    """
+
+    weight: Literal["fail", "caution", "note"]
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """A calibration's quality.
+
+    Attributes:
+        grade: The verdict.
+        reason: The one thing that it rests on most, in one clause.
+        findings: All that a reader must know, the gravest first.
+        nominal: Held-out errors per axis before (base and tool fitted, unless known).
+        calibrated: Held-out errors per axis after.
+        observability: Of the kept geometric parameters on the training poses.
+        completeness: The chi^2 test.
+        pairs: Correlated parameters.
+        states: What became of each parameter.
+        coverage: What the poses hide, where known.
+    """
+
+    grade: Grade
+    reason: str
+    findings: tuple[Finding, ...]
+    nominal: tuple[AxisErrors, ...]
+    calibrated: tuple[AxisErrors, ...]
+    observability: Observability
+    completeness: Completeness
+    pairs: tuple[tuple[str, str, float], ...]
+    states: States
+    coverage: Coverage | None
+
+    @property
+    def others(self) -> tuple[Finding, ...]:
+        """The findings that the reason does not say already."""
+        return tuple(finding for finding in self.findings if finding.text != self.reason)
+
+    def verdict(self) -> str:
+        """Grade and reason in one line."""
+        return f"{self.grade}: {self.reason}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """The verdict for JSON, and for a calibration's record."""
+        findings = [{"weight": finding.weight, "text": finding.text} for finding in self.findings]
+        return {"grade": self.grade, "reason": self.reason, "findings": findings}
+
+
+def judge_quality(
+    found: Identification,
+    trained: Array,
+    before: Array,
+    after: Array,
+    coverage: Coverage | None = None,
+    *,
+    geometric: Identification | None = None,
+    parametric: Array | None = None,
+    noise: str = "stated noise",
+) -> Quality:
+    """Grade a calibration.
+
+    Args:
+        found: The identification.
+        trained: Errors left on the rows it was fitted to, without a learnt residual, ``(N, 6)``, ``(N, 3)`` or
+            ``(N, 1)``, m and rad.
+        before: Held-out errors of the nominal arm with base and tool fitted (unless known), ``(M, 6)`` or narrower.
+        after: Held-out errors of the calibrated arm.
+        coverage: From `pickenv.calibration.model.coverage.pose_coverage`.
+        geometric: The identification without further terms, whose parameters' condition is stated; ``found`` if there
+            are none.
+        parametric: Held-out errors without a learnt residual, which are set against ``trained``; ``after`` if there is
+            none.
+        noise: What the instrument's noise is called.
+    """
+    bare = geometric or found
+    seen = observability_of(bare.identifiability, bare.poses)
+    test = completeness(found, noise)
+    pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
+    unlearnt = after if parametric is None else parametric
+    findings = [*_failures(found, before, after), *_cautions(found, trained, unlearnt, seen, coverage)]
+    findings.append(Finding("note", test.sentence()))
+    if pairs:
+        worst = f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f})"
+        findings.append(
+            Finding(
+                "note",
+                f"{len(pairs)} pair{'s' * (len(pairs) > 1)} of parameters correlate by more than {CORRELATED:g}, most "
+                f"{worst}: read them together, the predicted pose is not affected",
+            )
+        )
+    weights = {finding.weight for finding in findings}
+    grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
+    reason = findings[0].text
+    if grade == "good":
+        reason = (
+            f"on {len(after)} held-out rows the error falls from {_rms_mm(before):#.4g} to {_rms_mm(after):#.4g} mm RMS"
+        )
+    return Quality(
+        grade=grade,
+        reason=reason,
+        findings=tuple(findings),
+        nominal=axis_errors(before),
+        calibrated=axis_errors(after),
+        observability=seen,
+        completeness=test,
+        pairs=pairs,
+        states=parameter_states(found, bare),
+        coverage=coverage,
+    )
+
+
+def _rms_mm(errors: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1)))) * 1e3
+
+
+def _failures(found: Identification, before: Array, after: Array) -> list[Finding]:
+    failures = []
+    if not found.converged:
+        failures.append(Finding("fail", "the identification did not converge, so its parameters mean nothing"))
+    if len(after) < ENOUGH:
+        rows = "1 row was" if len(after) == 1 else f"{len(after)} rows were"
+        failures.append(
+            Finding("fail", f"only {rows} held out, which judges nothing; measure more, or give others with --test")
+        )
+    elif _rms_mm(after) >= _rms_mm(before):
+        failures.append(
+            Finding(
+                "fail",
+                f"on held-out rows the calibrated arm is no better ({_rms_mm(after):#.4g} mm RMS) than the nominal one "
+                f"({_rms_mm(before):#.4g} mm RMS); check units, conventions and the order of rows",
+            )
+        )
+    elif _chance(before, after) > SIGNIFICANCE:
+        failures.append(
+            Finding(
+                "fail",
+                f"on {len(after)} held-out rows the calibrated arm ({_rms_mm(after):#.4g} mm RMS) cannot be told from "
+                f"the nominal one ({_rms_mm(before):#.4g} mm RMS); measure more rows, or with less noise",
+            )
+        )
+    return failures
+
+
+def _chance(before: Array, after: Array) -> float:
+    """Chance of a gain this large, pose by pose, if the calibration changed nothing (one-sided paired t test)."""
+    gain = np.linalg.norm(before[:, :3], axis=1) - np.linalg.norm(after[:, :3], axis=1)
+    if np.ptp(gain) == 0:
+        return 0.0 if gain[0] > 0 else 1.0
+    return float(stats.ttest_1samp(gain, 0.0, alternative="greater").pvalue)
+
+
+def _cautions(
+    found: Identification, trained: Array, after: Array, seen: Observability, coverage: Coverage | None
+) -> list[Finding]:
+    cautions = []
+    if coverage is not None and coverage.lost:
+        cautions.append(Finding("caution", coverage.advice()))
+    if seen.condition > ILL_CONDITIONED:
+        cautions.append(
+            Finding(
+                "caution",
+                f"the condition number is {seen.condition:.1f}: some parameter combinations are hardly seen; plan the "
+                "poses with `pickenv plan-poses`",
+            )
+        )
+    if _rms_mm(after) > OPTIMISTIC * _rms_mm(trained):
+        cautions.append(
+            Finding(
+                "caution",
+                f"held-out errors ({_rms_mm(after):#.4g} mm RMS) are {_rms_mm(after) / _rms_mm(trained):.1f} times as "
+                "large as on the training rows: measure more poses, or poses like those that will be used",
+            )
+        )
+    if found.degrees_of_freedom < found.identifiability.rank:
+        cautions.append(
+            Finding(
+                "caution",
+                f"{found.degrees_of_freedom} spare equations for {found.identifiability.rank} parameters are few; "
+                "measure at least twice as many poses",
+            )
+        )
+    return cautions

@@ -1,0 +1,64 @@
+"""How results are put on screens: four significant digits, units, and tables of text that terminal and page share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pickenv.calibration.identification.least_squares import is_angle
+
+
+def figure(value: float | None) -> str:
+    """A number as screens show it: four significant digits."""
+    if value is None or np.isnan(value):
+        return "unknown"
+    if value == 0 or 1e-3 <= abs(value) < 1e4:
+        return f"{value:#.4g}".rstrip(".")
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e9 else f"{value:.3e}"
+
+
+@dataclass(frozen=True)
+class Block:
+    """A titled table of text, as terminal and page show it.
+
+    Attributes:
+        title: What it is about.
+        header: Column titles with units; empty for plain lines.
+        rows: Cells.
+        note: What a reader must know of it, or empty.
+    """
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+    def text(self) -> str:
+        """For the terminal."""
+        lines = [self.title + (f": {self.note}" if self.note else "")]
+        columns = list(zip(*self.rows, strict=True))
+        heads = self.header or ("",) * len(columns)
+        padded = []
+        for head, cells in zip(heads, columns, strict=True):
+            width = max(map(len, (head, *cells)))
+            side = ">" if cells[0][:1] in "-0123456789" and self.header else "<"
+            padded.append([f"{cell:{side}{width}}" for cell in ((head, *cells) if self.header else cells)])
+        lines += ["  " + "  ".join(row).rstrip() for row in zip(*padded, strict=True)]
+        return "\n".join(lines)
+
+
+def main_parts(absorbed: Mapping[str, float]) -> dict[str, float]:
+    """What absorbs a parameter, without shares below a hundredth of the largest."""
+    largest = max((abs(share) for share in absorbed.values()), default=0.0)
+    return {name: share for name, share in absorbed.items() if abs(share) >= 0.01 * largest}
+
+
+def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
+    """Unit of a parameter on screens, and the factor from SI; coefficients of effects stay in SI."""
+    if name in geometric:
+        return ("deg", float(np.degrees(1.0))) if is_angle(name) else ("mm", 1e3)
+    if name.startswith(("reflector", "anchor", "socket")):
+        return "mm", 1e3
+    return "SI", 1.0

@@ -1,0 +1,380 @@
+"""Extended Kalman filter on the identifiable parameters: the recursive twin of the least squares (Qiao 2026, "EKF").
+
+One pose at a time, online, or a whole data set in one pass. Covariances are updated in Joseph's form (Bucy and Joseph
+1968), which stays symmetric and positive; drift enters as process noise; an innovation gate may refuse outliers. SI.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import gammaincinv
+
+from pickenv.arm import Geometry, Pose, pose_error
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import MeasurementNoise
+from pickenv.calibration.identification.least_squares import Identification
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.error_model import ErrorModel
+from pickenv.calibration.model.identifiability import Identifiability, identifiability
+from pickenv.calibration.model.measurements import Measurements
+from pickenv.errors import InputError
+
+PRIOR = 10.0
+"""Prior standard deviation of a parameter, in its tolerances: 10 mm and 0.6 deg for geometry."""
+
+HOUR = 3600.0
+"""s; drifts are stated per root hour."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilterState:
+    """What the filter knows after the poses it has seen.
+
+    Attributes:
+        arm_model: Current estimate: geometry and coefficients of terms.
+        columns: Indices ``(p,)`` of the estimated parameters in ``arm_model.parameter_names``.
+        tolerance: Their scale ``(p,)``, m or rad.
+        covariance: Covariance of their errors ``(p, p)``, m and rad.
+        updates: Poses accepted.
+        rejected: Poses refused by the innovation gate.
+        innovation: Last measured minus predicted pose ``(6,)`` or ``(3,)``, m and rad; empty before the first.
+        surprise: Last normalised innovation squared; 1 per coordinate is expected.
+    """
+
+    arm_model: ArmModel
+    columns: NDArray[np.int64]
+    tolerance: Array
+    covariance: Array
+    updates: int = 0
+    rejected: int = 0
+    innovation: Array = field(default_factory=lambda: np.empty(0))
+    surprise: float = 0.0
+
+    @property
+    def geometry(self) -> Geometry:
+        """Current geometry."""
+        return self.arm_model.geometry
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        return tuple(self.arm_model.parameter_names[k] for k in self.columns)
+
+    @property
+    def standard_deviation(self) -> Array:
+        """Standard deviation of the estimated parameters ``(p,)``, m or rad."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def pose_covariance(self, joints: ArrayLike) -> Array:
+        """Covariance of the predicted pose ``(..., 6, 6)``, m and rad, at joints ``(..., n)``: J P J^T."""
+        joints = np.asarray(joints, dtype=float)
+        flat = joints.reshape(-1, joints.shape[-1])
+        jacobian = self.arm_model.jacobian(flat, None)[..., self.columns]
+        spread = jacobian @ self.covariance @ np.swapaxes(jacobian, -1, -2)
+        return np.asarray(spread.reshape(*joints.shape[:-1], 6, 6))
+
+
+def start_filter(
+    model: ErrorModel,
+    start: Geometry | ArmModel,
+    joints: Array,
+    *,
+    full_pose: bool = True,
+    prior: float = PRIOR,
+) -> FilterState:
+    """A filter that knows nothing but the nominal arm.
+
+    Args:
+        model: The parameters to choose from; those that the poses cannot tell apart stay out.
+        start: Geometry, or geometry with terms, to start from.
+        joints: Joints ``(N, n)`` of poses such as will be measured, or are planned; they decide what is identifiable.
+        full_pose: False if only positions will be measured.
+        prior: Prior standard deviation in tolerances of each parameter.
+
+    Raises:
+        InputError: If the poses are so few that they would leave parameters out that others identify.
+    """
+    arm = start if isinstance(start, ArmModel) else ArmModel.of(start)
+    found = _identifiable(model, arm, joints, full_pose, None)
+    return _diffuse(model, arm, found, prior)
+
+
+def continue_filter(model: ErrorModel, identified: Identification, *, inflation: float = 1.0) -> FilterState:
+    """A filter that goes on from a least-squares identification of ``model``, with its covariance.
+
+    Args:
+        model: The model that was identified.
+        identified: The identification; the data's own unknowns (reflectors, anchors) are left behind.
+        inflation: Factor on its standard deviations, for an arm that may have changed since.
+
+    Raises:
+        InputError: If the identification has no covariance, because it had no spare equations.
+    """
+    own = len(identified.unknowns)
+    kept = identified.identifiability.kept
+    ours = kept >= own
+    covariance = identified.covariance[np.ix_(ours, ours)] * inflation**2
+    if not np.isfinite(covariance).all():
+        raise InputError("the identification has no covariance to go on from; measure more poses than parameters need")
+    chosen = kept[ours] - own
+    return FilterState(identified.arm_model, model.columns[chosen], model.tolerance[chosen], covariance)
+
+
+def predict(state: FilterState, process_noise: ArrayLike, seconds: float) -> FilterState:
+    """Let time pass: parameters may have drifted.
+
+    Args:
+        state: The state.
+        process_noise: Covariance that the parameters gain per second ``(p, p)``; see `random_walk`, `thermal_walk`.
+        seconds: Time since the last update.
+    """
+    return replace(state, covariance=state.covariance + np.asarray(process_noise) * seconds)
+
+
+def random_walk(state: FilterState, tolerances: float) -> Array:
+    """Process noise ``(p, p)`` per second: every parameter wanders by so many of its tolerances per root hour.
+
+    For drifts of unknown shape; where the cause is known, `thermal_walk` and `offset_walk` follow it with less noise.
+    """
+    return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / HOUR)
+
+
+def thermal_walk(state: FilterState, joints: Array, kelvin: float, expansion: float = 23e-6) -> Array:
+    """Process noise ``(p, p)`` per second of an arm whose links grow together: one direction, not p of them.
+
+    Args:
+        state: The state.
+        joints: Joints ``(N, n)`` over the working range.
+        kelvin: Change of temperature per root hour, K.
+        expansion: Linear thermal expansion, 1/K; aluminium where left out.
+    """
+    geometry = state.geometry
+    n = geometry.links
+    growth = np.zeros((1, len(state.arm_model.parameter_names)))
+    growth[0, n : 2 * n], growth[0, 3 * n : 4 * n] = geometry.a, geometry.d
+    return _carried(state, joints, growth * expansion * kelvin)
+
+
+def offset_walk(state: FilterState, joints: Array, length: float, angle: float) -> Array:
+    """Process noise ``(p, p)`` per second of joint zeros that wander: encoders, belts, slipping couplings.
+
+    Args:
+        state: The state.
+        joints: Joints ``(N, n)`` over the working range.
+        length: Drift of a prismatic joint's zero per root hour, m.
+        angle: Drift of a revolute joint's zero per root hour, rad.
+    """
+    geometry = state.geometry
+    n = geometry.links
+    shifts = np.zeros((geometry.joints, len(state.arm_model.parameter_names)))
+    for joint, drifts in enumerate(np.where(geometry.prismatic, length, angle)):
+        for i, ratio in geometry.links_of(joint):
+            shifts[joint, 3 * n + i if geometry.slides[i] else 2 * n + i] = drifts * ratio
+    return _carried(state, joints, shifts)
+
+
+def _carried(state: FilterState, joints: Array, drifts: Array) -> Array:
+    """Covariance gained per second when all parameters drift by each row of ``drifts`` ``(k, P)`` per root hour.
+
+    The drift of a parameter that is not estimated is carried by those that absorb it.
+    """
+    jacobian = state.arm_model.jacobian(np.asarray(joints, dtype=float), None).reshape(-1, drifts.shape[1])
+    scaled = jacobian[:, state.columns] * state.tolerance
+    directions = np.linalg.lstsq(scaled, jacobian @ drifts.T, rcond=None)[0] * state.tolerance[:, None]
+    return np.asarray(directions @ directions.T / HOUR)
+
+
+def update(
+    state: FilterState,
+    joints: ArrayLike,
+    observed: Pose | ArrayLike,
+    noise: MeasurementNoise,
+    *,
+    conditions: Conditions | None = None,
+    gate: float | None = None,
+) -> FilterState:
+    """Learn from one pose.
+
+    Args:
+        state: The state before.
+        joints: Commanded joints ``(n,)``, rad or m.
+        observed: The tool's pose as it was seen, or its position ``(3,)`` in m.
+        noise: Standard deviations of one coordinate, m and rad; add what the model cannot explain.
+        conditions: Payload, temperature and torques of this pose, if the model has terms that need them.
+        gate: Refuse the pose if its innovation is less likely than 1 - gate (say 0.9999); None accepts all.
+
+    Returns:
+        The state after; refused poses only count in ``rejected``.
+
+    Raises:
+        InputError: If joints or the observation are not finite.
+    """
+    joints = np.asarray(joints, dtype=float)[None]
+    predicted = state.arm_model.pose(joints, conditions)
+    if isinstance(observed, Pose):
+        innovation = pose_error(predicted, Pose(observed.position[None], observed.rotation[None]))[0]
+    else:
+        innovation = np.asarray(observed, dtype=float) - predicted.position[0]
+    rows = len(innovation)
+    if not np.isfinite(innovation).all():
+        raise InputError("the observed pose or its joints are not finite; leave the pose out")
+    jacobian = state.arm_model.jacobian(joints, conditions)[0, :rows][:, state.columns]
+    spread = np.repeat([noise.position_std, noise.attitude_std], 3)[:rows] ** 2
+    crossed = jacobian @ state.covariance
+    expected = crossed @ jacobian.T + np.diag(spread)
+    solved = np.linalg.solve(expected, np.column_stack([crossed, innovation]))
+    surprise = float(innovation @ solved[:, -1])
+    if gate is not None and surprise > 2.0 * gammaincinv(rows / 2.0, gate):  # quantile of chi squared
+        return replace(state, rejected=state.rejected + 1, innovation=innovation, surprise=surprise)
+    gain = solved[:, :-1].T
+    shrink = np.eye(len(gain)) - gain @ jacobian
+    covariance = shrink @ state.covariance @ shrink.T + (gain * spread) @ gain.T
+    delta = np.zeros(len(state.arm_model.parameter_names))
+    delta[state.columns] = gain @ innovation
+    return replace(
+        state,
+        arm_model=state.arm_model.displaced(delta),
+        covariance=(covariance + covariance.T) / 2.0,
+        updates=state.updates + 1,
+        innovation=innovation,
+        surprise=surprise,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """An arm filtered from measurements in one pass, with its evidence.
+
+    Attributes:
+        state: The filter's last state: arm, covariance, counts.
+        identifiability: What could be identified, what was dropped, and what absorbed it.
+        delta: Estimated minus starting parameters, m or rad, per model parameter (0 for dropped ones).
+        innovations: Measured minus predicted pose of each row before it was used ``(N, 6)`` or ``(N, 3)``, m and rad.
+        surprises: Normalised innovations squared ``(N,)``.
+        rejected: Rows that the gate refused, counted from 0.
+        solve_seconds: Time of the pass.
+    """
+
+    state: FilterState
+    identifiability: Identifiability
+    delta: Array
+    innovations: Array
+    surprises: Array
+    rejected: tuple[int, ...]
+    solve_seconds: float
+
+    @property
+    def arm_model(self) -> ArmModel:
+        """The estimated arm."""
+        return self.state.arm_model
+
+    @property
+    def geometry(self) -> Geometry:
+        """The estimated geometry."""
+        return self.state.geometry
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the kept parameters, under the noise that was assumed."""
+        return self.state.covariance
+
+    @property
+    def standard_deviation(self) -> Array:
+        """Of every model parameter, m or rad; NaN for dropped ones."""
+        std = np.full(len(self.identifiability.names), np.nan)
+        std[self.identifiability.kept] = self.state.standard_deviation
+        return std
+
+    @property
+    def consistency(self) -> float:
+        """Mean normalised innovation squared per coordinate: 1 if the assumed noise explains the innovations."""
+        used = np.setdiff1d(np.arange(len(self.surprises)), self.rejected)
+        return float(np.mean(self.surprises[used]) / self.innovations.shape[1]) if len(used) else float("nan")
+
+    def report(self) -> str:
+        """A short report for people."""
+        found = self.identifiability
+        return (
+            f"one pass over {len(self.surprises)} poses in {1e3 * self.solve_seconds:.0f} ms, "
+            f"{len(self.rejected)} refused\n"
+            f"identifiable: {found.rank} of {len(found.names)} parameters; innovations are "
+            f"{np.sqrt(self.consistency):.1f} times as large as the assumed noise explains"
+        )
+
+
+def filter_measurements(
+    model: ErrorModel,
+    start: Geometry | ArmModel,
+    measurements: Measurements,
+    *,
+    noise: MeasurementNoise | None = None,
+    prior: float = PRIOR,
+    process_noise: Array | None = None,
+    seconds: Sequence[float] | Array | None = None,
+    gate: float | None = None,
+) -> Filtered:
+    """Pass once over a data set, row by row.
+
+    Args:
+        model: The parameters.
+        start: Geometry, or geometry with terms, to start from; it must lie near the data (see `align`).
+        measurements: Poses or positions.
+        noise: Assumed noise; the data set's own where left out.
+        prior: Prior standard deviation in tolerances of each parameter.
+        process_noise: Covariance gained per second over the kept parameters, with ``seconds``; None for none.
+        seconds: Time before each row ``(N,)``, s.
+        gate: As in `update`.
+
+    Raises:
+        InputError: If there are too few poses for what is to be identified.
+    """
+    begin = time.perf_counter()
+    arm = start if isinstance(start, ArmModel) else ArmModel.of(start)
+    found = _identifiable(model, arm, measurements.joints, measurements.rotation is not None, measurements.conditions)
+    state = _diffuse(model, arm, found, prior)
+    noise = noise or MeasurementNoise(measurements.position_std, measurements.attitude_std)
+    innovations, surprises, rejected = [], [], []
+    for i in range(len(measurements)):
+        row = measurements.select([i])
+        if process_noise is not None and seconds is not None:
+            state = predict(state, process_noise, float(seconds[i]))
+        observed = row.position[0] if row.rotation is None else Pose(row.position[0], row.rotation[0])
+        before = state.rejected
+        state = update(state, row.joints[0], observed, noise, conditions=row.conditions, gate=gate)
+        innovations.append(state.innovation)
+        surprises.append(state.surprise)
+        if state.rejected > before:
+            rejected.append(i)
+    return Filtered(
+        state=state,
+        identifiability=found,
+        delta=arm.difference(state.arm_model)[model.columns],
+        innovations=np.array(innovations),
+        surprises=np.array(surprises),
+        rejected=tuple(rejected),
+        solve_seconds=time.perf_counter() - begin,
+    )
+
+
+def _identifiable(
+    model: ErrorModel, arm: ArmModel, joints: Array, full_pose: bool, conditions: Conditions | None
+) -> Identifiability:
+    """What poses at these joints tell apart, each coordinate weighted by its tolerance."""
+    rows = 6 if full_pose else 3
+    if len(joints) * rows < len(model.columns):
+        raise InputError(
+            f"{len(joints)} poses cannot decide which of {len(model.columns)} parameters are identifiable; give the "
+            f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
+        )
+    jacobian = arm.jacobian(np.asarray(joints, dtype=float), conditions)[:, :rows, model.columns] * model.tolerance
+    return identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
+
+
+def _diffuse(model: ErrorModel, arm: ArmModel, found: Identifiability, prior: float) -> FilterState:
+    tolerance = model.tolerance[found.kept]
+    return FilterState(arm, model.columns[found.kept], tolerance, np.diag((prior * tolerance) ** 2))

@@ -1,0 +1,335 @@
+"""Rank-aware iterated least squares, Qiao 2026 eqs (11)-(12): identify a geometry from measurements.
+
+The redundant parameters are found once, at the start, and stay out; eq (11)'s normal equations are replaced by a QR
+solution, so that a redundant model gives the same geometry as its base set instead of metres (digest, fact 3).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pickenv.arm import Geometry
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.error_model import LENGTH_TOLERANCE, ErrorModel
+from pickenv.calibration.model.gauge import identifiable_parameters
+from pickenv.calibration.model.identifiability import RANK_TOLERANCE, Identifiability, identifiability
+from pickenv.calibration.model.measurements import Measurements, random_joints
+from pickenv.calibration.model.observations import Observations, PoseObservations
+from pickenv.errors import InputError
+from pickenv.threads import single_threaded
+
+OFFSET = 1e-3
+"""Parameters count as found when a further step would move them by less than this share of their uncertainty."""
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """A geometry identified from measurements, with its evidence.
+
+    Attributes:
+        arm_model: The identified geometry, with the coefficients of its terms.
+        unknowns: Identified unknowns of the measurements themselves (reflectors, anchors, sockets), m.
+        identifiability: What could be identified, what was dropped, and what absorbed it.
+        delta: Identified minus starting parameters, m or rad, per parameter (0 for dropped ones).
+        covariance: Of the kept parameters, from the residual's own scatter; NaN without spare equations.
+        chi_square: Sum of squared whitened residuals.
+        degrees_of_freedom: Equations minus identified parameters.
+        converged: Whether the last step was negligible.
+        residual_rms: Weighted residual RMS before each iteration and after the last.
+        iterates: Geometry before each iteration and after the last.
+        solve_seconds: Time of the solution alone.
+        poses: Number of poses used.
+        kind: What was measured: "pose", "position", ….
+    """
+
+    arm_model: ArmModel
+    unknowns: dict[str, float]
+    identifiability: Identifiability
+    delta: Array
+    covariance: Array
+    chi_square: float
+    degrees_of_freedom: int
+    converged: bool
+    residual_rms: tuple[float, ...]
+    iterates: tuple[ArmModel, ...]
+    solve_seconds: float
+    poses: int
+    kind: str
+
+    @property
+    def geometry(self) -> Geometry:
+        """The identified geometry."""
+        return self.arm_model.geometry
+
+    @property
+    def standard_deviation(self) -> Array:
+        """Of every parameter, m or rad; NaN for dropped ones."""
+        std = np.full(len(self.identifiability.names), np.nan)
+        std[self.identifiability.kept] = np.sqrt(np.diag(self.covariance))
+        return std
+
+    def report(self) -> str:
+        """A short report for people: rank, condition, what was dropped, and the parameters in mm and degrees."""
+        found = self.identifiability
+        state = "converged" if self.converged else "NOT CONVERGED"
+        lines = [
+            f"{state} after {len(self.residual_rms) - 1} iterations on {self.poses} poses ({self.kind})",
+            f"identifiable: {found.rank} of {len(found.names)} parameters, condition {found.condition:.1f}",
+        ]
+        for dropped in found.dropped:
+            lines.append(f"  dropped {dropped.name}: {describe_absorption(dropped.absorbed_by)}")
+        lines.append(f"{'parameter':>10}  {'change':>12}  {'± 1 sigma':>12}")
+        for k in found.kept:
+            name = found.names[k]
+            angle = is_angle(name)
+            scale, unit = (np.degrees(1.0), "deg") if angle else (1e3, "mm")
+            lines.append(
+                f"{name:>10}  {self.delta[k] * scale:>12.5f}  {self.standard_deviation[k] * scale:>12.5f} {unit}"
+            )
+        return "\n".join(lines)
+
+
+def is_angle(name: str) -> bool:
+    """Whether a parameter's name is that of an angle."""
+    return name.startswith(("alpha", "theta", "beta")) or name.partition("_")[2].startswith("r")
+
+
+def describe_absorption(absorbed_by: dict[str, float]) -> str:
+    """Say in words what absorbs a dropped parameter."""
+    if not absorbed_by:
+        return "has no effect on these measurements"
+    parts = sorted(absorbed_by.items(), key=lambda item: -abs(item[1]))
+    shown = " ".join(f"{value:+.4g} {name}" for name, value in parts[:4])
+    return f"absorbed by {shown}" + (f" and {len(parts) - 4} more" if len(parts) > 4 else "")
+
+
+def identify(
+    model: ErrorModel,
+    start: Geometry | ArmModel,
+    data: Measurements | Sequence[Observations],
+    *,
+    max_iterations: int = 20,
+    row_factors: Array | None = None,
+    rank_tolerance: float = RANK_TOLERANCE,
+) -> Identification:
+    """Identify the model's parameters by rank-aware, weighted Gauss-Newton.
+
+    Args:
+        model: The parameters.
+        start: Geometry, or geometry with parametric terms, to start from, near the data (see
+            `pickenv.calibration.identification.alignment`).
+        data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
+        max_iterations: Steps at most; three or four are usual.
+        row_factors: Factors on the whitened rows ``(rows,)``, in the order of the data; for robust weights.
+        rank_tolerance: What counts as redundant, see `pickenv.calibration.model.identifiability.RANK_TOLERANCE`.
+
+    Returns:
+        The identification; ``converged`` is False if the last step was not negligible.
+
+    Raises:
+        InputError: If there are too few poses for the model's rank.
+    """
+    with single_threaded():
+        return _identify(model, start, data, max_iterations, row_factors, rank_tolerance)
+
+
+def identify_surely(
+    model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Observations]
+) -> Identification:
+    """`identify`; where that wanders among parameters that the data hardly show, again without those.
+
+    Raises:
+        InputError: As `identify`, or if it does not converge even so.
+    """
+    for factor in (1.0, 3.0, 10.0):
+        found = identify(model, start, data, max_iterations=60, rank_tolerance=factor * RANK_TOLERANCE)
+        if found.converged:
+            return found
+    raise InputError(
+        f"{observations_of(data)[0].source}: the identification did not converge (residual "
+        f"{found.residual_rms[-1]:.3g} standard uncertainties); check units, joint signs and outliers, or measure more "
+        "varied poses"
+    )
+
+
+def _identify(
+    model: ErrorModel,
+    start: Geometry | ArmModel,
+    data: Measurements | Sequence[Observations],
+    max_iterations: int,
+    row_factors: Array | None,
+    rank_tolerance: float,
+) -> Identification:
+    begin = time.perf_counter()
+    sets = observations_of(data)
+    arm = start if isinstance(start, ArmModel) else ArmModel.of(start)
+    unknowns = [part.start(arm) for part in sets]
+    own = tuple(name for part in sets for name in part.unknowns())
+    names = own + model.names
+    tolerance = np.concatenate([np.full(len(own), LENGTH_TOLERANCE), model.tolerance])
+    factors = 1.0 if row_factors is None else row_factors[:, None]
+    matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors), _weighted(sets, arm, unknowns, factors)
+    poses = sum(len(part.joints) for part in sets)
+    found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance, rank_tolerance)
+    _enough_poses(model, arm, sets, found, len(weighted))
+    kept, scale = found.kept, tolerance[found.kept]
+    iterates = [arm]
+    history = [_rms(weighted)]
+    converged, damping = False, 0.0
+    for _ in range(max_iterations):
+        step = whole = _solve(matrix[:, kept], weighted, 0.0)
+        if damping:
+            step = _solve(matrix[:, kept], weighted, damping)
+        change = np.zeros(len(names))
+        change[kept] = step * scale
+        moved, moved_unknowns = _moved(arm, unknowns, model, change)
+        moved_weighted = _weighted(sets, moved, moved_unknowns, factors)
+        rms = _rms(moved_weighted)
+        # A shortened step proves nothing, and flat directions may wander: what counts is what the whole step would
+        # still explain, per parameter and against the scatter (relative offset, Bates and Watts 1981).
+        scatter = float(weighted @ weighted) / max(len(weighted) - len(kept), 1)
+        offset = float(np.sum((matrix[:, kept] @ whole) ** 2)) / (max(len(kept), 1) * max(scatter, 1e-300))
+        negligible = np.max(np.abs(whole), initial=0.0) < 1e-5 or offset < OFFSET**2
+        if rms > history[-1] * (1 + 1e-9):
+            if negligible:  # worse by rounding alone: this is the minimum
+                converged = True
+                break
+            # Levenberg: a step that makes it worse is shortened until it helps.
+            damping = max(damping * 10.0, 1e-3)
+            if damping > 1e9:  # terms move with the geometry, which the Jacobian leaves out: judge by what is left
+                converged = offset < (30 * OFFSET) ** 2
+                break
+            continue
+        arm, unknowns, weighted = moved, moved_unknowns, moved_weighted
+        history.append(rms)
+        iterates.append(arm)
+        if negligible or (damping == 0.0 and history[-2] - rms < 1e-7 * rms):
+            converged = True
+            break
+        matrix = _system(model, sets, arm, unknowns, tolerance, factors)
+        damping = damping / 10.0 if damping > 1e-6 else 0.0
+    own_change = np.concatenate([np.zeros(0), *unknowns]) - np.concatenate(
+        [np.zeros(0), *(part.start(iterates[0]) for part in sets)]
+    )
+    return Identification(
+        arm_model=arm,
+        unknowns=dict(zip(own, np.concatenate([np.zeros(0), *unknowns]).tolist(), strict=True)),
+        identifiability=found,
+        delta=np.concatenate([own_change, iterates[0].difference(arm)[model.columns]]),
+        covariance=_covariance(matrix, weighted, found, tolerance),
+        chi_square=float(weighted @ weighted),
+        degrees_of_freedom=len(weighted) - found.rank,
+        converged=converged,
+        residual_rms=tuple(history),
+        iterates=tuple(iterates),
+        solve_seconds=time.perf_counter() - begin,
+        poses=poses,
+        kind="+".join(dict.fromkeys(part.kind for part in sets if len(part.joints))),
+    )
+
+
+def observations_of(data: Measurements | Sequence[Observations]) -> tuple[Observations, ...]:
+    """Poses and positions in the role of observations; other kinds as they are."""
+    return (PoseObservations(data),) if isinstance(data, Measurements) else tuple(data)
+
+
+def _weighted(sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array], factors: Array | float) -> Array:
+    """Whitened residuals of all data."""
+    stacked = np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)])
+    return stacked if isinstance(factors, float) else stacked * factors[:, 0]
+
+
+def _system(
+    model: ErrorModel,
+    sets: Sequence[Observations],
+    arm: ArmModel,
+    unknowns: Sequence[Array],
+    tolerance: Array,
+    factors: Array | float,
+) -> Array:
+    """Whitened, scaled Jacobian: unknowns first, then the model's columns."""
+    blocks, before, count = [], 0, sum(len(values) for values in unknowns)
+    for part, values in zip(sets, unknowns, strict=True):
+        by_arm, by_unknown = part.jacobian(arm, values)
+        block = np.zeros((len(by_arm), count + len(model.columns)))
+        block[:, before : before + len(values)] = by_unknown
+        block[:, count:] = by_arm[:, model.columns]
+        blocks.append(block)
+        before += len(values)
+    matrix = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+    return np.asarray(matrix * (tolerance * factors))
+
+
+def _moved(arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array) -> tuple[ArmModel, list[Array]]:
+    """The arm and the unknowns after ``change`` (unknowns first, then the model's parameters)."""
+    moved, before = [], 0
+    for values in unknowns:
+        moved.append(values + change[before : before + len(values)])
+        before += len(values)
+    delta = np.zeros(len(arm.parameter_names))
+    delta[model.columns] = change[before:]
+    return arm.displaced(delta), moved
+
+
+def _solve(matrix: Array, right: Array, damping: float) -> Array:
+    """Least-squares step through QR; ``damping`` adds Levenberg's ridge relative to the mean column norm."""
+    if damping:
+        ridge = np.sqrt(damping) * np.linalg.norm(matrix) / np.sqrt(matrix.shape[1])
+        matrix = np.vstack([matrix, ridge * np.eye(matrix.shape[1])])
+        right = np.concatenate([right, np.zeros(matrix.shape[1])])
+    count = matrix.shape[1]
+    # The last column of r is q.T @ right, so that q itself is not needed.
+    r = np.asarray(np.linalg.qr(np.column_stack([matrix, right]), mode="r"))
+    return np.asarray(np.linalg.solve(r[:count, :count], r[:count, count]))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _covariance(matrix: Array, weighted: Array, found: Identifiability, tolerance: Array) -> Array:
+    """Covariance of the kept parameters, with the residual's own scatter as the noise (GUM type A); else NaN."""
+    freedom = len(weighted) - found.rank
+    if freedom <= 0:
+        return np.full((found.rank, found.rank), np.nan)
+    inverse_r = np.linalg.inv(np.linalg.qr(matrix[:, found.kept], mode="r")) * tolerance[found.kept][:, None]
+    return np.asarray((weighted @ weighted) / freedom * (inverse_r @ inverse_r.T))
+
+
+def _enough_poses(
+    model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], found: Identifiability, rows: int
+) -> None:
+    """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
+    if rows >= 2 * len(found.names):
+        return  # whatever the rank elsewhere, there are enough
+    part = sets[0]
+    if len(sets) > 1 or not isinstance(part, PoseObservations):
+        full = found.rank
+    else:
+        count, measured = 60, part.measurements
+        probe = replace(
+            measured,
+            joints=random_joints(arm.geometry, count, np.random.default_rng(0)),
+            position=np.zeros((count, 3)),
+            rotation=None if measured.rotation is None else np.broadcast_to(np.eye(3), (count, 3, 3)),
+            conditions=Conditions(),
+        )
+        geometric = model.columns < len(arm.geometry.parameter_names)
+        names = tuple(name for name, keep in zip(model.names, geometric, strict=True) if keep)
+        links = ErrorModel(model.columns[geometric], names, model.tolerance[geometric])
+        matrix = _system(
+            links, [PoseObservations(probe)], ArmModel.of(arm.geometry), [np.zeros(0)], links.tolerance, 1.0
+        )
+        full = identifiability(matrix, links.names, links.tolerance, count).rank
+    if rows <= full or (found.rank < full and rows < 2 * full):
+        poses = sum(len(part.joints) for part in sets)
+        needed = -int(-2 * full // (rows / poses))
+        raise InputError(
+            f"{part.source}: {poses} poses give {rows} equations, too few for the {full} parameters that {part.kind} "
+            f"measurements identify; measure at least {needed} poses"
+        )

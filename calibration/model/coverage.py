@@ -1,0 +1,111 @@
+"""What the chosen poses hide: parameters that such an instrument could tell, but these poses cannot.
+
+The rank on the actual poses is compared with the rank on poses from the whole joint ranges; joints whose range, if it
+were used, would bring the lost parameters back are named.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pickenv.arm import Geometry
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model.error_model import ErrorModel, stacked_jacobian
+from pickenv.calibration.model.identifiability import identifiability
+from pickenv.calibration.model.measurements import Measurements, random_joints
+
+PROBES = 200
+"""Poses drawn from the whole joint ranges."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Rank of a data set's poses against the rank that the joint ranges allow.
+
+    Attributes:
+        rank: On the actual poses.
+        full_rank: On poses from the whole joint ranges, with the same instrument.
+        lost: Parameters that only these poses hide.
+        move: Indices of the joints that would bring them back if they were moved over their ranges; empty if none is
+            lost.
+        used: Share of each joint's range that the poses use ``(n,)``, 0 to 1 (above 1 beyond the limits).
+        joint_names: Names of the joints.
+    """
+
+    rank: int
+    full_rank: int
+    lost: tuple[str, ...]
+    move: tuple[int, ...]
+    used: Array
+    joint_names: tuple[str, ...]
+
+    def advice(self) -> str:
+        """One sentence: nothing is lost, or what is, and which joints to move."""
+        if not self.lost:
+            return f"the poses tell all {self.full_rank} parameters that this arm and instrument allow"
+        joints = ", ".join(
+            f"{self.joint_names[i]} (now over {100 * self.used[i]:.0f} % of its range)" for i in self.move
+        )
+        remedy = f"move {joints} further" if joints else "measure more varied poses (`pickenv plan-poses`)"
+        what = "parameter" if len(self.lost) == 1 else "parameters"
+        return f"{what} {', '.join(self.lost)} cannot be told from others because of the poses alone; {remedy}"
+
+
+def pose_coverage(
+    model: ErrorModel, geometry: Geometry, measurements: Measurements, rng: np.random.Generator | None = None
+) -> Coverage:
+    """Compare the rank on the actual poses with the rank on full-range poses.
+
+    Args:
+        model: Geometric parameters.
+        geometry: The arm.
+        measurements: The data set; only its joints, kind and uncertainties matter.
+        rng: Draws the full-range poses; a fixed one when left out.
+    """
+    rng = rng or np.random.default_rng(0)
+    actual = measurements.joints
+    drawn = random_joints(geometry, PROBES, rng)
+    resampled = actual[rng.integers(0, len(actual), PROBES)]
+
+    def dropped(joints: Array) -> set[str]:
+        rotation = None if measurements.rotation is None else np.broadcast_to(np.eye(3), (len(joints), 3, 3))
+        data = Measurements(
+            joints,
+            np.zeros((len(joints), 3)),
+            rotation,
+            measurements.prismatic,
+            measurements.position_std,
+            measurements.attitude_std,
+        )
+        matrix = stacked_jacobian(model, geometry, data)
+        found = identifiability(matrix, model.names, model.tolerance, len(joints))
+        return {item.name for item in found.dropped}
+
+    def moved(joints: list[int]) -> Array:
+        mixed = resampled.copy()
+        mixed[:, joints] = drawn[:, joints]
+        return mixed
+
+    here, best = dropped(actual), dropped(drawn)
+    chosen: list[int] = []
+    left, now = list(range(geometry.joints)), here
+    while left and len(now) > len(best):
+        trials = {i: dropped(moved([*chosen, i])) for i in left}
+        one = min(trials, key=lambda i: len(trials[i]))
+        if len(trials[one]) >= len(now) and len(left) > 1:
+            # No single joint helps: two must move together; take the one that is used least and go on.
+            used = np.ptp(actual, axis=0) / (geometry.upper - geometry.lower)
+            one = min(left, key=lambda i: float(used[i]))
+        chosen.append(one)
+        left.remove(one)
+        now = trials[one]
+    return Coverage(
+        rank=len(model.names) - len(here),
+        full_rank=len(model.names) - len(best),
+        lost=tuple(name for name in model.names if name in here - best),
+        move=tuple(sorted(chosen)),
+        used=np.ptp(actual, axis=0) / (geometry.upper - geometry.lower),
+        joint_names=geometry.joint_names,
+    )

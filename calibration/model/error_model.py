@@ -1,0 +1,126 @@
+"""The error model: which parameters of a geometry are identified, on what scale, and their stacked Jacobian.
+
+Complete for any serial chain: four modified DH parameters per joint, Hayati's beta where consecutive axes are parallel,
+base and tool pose. Rows are weighted by the measurement's uncertainty and columns by a parameter's tolerance, because
+rank and redundancy are meaningless in mixed units (Qiao 2026 digest, fact 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm import Geometry, forward, parameter_jacobian, pose_error
+from pickenv.arm.kinematics.geometry import Array, Pose
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.measurements import Measurements
+
+LENGTH_TOLERANCE = 1e-3
+"""Scale of a length's deviation, m."""
+
+ANGLE_TOLERANCE = 1e-3
+"""Scale of an angle's deviation, rad (0.057 deg)."""
+
+PARALLEL = 1e-6
+"""Consecutive axes count as parallel below this sine of the angle between them."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorModel:
+    """The parameters to identify.
+
+    Attributes:
+        columns: Indices into the geometry's ``parameter_names``, shape (P,), in order of preference: where parameters
+            are redundant the earlier one is kept.
+        names: Their names.
+        tolerance: Scale of each parameter's deviation, m or rad, shape (P,).
+    """
+
+    columns: NDArray[np.int64]
+    names: tuple[str, ...]
+    tolerance: Array
+
+
+def link_model(geometry: Geometry) -> ErrorModel:
+    """The paper's model: the four MDH parameters of every joint; base and tool are taken as known (eqs (7)-(8))."""
+    return _model(geometry, _link_names(geometry))
+
+
+def complete_model(geometry: Geometry) -> ErrorModel:
+    """Base and tool pose, MDH parameters, and Hayati's beta between parallel axes: complete for any serial chain."""
+    names = geometry.parameter_names
+    frames = [name for name in names if name.startswith(("base_", "tool_"))]
+    links = _link_names(geometry)
+    betas = [f"beta{i}" for i in range(1, geometry.links) if abs(np.sin(geometry.alpha[i])) < PARALLEL]
+    return _model(geometry, frames + links + betas)
+
+
+def geometric_model(geometry: Geometry, known_frames: bool) -> ErrorModel:
+    """What is identified: the links alone where base and tool are known, else base and tool with them."""
+    return link_model(geometry) if known_frames else complete_model(geometry)
+
+
+def frames_model(geometry: Geometry) -> ErrorModel:
+    """Base and tool pose only: what must be fitted before a nominal error can be stated honestly."""
+    return _model(geometry, [name for name in geometry.parameter_names if name.startswith(("base_", "tool_"))])
+
+
+def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
+    """The model's parameters and the coefficients of the arm's terms."""
+    count = len(arm.geometry.parameter_names)
+    names = arm.parameter_names[count:]
+    return ErrorModel(
+        np.concatenate([model.columns, np.arange(count, count + len(names))]),
+        model.names + names,
+        np.concatenate([model.tolerance, arm.term_tolerances]),
+    )
+
+
+def _link_names(geometry: Geometry) -> list[str]:
+    """The MDH parameters by kind, lengths before joint angles.
+
+    Where an offset and angles are tied (d3 = (theta2 - theta1) / a1 of the picking arm), the offset is kept: a length
+    expresses a finite deviation exactly, angles only to first order.
+    """
+    kinds = ("alpha", "a", "d", "theta")
+    return [name for kind in kinds for name in geometry.parameter_names if name.rstrip("0123456789") == kind]
+
+
+def _model(geometry: Geometry, names: list[str]) -> ErrorModel:
+    index = {name: i for i, name in enumerate(geometry.parameter_names)}
+    columns = np.array([index[name] for name in names])
+    tolerance = np.where(geometry.parameter_is_angle[columns], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
+    return ErrorModel(columns, tuple(names), tolerance)
+
+
+def stacked_jacobian(model: ErrorModel, geometry: Geometry, measurements: Measurements) -> Array:
+    """Jacobian of all observations by the model's parameters in tolerances, rows in standard uncertainties.
+
+    Returns:
+        Array ``(N * rows_per_pose, P)``: eq (8) for each pose, stacked, weighted and scaled.
+    """
+    jacobian = parameter_jacobian(geometry, measurements.joints)[..., model.columns] * model.tolerance
+    return (jacobian[:, : measurements.rows_per_pose] * row_weights(measurements)[:, None]).reshape(
+        -1, len(model.columns)
+    )
+
+
+def weighted_residual(geometry: Geometry, measurements: Measurements) -> Array:
+    """Measured minus predicted pose of every observation, in standard uncertainties, ``(N * rows_per_pose,)``."""
+    return (residual(geometry, measurements) * row_weights(measurements)).ravel()
+
+
+def residual(geometry: Geometry, measurements: Measurements) -> Array:
+    """Measured minus predicted pose ``(N, rows_per_pose)``: m, and rad (rotation vector), in the measurement frame."""
+    predicted = forward(geometry, measurements.joints)
+    if measurements.rotation is None:
+        return np.asarray(measurements.position - predicted.position)
+    return pose_error(predicted, Pose(measurements.position, measurements.rotation))
+
+
+def row_weights(measurements: Measurements) -> Array:
+    """One over the standard uncertainty of each row of a pose."""
+    std = np.repeat([measurements.position_std, measurements.attitude_std], 3)[: measurements.rows_per_pose]
+    return np.asarray(1.0 / std)

@@ -1,0 +1,169 @@
+"""Measurements of an arm: joint displacements and what an instrument saw of the tool, with units and uncertainty.
+
+Our own CSV files name every column with its unit: q1_deg, q2_mm, …, x_mm, y_mm, z_mm and, for full poses, the rotation
+vector rx_deg, ry_deg, rz_deg. Foreign files are read through a column description (`pickenv.calibration.reading.read`).
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm import Geometry, Plant, Pose, rotation_vector
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model.arm_model import Conditions
+from pickenv.calibration.model.origins import Origins, origins_of
+from pickenv.files import write_whole
+
+POSITION_STD = 15e-6
+"""Standard uncertainty of a position when a file states none, m: a laser tracker at a few metres."""
+
+ATTITUDE_STD = 2e-4
+"""Standard uncertainty of an attitude when a file states none, rad: a 100 mm reflector triad."""
+
+
+Frames = Literal["known", "fitted"]
+"""Whether an instrument measures the arm's own tool in its own base frame, or base and tool must be fitted."""
+
+FRAMES: tuple[Frames, ...] = get_args(Frames)
+
+FRAMES_COLUMN = "frames"
+"""Column of our own CSV format that says so, in every row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """A data set: N poses of an arm with n joints.
+
+    Attributes:
+        joints: Commanded joint displacements ``(N, n)``, rad or m.
+        position: Measured tool positions ``(N, 3)``, m, in the instrument's frame.
+        rotation: Measured tool rotations ``(N, 3, 3)``, or None where only positions were measured.
+        prismatic: Joint types, which fix the unit of each joint column.
+        position_std: Standard uncertainty of one position coordinate, m.
+        attitude_std: Standard uncertainty of one attitude coordinate, rad.
+        source: Where the data come from, as messages name it.
+        conditions: Payload, temperature and torques of each pose, where known.
+        origins: File and line of each row; None where they come from no file.
+        frames: "known" if these are poses of the arm's own tool in its own base frame; "fitted" if the instrument
+            stood anywhere and saw a target anywhere on the tool.
+        std_stated: Whether somebody stated the uncertainties, or the defaults are assumed.
+    """
+
+    joints: Array
+    position: Array
+    rotation: Array | None
+    prismatic: tuple[bool, ...]
+    position_std: float = POSITION_STD
+    attitude_std: float = ATTITUDE_STD
+    source: str = "measurements"
+    conditions: Conditions = field(default_factory=Conditions)
+    origins: Origins | None = None
+    frames: Frames = "fitted"
+    std_stated: bool = False
+
+    def __len__(self) -> int:
+        """Number of poses."""
+        return len(self.joints)
+
+    @property
+    def kind(self) -> str:
+        """What was measured: "pose" or "position"."""
+        return "position" if self.rotation is None else "pose"
+
+    @property
+    def rows_per_pose(self) -> int:
+        """Number of scalar observations per pose: 6 for poses, 3 for positions."""
+        return 3 if self.rotation is None else 6
+
+    def select(self, rows: ArrayLike) -> Measurements:
+        """The data set that holds only the given rows (indices or a mask)."""
+        rows = np.asarray(rows)
+        rotation = None if self.rotation is None else self.rotation[rows]
+        return replace(
+            self,
+            joints=self.joints[rows],
+            position=self.position[rows],
+            rotation=rotation,
+            conditions=self.conditions.select(rows),
+            origins=origins_of(self).select(rows),
+        )
+
+    def positions_only(self) -> Measurements:
+        """The same data set without attitudes."""
+        return replace(self, rotation=None)
+
+    def fingerprint(self) -> str:
+        """Hash of the numbers to 1e-9 m and rad, which a calibration records; a trip through a CSV file keeps it."""
+        parts = [self.joints, self.position] + ([] if self.rotation is None else [self.rotation])
+        whole = [np.rint(part * 1e9).astype(np.int64) for part in parts]
+        return hashlib.sha256(b"".join(part.tobytes() for part in whole)).hexdigest()[:16]
+
+    def table(self) -> tuple[list[str], Array]:
+        """Column names with units, and the values in those units, one row per pose."""
+        names = joint_columns(self.prismatic)
+        scale = np.where(self.prismatic, 1e3, np.degrees(1.0))
+        columns = [self.joints * scale, self.position * 1e3]
+        names += ["x_mm", "y_mm", "z_mm"]
+        if self.rotation is not None:
+            names += ["rx_deg", "ry_deg", "rz_deg"]
+            columns.append(np.degrees(rotation_vector(self.rotation)))
+        return names, np.concatenate(columns, axis=1)
+
+    def write_csv(self, path: str | Path) -> Path:
+        """Write our own CSV format, whole or not at all; `pickenv.calibration.reading.read.read_measurements` reads it back.
+
+        Where the frames are known, a last column says so in every row.
+        """
+        names, values = self.table()
+        if self.frames == "fitted":
+            return write_table(path, names, values)
+        known = np.full((len(self), 1), self.frames, dtype=object)
+        return write_table(path, [*names, FRAMES_COLUMN], np.concatenate([values.astype(object), known], axis=1))
+
+
+def joint_columns(prismatic: Sequence[bool]) -> list[str]:
+    """Names of the joint columns of our own CSV format."""
+    return [f"q{i + 1}_{'mm' if slides else 'deg'}" for i, slides in enumerate(prismatic)]
+
+
+def write_table(path: str | Path, names: list[str], values: Array | NDArray[np.object_]) -> Path:
+    """Write a CSV file with a header; numbers keep all their digits."""
+
+    def write(temporary: Path) -> None:
+        with temporary.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(names)
+            writer.writerows(values.tolist())
+
+    return write_whole(path, write)
+
+
+def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> Array:
+    """Joints ``(count, n)`` drawn evenly from the whole joint ranges, as in the paper's protocol."""
+    return rng.uniform(geometry.lower, geometry.upper, (count, geometry.joints))
+
+
+def simulated_tracker(plant: Plant, joints: ArrayLike, rng: np.random.Generator) -> Measurements:
+    """What a laser tracker with the plant's measurement noise, registered to base and tool, sees at ``joints``."""
+    joints = np.asarray(joints, dtype=float)
+    pose: Pose = plant.measured_pose(joints, rng)
+    noise = plant.measurement_noise
+    return Measurements(
+        joints=joints,
+        position=pose.position,
+        rotation=pose.rotation,
+        prismatic=plant.geometry.prismatic,
+        position_std=noise.position_std if noise and noise.position_std else POSITION_STD,
+        attitude_std=noise.attitude_std if noise and noise.attitude_std else ATTITUDE_STD,
+        source=f"simulated tracker on plant {plant.name}",
+        frames="known",
+        std_stated=noise is not None,
+    )

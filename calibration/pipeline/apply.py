@@ -1,0 +1,241 @@
+"""Applying a calibration: targets in, corrected joint commands out, each with the error that is left and how sure.
+
+Joint targets mean the pose that the nominal arm would take; pose targets are first brought to nominal joints by the
+inverse kinematics. Then Qiao 2026 eqs (13)-(16) with the rank-aware inverse and, where learnt, the residual. SI units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm import Arm, Geometry, Pose, forward, inverse, joint_jacobian, noncompensable_error, pose_error
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.kinematics.task_space import truncated_inverse
+from pickenv.calibration.compensation.compensator import Compensator
+from pickenv.calibration.model.arm_model import Conditions
+from pickenv.calibration.model.measurements import joint_columns, write_table
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.uncertainty import uncertainty_from
+from pickenv.calibration.reading.targets import Targets
+from pickenv.errors import InputError
+
+POSITION_TOLERANCE = 1e-5
+"""Remaining compensable position error, m, above which a target counts as not reached."""
+
+ATTITUDE_TOLERANCE = 2e-5
+"""The same for attitude, rad."""
+
+PASSES = 4
+"""Corrections applied, each from the command of the one before; the second already moves by micrometres only."""
+
+FRAMES = ("controller", "instrument")
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Corrected commands for N targets.
+
+    Attributes:
+        targets: The nominal joint targets ``(N, n)``, rad or m; for pose targets those that the inverse found.
+        joints: The commands ``(N, n)``, within the joint limits; not to be used where the target is not reached.
+        reached: Whether position and compensable attitude are met to 0.01 mm and 0.001 deg by prediction ``(N,)``.
+        before: Predicted pose error without calibration ``(N, 6)``, m and rad: what the arm does if told the target.
+        remaining: Predicted pose error with the command ``(N, 6)``.
+        impossible: The part of it that no joint motion removes ``(N, 6)``.
+        position_uncertainty: Standard uncertainty of the position reached ``(N,)``, m; None if the file holds none.
+        attitude_uncertainty: The same for attitude ``(N,)``, rad; None if unknown.
+        reasons: For each target that is not reached, by index, why.
+        lines: Line of each target in its file.
+        prismatic: Joint types.
+    """
+
+    targets: Array
+    joints: Array
+    reached: NDArray[np.bool_]
+    before: Array
+    remaining: Array
+    impossible: Array
+    position_uncertainty: Array | None
+    attitude_uncertainty: Array | None
+    reasons: dict[int, str]
+    lines: tuple[int, ...]
+    prismatic: tuple[bool, ...]
+
+    def table(self) -> tuple[list[str], NDArray[np.object_]]:
+        """Column names with units, and one row per target."""
+        names = joint_columns(self.prismatic)
+        scale = np.where(self.prismatic, 1e3, np.degrees(1.0))
+        commands = (self.joints * scale).astype(object)
+        commands[~self.reached] = ""  # a cell that streams these columns must not drive to where nothing is reached
+        columns: list[NDArray[np.object_]] = [*commands.T]
+        columns.append(np.where(self.reached, "yes", "no").astype(object))
+        names.append("reached")
+        parts = {"uncorrected": self.before, "predicted": self.remaining, "noncompensable": self.impossible}
+        for label, error in parts.items():
+            names += [f"{label}_error_mm", f"{label}_error_deg"]
+            columns.append((np.linalg.norm(error[:, :3], axis=1) * 1e3).astype(object))
+            columns.append(np.degrees(np.linalg.norm(error[:, 3:], axis=1)).astype(object))
+        if self.position_uncertainty is not None:
+            names.append("uncertainty_mm")
+            columns.append((self.position_uncertainty * 1e3).astype(object))
+        if self.attitude_uncertainty is not None:
+            names.append("uncertainty_deg")
+            columns.append(np.degrees(self.attitude_uncertainty).astype(object))
+        names.append("note")
+        columns.append(np.array([self.reasons.get(i, "") for i in range(len(self.lines))], dtype=object))
+        return names, np.stack(columns, axis=1)
+
+    def write_csv(self, path: str | Path) -> Path:
+        """Write the table, whole or not at all."""
+        return write_table(path, *self.table())
+
+    def report(self) -> str:
+        """A few lines for people; names the rows that cannot be reached."""
+        shown = self.reached if self.reached.any() else np.ones_like(self.reached)
+        mean = {
+            key: (
+                np.linalg.norm(error[shown, :3], axis=1).mean() * 1e3,
+                np.degrees(np.linalg.norm(error[shown, 3:], axis=1)).mean(),
+            )
+            for key, error in (("before", self.before), ("left", self.remaining), ("never", self.impossible))
+        }
+        lines = [
+            f"{int(self.reached.sum())} of {len(self.reached)} targets can be reached",
+            f"  told the plain target, the arm would miss by {mean['before'][0]:.3f} mm and {mean['before'][1]:.4f} deg"
+            " (mean, predicted)",
+            f"  with the corrected commands {mean['left'][0]:.4f} mm and {mean['left'][1]:.4f} deg remain, of which "
+            f"{mean['never'][1]:.4f} deg is a turn that no joint motion removes",
+        ]
+        if self.position_uncertainty is None:
+            lines.append("  uncertainty unknown: this calibration file holds none; calibrate again to have it")
+        else:
+            lines.append(
+                f"  standard uncertainty of the position reached: {1e3 * np.median(self.position_uncertainty):.3f} mm "
+                f"(median), {1e3 * np.max(self.position_uncertainty):.3f} mm at most"
+            )
+        for i, reason in self.reasons.items():
+            lines.append(f"  row {self.lines[i]}: {reason}")
+        return "\n".join(lines)
+
+
+def apply_calibration(
+    calibration: Calibration,
+    arm: Arm,
+    targets: Targets,
+    *,
+    frame: str = "controller",
+    conditions: Conditions | None = None,
+) -> Commands:
+    """Correct targets.
+
+    Args:
+        calibration: The calibration of this arm.
+        arm: The arm.
+        targets: Nominal joints, or tool poses.
+        frame: For pose targets: "controller" (the arm's own base, tool as in the arm file) or "instrument" (the frame
+            that the calibration was measured in, tool as it was fitted).
+        conditions: Payload and temperature, one value each, where the calibration depends on them.
+
+    Raises:
+        InputError: If the frame is unknown, the calibration is of another arm, or needs conditions that are not given.
+    """
+    if frame not in FRAMES:
+        raise InputError(f"frame is '{frame}'; give {' or '.join(FRAMES)}")
+    if calibration.arm_fingerprint != arm.fingerprint():
+        raise InputError(
+            f"the calibration belongs to arm '{calibration.arm_name}' with another geometry than '{arm.name}'; "
+            "fit it for this arm"
+        )
+    geometry = arm.nominal if frame == "controller" else calibration.nominal
+    reasons: dict[int, str] = {}
+    if targets.joints is not None:
+        wanted_joints = targets.joints
+        outside = (wanted_joints < geometry.lower - 1e-9) | (wanted_joints > geometry.upper + 1e-9)
+        for i in np.flatnonzero(outside.any(axis=1)):
+            joint = int(np.argmax(outside[i]))
+            reasons[int(i)] = f"target of {geometry.joint_names[joint]} is outside its limits"
+    else:
+        assert targets.pose is not None
+        found = inverse(geometry, targets.pose)
+        wanted_joints = found.joints
+        for i in np.flatnonzero(~found.reached):
+            turn = np.degrees(found.attitude_error[i] - found.noncompensable_attitude[i])
+            reasons[int(i)] = (
+                f"no joints within the limits reach this pose; the nearest miss it by "
+                f"{found.position_error[i] * 1e3:.3g} mm and {turn:.3g} deg"
+            )
+    compensator = calibration.compensator(conditions=conditions)
+    if targets.pose is None:
+        wanted = forward(calibration.nominal, wanted_joints)
+    else:
+        wanted = targets.pose if frame == "instrument" else _carried(targets.pose, arm.nominal, calibration.nominal)
+    commands = toward(compensator, wanted, wanted_joints)
+    before = pose_error(wanted, compensator.predict(wanted_joints))
+    remaining = pose_error(wanted, compensator.predict(commands))
+    impossible = noncompensable_error(calibration.identified, commands, remaining)
+    left = remaining - impossible
+    missed_position, missed_attitude = np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1)
+    reached = (missed_position <= POSITION_TOLERANCE) & (missed_attitude <= ATTITUDE_TOLERANCE)
+    for i in np.flatnonzero(~reached):
+        at = (commands[i] <= geometry.lower) | (commands[i] >= geometry.upper)
+        held = ", ".join(geometry.joint_names[j] for j in np.flatnonzero(at)) or "no joint"
+        reasons.setdefault(
+            int(i),
+            f"the correction is cut off by a joint limit ({held}); {missed_position[i] * 1e3:.3g} mm and "
+            f"{np.degrees(missed_attitude[i]):.3g} deg remain that a free joint could remove",
+        )
+    reached[list(reasons)] = False
+    spread = uncertainty_from(calibration.record)
+    known = None
+    if spread is not None:
+        known = spread.standard(
+            calibration.model, commands, None if conditions is None else conditions.spread((len(commands),))
+        )
+    return Commands(
+        targets=wanted_joints,
+        joints=commands,
+        reached=reached,
+        before=before,
+        remaining=remaining,
+        impossible=impossible,
+        position_uncertainty=None if known is None else known[0],
+        attitude_uncertainty=None if known is None or spread is None or spread.attitude_repeat is None else known[1],
+        reasons=dict(sorted(reasons.items())),
+        lines=targets.lines,
+        prismatic=geometry.prismatic,
+    )
+
+
+def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
+    """Commands ``(N, n)`` that bring the real tool to ``wanted`` poses, from joints near them; eq (15), repeated.
+
+    A joint at its limit that would have to go further is held there, and the others take over what they can.
+    """
+    lower, upper = compensator.nominal.lower, compensator.nominal.upper
+    command = start.clip(lower, upper)
+    for _ in range(PASSES):
+        error = pose_error(compensator.predict(command), wanted)
+        jacobian = joint_jacobian(compensator.identified, command)
+        free = np.ones_like(command)
+        for _ in range(command.shape[1]):
+            step = np.einsum("...ij,...j->...i", truncated_inverse(jacobian * free[:, None]), error) * free
+            outward = ((command <= lower) & (step < 0)) | ((command >= upper) & (step > 0))
+            if not outward.any():
+                break
+            free = free * ~outward
+        command = (command + step).clip(lower, upper)
+    return command
+
+
+def _carried(pose: Pose, believed: Geometry, fitted: Geometry) -> Pose:
+    """A tool pose in the controller's frame, as the instrument's frame and the fitted tool have it."""
+    turn = fitted.base.rotation @ believed.base.rotation.T
+    twist = believed.tool.rotation.T @ fitted.tool.rotation
+    mount = pose.rotation @ believed.tool.rotation.T
+    flange = pose.position - (mount @ believed.tool.position)
+    moved = (flange - believed.base.position) @ turn.T + fitted.base.position
+    return Pose(moved + (turn @ mount) @ fitted.tool.position, turn @ pose.rotation @ twist)

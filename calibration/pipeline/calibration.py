@@ -1,0 +1,259 @@
+"""A fitted calibration: predict, compensate, save and load. One verified file, refused on another arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm import Arm, Geometry, Pose
+from pickenv.arm.kinematics.geometry import Array, geometry_fingerprint
+from pickenv.calibration.compensation.compensator import Compensator
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
+from pickenv.calibration.model.terms import term_from
+from pickenv.calibration.residuals.residual_models import LearntResidual
+from pickenv.container import read_container, refusing_damage, write_container
+from pickenv.errors import InputError
+from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
+
+KIND = "calibration"
+FORMAT = 2
+"""Version of the file's content."""
+
+REMAKE = "run `pickenv calibrate` (or `pickenv demo`) to make one anew"
+GEOMETRIES = ("arm", "nominal", "identified")
+"""The geometries in a file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """What the true pose differs from the identified geometry by: parametric terms plus the learnt residual.
+
+    Attributes:
+        model: Gives the terms.
+        learnt: Learnt residual, or None.
+        conditions: Payload and temperature, one value each (or one per pose).
+    """
+
+    model: ArmModel
+    learnt: LearntResidual | None
+    conditions: Conditions
+
+    def parts(self) -> bool:
+        """Whether there is anything to add."""
+        return bool(self.model.terms) or self.learnt is not None
+
+    def predict(self, joints: ArrayLike) -> Array:
+        """Pose residual ``(..., 6)``, m and rad, at joints ``(..., n)``; one learnt from positions turns nothing."""
+        joints = np.asarray(joints, dtype=float)
+        total = np.zeros((*joints.shape[:-1], 6))
+        if self.model.terms:
+            total += self.model.displacement(joints, self.conditions.spread(joints.shape[:-1]))
+        if self.learnt is not None:
+            inputs = self.conditions.spread(joints.shape[:-1]).inputs() if self.learnt.inputs.conditions else None
+            learnt = self.learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
+            total[..., : learnt.shape[-1]] += learnt
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What a calibration found for one arm.
+
+    Attributes:
+        arm_name: Name of the arm.
+        arm: The arm's own nominal geometry, as its file gives it; `load` refuses another arm's calibration.
+        nominal: What the controller believes; where base and tool were fitted, with the fitted base and tool.
+        model: The calibrated geometry with its parametric terms.
+        learnt: Learnt residual, or None.
+        record: Evidence for people and programs: data hash, seeds, versions, rank, dropped parameters.
+    """
+
+    arm_name: str
+    arm: Geometry
+    nominal: Geometry
+    model: ArmModel
+    learnt: LearntResidual | None
+    record: Mapping[str, Any]
+
+    @property
+    def arm_fingerprint(self) -> str:
+        """Hash of the arm's own nominal geometry."""
+        return geometry_fingerprint(self.arm)
+
+    @property
+    def unit(self) -> str | None:
+        """Serial number of the robot that was measured; None where none was given."""
+        unit = self.record.get("unit")
+        return None if unit is None else str(unit)
+
+    @property
+    def identified(self) -> Geometry:
+        """The calibrated geometry."""
+        return self.model.geometry
+
+    def compensator(
+        self,
+        *,
+        with_residual: bool = True,
+        conditions: Conditions | None = None,
+        iterations: int = 2,
+        single_precision: bool = False,
+    ) -> Compensator:
+        """The map from joint targets to joint commands, for control loops and environments.
+
+        Args:
+            with_residual: Whether the learnt residual takes part; parametric terms always do.
+            conditions: Payload and temperature, one value each, for terms and residuals that need them.
+            iterations: See `Compensator`; one is the fastest.
+            single_precision: See `Compensator`; for training in thousands of environments.
+        """
+        learnt = self.learnt if with_residual else None
+        if learnt is not None and single_precision:
+            learnt = learnt.in_single_precision()
+        remainder = Remainder(self.model, learnt, conditions or Conditions())
+        residual = remainder if remainder.parts() else None
+        return Compensator(self.nominal, self.identified, residual, iterations, single_precision, self.reservations())
+
+    def reservations(self) -> dict[str, str]:
+        """What stands against using it, by name, each a sentence that says what to do; empty where nothing does."""
+        found = {}
+        verdict = self.record.get("verdict")
+        if isinstance(verdict, Mapping) and verdict.get("grade") == "do not use":
+            found[DO_NOT_USE] = (
+                f"the verdict on this calibration is: do not use ({verdict.get('reason')}); measure again"
+            )
+        if self.record.get("frames") == "fitted":
+            interval = self.record.get("base_frame", {}).get("mean_ci95_mm")
+            size = f" ({interval[0]:.3g} to {interval[1]:.3g} mm of mean error there)" if interval else ""
+            found[FITTED_FRAMES] = (
+                "base and tool of this calibration were fitted, so what the arm does in its own base frame, where the "
+                f"fruit stand, is not known{size}; measure with the instrument registered to the base and calibrate "
+                "with --frames known"
+            )
+        return found
+
+    def compensate(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
+        """Joint commands for joint targets ``(..., n)``, rad or m."""
+        return self.compensator(conditions=conditions)(joints)
+
+    def predict(self, joints: ArrayLike, conditions: Conditions | None = None) -> Pose:
+        """Expected true tool pose at joint commands ``(..., n)``."""
+        return self.compensator(conditions=conditions).predict(joints)
+
+    def without_residual(self) -> Calibration:
+        """This calibration without its learnt residual."""
+        return replace(self, learnt=None)
+
+    def save(self, path: str | Path) -> Path:
+        """Write one verified file (see `pickenv.container`), whole or not at all; ``.npz`` is appended if missing.
+
+        Raises:
+            InputError: If the file cannot be written, or `load` would refuse it.
+        """
+        arrays: dict[str, NDArray[Any]] = {}
+        for key in GEOMETRIES:
+            arrays |= {f"{key}/{name}": value for name, value in geometry_arrays(getattr(self, key)).items()}
+        arrays["coefficients"] = self.model.coefficients
+        if self.learnt is not None:
+            arrays |= {f"learnt/{name}": value for name, value in self.learnt.arrays().items()}
+        header = {
+            "arm": self.arm_name,
+            "arm_fingerprint": self.arm_fingerprint,
+            "joint_names": self.nominal.joint_names,
+            "prismatic": self.nominal.prismatic,
+            "terms": [term.specification() for term in self.model.terms],
+            "residual": None if self.learnt is None else self.learnt.kind,
+            "record": self.record,
+        }
+        _from_parts(header, arrays)
+        return write_container(_with_suffix(path), KIND, header, arrays, version=FORMAT)
+
+    @staticmethod
+    def load(path: str | Path, arm: Arm | None = None, unit: str | None = None) -> Calibration:
+        """Read a file that `save` wrote; nothing in it is executed.
+
+        Args:
+            path: The file, with or without its suffix.
+            arm: If given, the arm that it must belong to, known by its nominal geometry.
+            unit: If given, the serial number of the robot that it must belong to; two robots of one model are alike
+                on paper, and only this tells them apart.
+
+        Raises:
+            InputError: If the file is missing, damaged in any byte, holds what cannot move an arm (numbers that are
+                not finite, a base that is no rotation), is of another version, of another arm or of another unit.
+        """
+        path = _with_suffix(path)
+        found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
+        with refusing_damage(path, f"a {KIND} file", REMAKE):
+            calibration = _from_parts(found.header, found.arrays)
+        if arm is not None and calibration.arm_fingerprint != arm.fingerprint():
+            raise InputError(
+                f"{path} belongs to arm '{calibration.arm_name}' with another geometry than '{arm.name}'; "
+                "fit it for this arm"
+            )
+        if unit is not None and calibration.unit != unit:
+            whose = "names no unit" if calibration.unit is None else f"belongs to unit '{calibration.unit}'"
+            raise InputError(f"{path} {whose}, but unit '{unit}' is asked for; calibrate that robot by its own file")
+        return calibration
+
+
+def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Calibration:
+    """The calibration that a file's parts make; raises anything at all where they make none."""
+    names, prismatic, record = header["joint_names"], header["prismatic"], header["record"]
+    arm, nominal, identified = (geometry_from_arrays(_part(arrays, key), names, prismatic, key) for key in GEOMETRIES)
+    if geometry_fingerprint(arm) != header["arm_fingerprint"]:
+        raise InputError(f"its arm's geometry is not the one of fingerprint {header['arm_fingerprint']}")
+    if geometry_fingerprint(replace(nominal, base=arm.base, tool=arm.tool)) != header["arm_fingerprint"]:
+        raise InputError("its nominal geometry differs from its arm's by more than base and tool")
+    terms = tuple(term_from(term) for term in header["terms"])
+    count = sum(len(term.names(identified)) for term in terms)
+    calibration = Calibration(
+        arm_name=str(header["arm"]),
+        arm=arm,
+        nominal=nominal,
+        model=ArmModel(identified, terms, finite(arrays, "coefficients", (count,), "terms")),
+        learnt=_learnt(header["residual"], _part(arrays, "learnt"), identified),
+        record=dict(record),
+    )
+    uncertainty = record.get("uncertainty")
+    if uncertainty is not None:
+        size = len(uncertainty["parameters"])
+        finite({"covariance": np.array(uncertainty["covariance"], dtype=float)}, "covariance", (size, size), "record")
+        if not set(uncertainty["parameters"]) <= set(calibration.model.parameter_names):
+            raise InputError("its covariance is of parameters that its arm does not have")
+    return calibration
+
+
+def _learnt(kind: str | None, arrays: Mapping[str, NDArray[Any]], geometry: Geometry) -> LearntResidual | None:
+    """The learnt residual that the header names, tried once in the middle of the joints' ranges."""
+    if kind is None:
+        if arrays:
+            raise InputError("it holds a learnt residual that its header does not name")
+        return None
+    for name, value in arrays.items():
+        if value.dtype.kind == "f":
+            finite({name: value.astype(float)}, name, value.shape, "learnt")
+    if str(arrays["kind"]) != kind:
+        raise InputError(f"its learnt residual is '{arrays['kind']}', but its header names '{kind}'")
+    learnt = LearntResidual.from_arrays(arrays)
+    conditions = np.zeros(learnt.inputs.conditions) if learnt.inputs.conditions else None
+    with np.errstate(all="ignore"):
+        tried = learnt.predict((geometry.lower + geometry.upper) / 2, conditions)
+    if tried.shape not in ((3,), (6,)) or not np.isfinite(tried).all():
+        raise InputError(f"its learnt residual gives {tried.shape} numbers, not 3 or 6 finite ones")
+    return learnt
+
+
+def _with_suffix(path: str | Path) -> Path:
+    path = Path(path)
+    return path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
+
+
+def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    return {key.partition("/")[2]: value for key, value in arrays.items() if key.startswith(f"{prefix}/")}

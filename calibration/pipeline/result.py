@@ -1,0 +1,394 @@
+"""The one result of a calibration: verdict, held-out errors, what was found, what was left out.
+
+Whatever a screen shows of a calibration is made here, once: the terminal prints `Result.report`, the page shows the
+same blocks, `Result.as_dict` holds the same values, and the saved calibration carries the verdict in its record. Units:
+mm and degrees on screens, SI inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm import Arm
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.assessment.base_frame import BaseFrameError, base_frame_error
+from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
+from pickenv.calibration.assessment.quality import Quality, judge_quality
+from pickenv.calibration.assessment.screen import Block, figure, main_parts, unit_of
+from pickenv.calibration.assessment.states import LOST, MEASURED
+from pickenv.calibration.identification.diagnosis import LeftOut
+from pickenv.calibration.identification.least_squares import describe_absorption
+from pickenv.calibration.identification.rows import misses, unknowns_of
+from pickenv.calibration.identification.term_choice import TermChoice
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.coverage import Coverage, pose_coverage
+from pickenv.calibration.model.error_model import geometric_model
+from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import Observations, PoseObservations
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.fitting import Fit
+from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, held_out_errors, pose_uncertainty
+from pickenv.calibration.reading.read import NoiseFloor
+from pickenv.calibration.residuals.gate import GateReport
+
+NOMINAL = "nominal"
+GEOMETRIC = "geometric"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A calibration, judged.
+
+    Attributes:
+        arm: The arm.
+        fit: The calibration that will be used, and its evidence.
+        geometric: The calibration of the geometry alone.
+        train: Rows it was fitted to.
+        test: Rows held out.
+        errors: Held-out errors by model ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad: "nominal", "geometric", then
+            what was added; the last is what will be used.
+        quality: The verdict and what it rests on.
+        uncertainty: Of predicted poses; None for measurements of other kinds.
+        base_frame: The error in the robot's own base frame; None where base and tool were known.
+        coverage: What the poses hide; None for measurements of other kinds.
+        terms: How terms were chosen; None where they were not.
+        gate: The residual models' verdicts; None where none was judged.
+        floor: What the files say about noise; None if not read from files.
+        left_out: Rows far off that were left out.
+        unit: Serial number of the robot, where it was named.
+    """
+
+    arm: Arm
+    fit: Fit
+    geometric: Fit
+    train: Observations
+    test: Observations
+    errors: Mapping[str, Array]
+    quality: Quality
+    uncertainty: PoseUncertainty | None
+    base_frame: BaseFrameError | None
+    terms: TermChoice | None = None
+    gate: GateReport | None = None
+    floor: NoiseFloor | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    unit: str | None = None
+
+    @property
+    def known_frames(self) -> bool:
+        """Whether base and tool were known."""
+        return self.base_frame is None
+
+    @property
+    def best_model(self) -> str:
+        """Name of the model that will be used."""
+        last = list(self.errors)[-1]
+        return "geometry" if last == GEOMETRIC else last
+
+    @property
+    def best(self) -> ErrorStatistics:
+        """Held-out position errors of the model that will be used, mm."""
+        return list(self.position.values())[-1]
+
+    @cached_property
+    def position(self) -> dict[str, ErrorStatistics]:
+        """Held-out position errors by model, mm."""
+        return {name: error_statistics(values[:, :3] * 1e3) for name, values in self.errors.items()}
+
+    @cached_property
+    def attitude(self) -> dict[str, ErrorStatistics]:
+        """Held-out attitude errors by model, deg; empty where no attitude was measured."""
+        wide = {name: values for name, values in self.errors.items() if values.shape[1] == 6}
+        return {name: error_statistics(np.degrees(values[:, 3:])) for name, values in wide.items()}
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """The calibration with verdict, frames and uncertainty in its record: what is saved and applied."""
+        record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
+        if self.uncertainty is not None:
+            record["uncertainty"] = self.uncertainty.as_record()
+        if self.base_frame is not None:
+            record["base_frame"] = self.base_frame.as_dict()
+        if self.unit is not None:
+            record["unit"] = self.unit
+        record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out]
+        return replace(self.fit.calibration, record=record)
+
+    @property
+    def own_mean_ci95(self) -> tuple[float, float]:
+        """95 % interval of the arm's own mean error in the instrument's frame, mm.
+
+        The upper end is that of the held-out errors; from the lower one the instrument's noise is taken off, which a
+        held-out error contains and a reach does not.
+        """
+        low, high = self.best.mean_ci95
+        if not isinstance(self.test, PoseObservations):
+            return low, high
+        noise = 3.0 * (self.test.measurements.position_std * 1e3) ** 2
+        return low * float(np.sqrt(max(0.0, 1.0 - noise / max(self.best.rms**2, 1e-300)))), high
+
+    @property
+    def frames_text(self) -> str:
+        """What is known about base and tool, and the error in the robot's own base frame, in a sentence."""
+        if self.base_frame is not None:
+            return self.base_frame.sentences()
+        low, high = self.own_mean_ci95
+        return (
+            "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
+            f"{figure(low)} to {figure(high)} mm (95 % interval; the lower end without the instrument's noise)"
+        )
+
+    def blocks(self) -> tuple[Block, ...]:
+        """What both the terminal and the page show, in order, after verdict and frames."""
+        found = [self._errors(), self._parameters(), self._dropped()]
+        if self.left_out:
+            places = tuple((item.text(),) for item in self.left_out)
+            found.append(Block("Rows left out", (), places, "too far off to be measurements of these poses"))
+        if self.terms is not None:
+            rows = tuple((name, figure(value * 1e3)) for name, value in self.terms.blocked_rms.items())
+            note = f"{self.terms.chosen}, chosen on blocks of the training rows"
+            found.append(Block("Further terms", ("terms", "RMS on blocks (mm)"), rows, note))
+        if self.gate is not None:
+            found.append(self._gate(self.gate))
+        found.append(self._facts())
+        return tuple(block for block in found if block.rows)
+
+    def report(self) -> str:
+        """For the terminal: the verdict first."""
+        verdict, _, reason = self.quality.verdict().partition(": ")
+        lines = [f"verdict: {verdict.upper()}: {reason}"]
+        lines += [f"  {finding.weight}: {finding.text}" for finding in self.quality.others]
+        lines += [f"frames: {self.frames_text}", *(block.text() for block in self.blocks())]
+        return "\n".join(lines)
+
+    def _label(self, name: str) -> str:
+        labels = {NOMINAL: "nominal" if self.known_frames else "nominal, base and tool fitted", GEOMETRIC: "geometry"}
+        return labels.get(name, name)
+
+    def _errors(self) -> Block:
+        header: tuple[str, ...] = ("model", "RMS (mm)", "mean (mm)", "95 % interval (mm)", "p95 (mm)", "max (mm)")
+        header += ("attitude mean (deg)",) if self.attitude else ()
+        rows = []
+        for name, s in self.position.items():
+            interval = f"{figure(s.mean_ci95[0])} to {figure(s.mean_ci95[1])}"
+            cells = (self._label(name), figure(s.rms), figure(s.mean), interval, figure(s.p95), figure(s.max))
+            rows.append(cells + ((figure(self.attitude[name].mean),) if name in self.attitude else ()))
+        note = f"{len(self.test.joints)} rows held out, {len(self.train.joints)} fitted; used: {self.best_model}"
+        return Block("Errors on held-out rows", header, tuple(rows), note)
+
+    def parameters(self) -> list[dict[str, Any]]:
+        """Each identified parameter: name, change and standard deviation on screens' units, and what became of it."""
+        found, calibration = self.fit.identification, self.fit.calibration
+        bare = self.geometric.identification
+        states, model = self.quality.states, calibration.model
+        moved = np.concatenate([calibration.nominal.difference(model.geometry), model.coefficients])
+        change = dict(zip(model.parameter_names, moved, strict=True)) | found.unknowns
+        rows = []
+        known = {
+            name: std
+            for each in (bare, found)
+            for name, std in zip(each.identifiability.names, each.standard_deviation, strict=True)
+        }
+        lost = {item.name for item in found.identifiability.dropped}
+        for name, std in known.items():
+            if name in lost:
+                continue
+            unit, scale = unit_of(name, model.geometry.parameter_names)
+            state = states.of(name)
+            rows.append(
+                {"name": name, "unit": unit, "change": float(change[name] * scale), "std": float(std * scale)}
+                | {"state": state}
+            )
+        return rows
+
+    def _parameters(self) -> Block:
+        rows = [
+            (row["name"], figure(row["change"]), figure(row["std"]), row["unit"])
+            for row in self.parameters()
+            if row["state"] == MEASURED
+        ]
+        return Block(
+            "Parameters", ("parameter", "change", "± 1 sigma", "unit"), tuple(rows), self.quality.states.text()
+        )
+
+    def _dropped(self) -> Block:
+        dropped = self.fit.identification.identifiability.dropped
+        rows = [(item.name, describe_absorption(main_parts(item.absorbed_by))) for item in dropped]
+        rows += [
+            (row["name"], f"known to ± {figure(row['std'])} {row['unit']} only")
+            for row in self.parameters()
+            if row["state"] == LOST
+        ]
+        note = "left at their nominal value, with what absorbs them (m, rad), or known in sums with others only"
+        return Block("Lost in others", (), tuple(rows), note)
+
+    def _gate(self, gate: GateReport) -> Block:
+        first = gate.verdicts[0]
+        rows = [("without", figure(first.geometric_random_rms * 1e3), figure(first.geometric_blocked_rms * 1e3), "")]
+        rows += [(v.model, figure(v.random_rms * 1e3), figure(v.blocked_rms * 1e3), v.reason) for v in gate.verdicts]
+        chosen = f"'{gate.selected}' is used" if gate.selected else "none is used"
+        header = ("model", "random hold-out, RMS (mm)", "blocked hold-out, RMS (mm)", "verdict")
+        return Block("Learnt residual models", header, tuple(rows), f"{chosen}; judged within the training rows")
+
+    def _facts(self) -> Block:
+        found = self.geometric.identification
+        rows = [
+            ("measured", self.train.kind),
+            ("condition number of the geometry", figure(self.quality.observability.condition)),
+            ("least squares", f"{len(found.residual_rms) - 1} iterations, {figure(1e3 * found.solve_seconds)} ms"),
+        ]
+        if self.coverage is not None:
+            rows.append(("poses", self.coverage.advice()))
+        if self.floor is not None:
+            rows.append(("noise floor of a position", self.floor.text()))
+        return Block("Evidence", (), tuple(rows))
+
+    @property
+    def coverage(self) -> Coverage | None:
+        """What the poses hide; None for measurements of other kinds."""
+        return self.quality.coverage
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        found = self.geometric.identification
+        nominal, geometric, best = self.position[NOMINAL], self.position[GEOMETRIC], self.best
+        held_out: dict[str, Any] = {
+            "nominal_rms_mm": nominal.rms,
+            "geometric_rms_mm": geometric.rms,
+            "geometric_mean_mm": geometric.mean,
+            "geometric_mean_ci95_mm": geometric.mean_ci95,
+            "best_rms_mm": best.rms,
+            "best_mean_mm": best.mean,
+            "best_mean_ci95_mm": best.mean_ci95,
+            "own_mean_ci95_mm": self.own_mean_ci95,
+            "best_model": self.best_model,
+            **{f"{name}_mm": statistics.as_dict() for name, statistics in self.position.items()},
+            **{f"{name}_deg": statistics.as_dict() for name, statistics in self.attitude.items()},
+        }
+        floor, states = self.floor, self.quality.states
+        return {
+            "verdict": self.quality.as_dict(),
+            "arm": self.arm.name,
+            "unit": self.unit,
+            "measurement_kind": found.kind,
+            "frames": "known" if self.known_frames else "fitted",
+            "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
+            "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
+            "left_out_rows": [vars(item) for item in self.left_out],
+            "parameters": len(found.identifiability.names),
+            "rank": found.identifiability.rank,
+            "states": states.as_dict(),
+            "changes": self.parameters(),
+            "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
+            "lost_to_poses": [] if self.coverage is None else list(self.coverage.lost),
+            "condition": self.quality.observability.condition,
+            "converged": self.fit.identification.converged,
+            "solve_seconds": found.solve_seconds,
+            "unknowns_mm": {name: value * 1e3 for name, value in found.unknowns.items()},
+            "held_out": held_out,
+            "noise_floor_mm": None
+            if floor is None
+            else {key: None if value is None else value * 1e3 for key, value in vars(floor).items()},
+            "terms": None
+            if self.terms is None
+            else {
+                "chosen": self.terms.chosen,
+                "blocked_rms_mm": {name: value * 1e3 for name, value in self.terms.blocked_rms.items()},
+            },
+            "gate": {} if self.gate is None else self.gate.as_dict()["models"],
+        }
+
+
+def assess(
+    arm: Arm,
+    fit: Fit,
+    train: Observations | Measurements,
+    test: Observations | Measurements,
+    *,
+    geometric: Fit | None = None,
+    steps: Mapping[str, Fit] | None = None,
+    terms: TermChoice | None = None,
+    gate: GateReport | None = None,
+    left_out: tuple[LeftOut, ...] = (),
+    coverage: Coverage | None = None,
+) -> Result:
+    """Judge a calibration on rows that it never saw.
+
+    Args:
+        arm: The arm.
+        fit: The calibration that will be used.
+        train: Rows it was fitted to.
+        test: Rows held out.
+        geometric: The calibration of the geometry alone; ``fit`` without its learnt residual when left out.
+        steps: What was added to the geometry, step by step, by name; the last is ``fit``.
+        terms: How terms were chosen.
+        gate: The residual models' verdicts.
+        left_out: Rows left out.
+        coverage: What the poses hide, where it was computed already.
+    """
+    train, test = as_observations(train), as_observations(test)
+    bare = geometric or replace(fit, calibration=fit.calibration.without_residual())
+    nominal = ArmModel.of(bare.calibration.nominal)
+    aligned = bare.aligned
+    stages: dict[str, Fit] = {GEOMETRIC: bare, **(steps or {})}
+    learnt = fit.calibration.learnt
+    if steps is None and learnt is not None:
+        stages[f"geometry+{learnt.kind}"] = fit
+    errors = {name: _left(stage, test, train) for name, stage in stages.items()}
+    if isinstance(test, PoseObservations) and isinstance(train, PoseObservations):
+        before = test.difference(nominal)
+        if coverage is None:
+            start = bare.calibration.nominal
+            coverage = pose_coverage(geometric_model(start, aligned is None), start, train.measurements)
+        uncertainty = pose_uncertainty(fit.identification, list(errors.values())[-1])
+        said = "stated noise" if train.measurements.std_stated else "noise assumed, since none is stated,"
+        noise = f"{said} of {train.measurements.position_std * 1e3:.4g} mm"
+    else:
+        assert aligned is not None
+        before = misses(test, aligned.arm_model, unknowns_of(aligned, train))
+        uncertainty, noise = None, "noise stated or assumed"
+    after = list(errors.values())[-1]
+    unlearnt = replace(fit, calibration=fit.calibration.without_residual())
+    base_frame = None
+    if aligned is not None:
+        left = after if len(after) == len(test.joints) and after.shape[1] >= 3 else np.zeros((len(test.joints), 3))
+        base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left)
+    return Result(
+        arm=arm,
+        fit=fit,
+        geometric=bare,
+        train=train,
+        test=test,
+        errors={NOMINAL: before, **errors},
+        quality=judge_quality(
+            fit.identification,
+            _left(unlearnt, train, train),
+            before,
+            after,
+            coverage,
+            geometric=bare.identification,
+            parametric=_left(unlearnt, test, train),
+            noise=noise,
+        ),
+        uncertainty=uncertainty,
+        base_frame=base_frame,
+        terms=terms,
+        gate=gate,
+        left_out=left_out,
+    )
+
+
+def as_observations(data: Observations | Measurements) -> Observations:
+    """Poses and positions in the role of observations; other kinds as they are."""
+    return PoseObservations(data) if isinstance(data, Measurements) else data
+
+
+def _left(fit: Fit, data: Observations, train: Observations) -> Array:
+    """What a calibration leaves of data ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad."""
+    if isinstance(data, PoseObservations):
+        return held_out_errors(fit.calibration, data.measurements)
+    return misses(data, fit.identification.arm_model, unknowns_of(fit.identification, train))

@@ -1,0 +1,328 @@
+"""Where to measure: few poses of many candidates that tell the most about the parameters, ordered for short travel.
+
+D-optimal sets (largest determinant of the information matrix: best O1), or the least predicted error at given test
+poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). SI units.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from pickenv.arm import Arm, Geometry, parameter_jacobian
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model.error_model import ErrorModel, link_model
+from pickenv.calibration.model.identifiability import RANK_TOLERANCE
+from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns, random_joints, write_table
+from pickenv.calibration.model.observability import Observability, observability
+from pickenv.calibration.planning.exchange import exchange
+from pickenv.calibration.planning.travel import short_tour, travel_seconds
+from pickenv.errors import InputError
+from pickenv.limits import check_limit
+from pickenv.threads import single_threaded
+
+KINDS = ("pose", "position")
+CRITERIA = ("d-optimal", "test-poses")
+
+MARGIN = 0.02
+"""Share of its range that a candidate joint stays away from a limit."""
+
+AT_LIMIT = 2.0 / 3.0
+"""Chance of a joint to stand at a limit, in the half of the candidates that lies on the border of the joint ranges."""
+
+DRAWS = 20
+"""Random pose sets that a plan is compared with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """What a candidate pose can tell.
+
+    Attributes:
+        joints: Candidates ``(N, n)``, rad or m.
+        rows: Their weighted, scaled Jacobians by the base parameters ``(N, r, p)``.
+        model: The base parameters ``(p,)``.
+        weight: One over the standard uncertainty of each row ``(r,)``.
+        kind: "pose" (r = 6) or "position" (r = 3).
+    """
+
+    joints: Array
+    rows: Array
+    model: ErrorModel
+    weight: Array
+    kind: str
+
+
+@dataclass(frozen=True)
+class AgainstChance:
+    """Observability of planned poses beside that of as many poses drawn evenly from the joint ranges.
+
+    Attributes:
+        parameters: The base parameters that it is about.
+        planned: Of the planned poses.
+        drawn: Of drawn poses: the median of 20 sets by condition.
+        drawn_o1: Mean O1 of the 20 sets.
+    """
+
+    parameters: tuple[str, ...]
+    planned: Observability
+    drawn: Observability
+    drawn_o1: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "parameters": list(self.parameters),
+            "condition": self.planned.condition,
+            "random_condition": self.drawn.condition,
+            "o1_ratio": self.planned.o1 / self.drawn_o1,
+            "observability": self.planned.as_dict(),
+            "random_observability": self.drawn.as_dict(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class PosePlan:
+    """Poses to measure, in order.
+
+    Attributes:
+        joints: ``(n_poses, n)``, rad or m, in measuring order.
+        chosen: Their rows among the candidates.
+        design: The candidates.
+        criterion: "d-optimal" or "test-poses".
+        model: Observability of the parameters planned for.
+        arm: Observability of the arm's own parameters, base and tool taken as known: what papers state.
+        travel_seconds: Time of the moves in measuring order, joints moving together at the arm's speeds, s.
+        random_travel_seconds: The same in random order, mean of 20, s.
+        predicted_error: RMS position error to expect at the test poses from the parameters' uncertainty, m; or None.
+        random_predicted_error: The same for drawn poses, median of 20 sets, m; or None.
+        passes: Rounds of exchange.
+        seconds: Time of the planning.
+    """
+
+    joints: Array
+    chosen: NDArray[np.int64]
+    design: Design
+    criterion: str
+    model: AgainstChance
+    arm: AgainstChance
+    travel_seconds: float
+    random_travel_seconds: float
+    predicted_error: float | None
+    random_predicted_error: float | None
+    passes: int
+    seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; condition and ratio at the top are those of the arm's own parameters."""
+        arm = self.arm.as_dict()
+        found: dict[str, Any] = {
+            "poses": len(self.joints),
+            "candidates": len(self.design.joints),
+            "kind": self.design.kind,
+            "criterion": self.criterion,
+            **{key: arm[key] for key in ("condition", "random_condition", "o1_ratio")},
+            "arm": arm,
+            "model": self.model.as_dict(),
+            "travel_seconds": self.travel_seconds,
+            "random_travel_seconds": self.random_travel_seconds,
+            "passes": self.passes,
+            "seconds": self.seconds,
+        }
+        if self.predicted_error is not None and self.random_predicted_error is not None:
+            found["predicted_error_mm"] = self.predicted_error * 1e3
+            found["random_predicted_error_mm"] = self.random_predicted_error * 1e3
+        return found
+
+    def report(self) -> str:
+        """A short report for people."""
+        lines = [
+            f"{len(self.joints)} of {len(self.design.joints)} candidates, {self.criterion}, {self.design.kind} "
+            f"measurements, in {self.seconds:.2f} s",
+        ]
+        parts = {"parameters planned for": self.model, "arm alone, base and tool known": self.arm}
+        for label, part in parts.items():
+            lines.append(
+                f"  {label} ({len(part.parameters)}): condition {part.planned.condition:.1f} (poses drawn at random: "
+                f"{part.drawn.condition:.1f}), O1 {part.planned.o1 / part.drawn_o1:.2f} times theirs"
+            )
+        lines.append(
+            f"  moves take {self.travel_seconds:.0f} s in this order, {self.random_travel_seconds:.0f} s in another"
+        )
+        if self.predicted_error is not None and self.random_predicted_error is not None:
+            lines.append(
+                f"  error to expect at the test poses {self.predicted_error * 1e3:.4f} mm RMS "
+                f"(poses drawn at random: {self.random_predicted_error * 1e3:.4f} mm)"
+            )
+        return "\n".join(lines)
+
+    def write_csv(self, path: str | Path, prismatic: tuple[bool, ...]) -> Path:
+        """Write the joints in measuring order as our own CSV columns (q1_deg, q2_mm, …)."""
+        scale = np.where(prismatic, 1e3, np.degrees(1.0))
+        return write_table(path, joint_columns(prismatic), self.joints * scale)
+
+
+def candidate_joints(geometry: Geometry, count: int, rng: np.random.Generator, margin: float = MARGIN) -> Array:
+    """Joints ``(count, n)`` to choose from: half drawn evenly from the joint ranges, half on their border.
+
+    Optimal designs stand on the border, which even draws hardly ever touch.
+    """
+    room = margin * (geometry.upper - geometry.lower)
+    lower, upper = geometry.lower + room, geometry.upper - room
+    joints = rng.uniform(lower, upper, (count, geometry.joints))
+    side = rng.random(joints.shape)
+    at_border = (np.arange(count) >= count // 2)[:, None]
+    joints = np.where(at_border & (side < AT_LIMIT / 2), lower, joints)
+    return np.asarray(np.where(at_border & (side > 1 - AT_LIMIT / 2), upper, joints))
+
+
+def design_of(
+    geometry: Geometry,
+    model: ErrorModel,
+    joints: Array,
+    kind: str = "pose",
+    *,
+    position_std: float = POSITION_STD,
+    attitude_std: float = ATTITUDE_STD,
+) -> Design:
+    """What each candidate tells about a base set of the model's parameters.
+
+    The base set is chosen by pivoted QR: within a group of parameters that cannot be told apart, the one with the
+    largest effect stays. A D-optimal set is the same for every choice; its condition number is not.
+
+    Args:
+        geometry: The nominal arm.
+        model: The parameters.
+        joints: Candidates ``(N, n)``, rad or m.
+        kind: What will be measured.
+        position_std: Standard uncertainty of a position coordinate, m.
+        attitude_std: Standard uncertainty of an attitude coordinate, rad.
+    """
+    weight = 1.0 / np.repeat([position_std, attitude_std], 3)[: 6 if kind == "pose" else 3]
+    rows = _rows(geometry, model, weight, joints)
+    triangle = np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")
+    r, order = qr(triangle, mode="r", pivoting=True)
+    diagonal = np.abs(np.diag(r))
+    kept = np.sort(order[: int(np.sum(diagonal > RANK_TOLERANCE * diagonal[0]))])
+    base = ErrorModel(model.columns[kept], tuple(model.names[k] for k in kept), model.tolerance[kept])
+    return Design(joints, rows[..., kept], base, weight, kind)
+
+
+def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -> Array:
+    jacobian = parameter_jacobian(geometry, joints)[:, : len(weight), model.columns]
+    return np.asarray(jacobian * model.tolerance * weight[:, None])
+
+
+def plan_poses(
+    arm: Arm,
+    model: ErrorModel,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    candidates: Array | int = 2000,
+    kind: str = "pose",
+    criterion: str = "d-optimal",
+    test_joints: Array | None = None,
+    position_std: float = POSITION_STD,
+    attitude_std: float = ATTITUDE_STD,
+) -> PosePlan:
+    """Choose ``count`` poses to measure, and order them for short travel.
+
+    Args:
+        arm: The arm, with joint limits and speeds.
+        model: The parameters to identify.
+        count: Poses to measure.
+        rng: Draws candidates, the order of exchanges and the random sets to compare with.
+        candidates: Poses to choose from ``(N, n)``, rad or m, or how many to draw (see `candidate_joints`).
+        kind: What will be measured.
+        criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``.
+        test_joints: Where accuracy matters ``(M, n)``, rad or m; with "d-optimal" only reported on.
+        position_std: Standard uncertainty of a position coordinate, m.
+        attitude_std: Standard uncertainty of an attitude coordinate, rad.
+
+    Raises:
+        InputError: If there are too few poses for the parameters, too few candidates, no test poses where needed, or
+            an unknown kind or criterion.
+    """
+    for name, given, known in (("kind", kind, KINDS), ("criterion", criterion, CRITERIA)):
+        if given not in known:
+            raise InputError(f"{name} is '{given}'; give {' or '.join(known)}")
+    begin = time.perf_counter()
+    geometry = arm.nominal
+    if isinstance(candidates, int):
+        check_limit("candidates", candidates, "candidates")
+    joints = candidate_joints(geometry, candidates, rng) if isinstance(candidates, int) else candidates
+    if criterion == "test-poses" and test_joints is None:
+        raise InputError("the test-poses criterion needs test poses; name a file of them or use d-optimal")
+    with single_threaded():
+        std = {"position_std": position_std, "attitude_std": attitude_std}
+        design = design_of(geometry, model, joints, kind, **std)
+        _enough(design, count)
+        aim = None if test_joints is None else error_weight(geometry, design, test_joints)
+        chosen, passes = exchange(design.rows, count, rng, aim if criterion == "test-poses" else None)
+        chosen = chosen[short_tour(joints[chosen], arm.speed)]
+        sets = random_joints(geometry, DRAWS * count, rng).reshape(DRAWS, count, -1)
+        links = design_of(geometry, link_model(geometry), joints, kind, **std)
+        shuffled = [travel_seconds(joints[rng.permutation(chosen)], arm.speed) for _ in sets]
+        errors = None if aim is None else [predicted_error(_elsewhere(geometry, design, s), aim) for s in sets]
+        return PosePlan(
+            joints=joints[chosen],
+            chosen=chosen,
+            design=design,
+            criterion=criterion,
+            model=_against_chance(geometry, design, chosen, sets),
+            arm=_against_chance(geometry, links, chosen, sets),
+            travel_seconds=travel_seconds(joints[chosen], arm.speed),
+            random_travel_seconds=float(np.mean(shuffled)),
+            predicted_error=None if aim is None else predicted_error(design.rows[chosen], aim),
+            random_predicted_error=None if errors is None else float(np.median(errors)),
+            passes=passes,
+            seconds=time.perf_counter() - begin,
+        )
+
+
+def _elsewhere(geometry: Geometry, design: Design, joints: Array) -> Array:
+    """Rows ``(M, r, p)`` of the design's base parameters at other joints ``(M, n)``."""
+    return _rows(geometry, design.model, design.weight, joints)
+
+
+def _observed(rows: Array) -> Observability:
+    """Observability of stacked rows ``(M, r, p)``."""
+    values = np.linalg.svd(rows.reshape(-1, rows.shape[-1]), compute_uv=False)
+    return observability(np.asarray(values, dtype=float), len(rows))
+
+
+def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> AgainstChance:
+    drawn = sorted((_observed(_elsewhere(geometry, design, s)) for s in sets), key=lambda found: found.condition)
+    o1 = float(np.mean([found.o1 for found in drawn]))
+    return AgainstChance(design.model.names, _observed(design.rows[chosen]), drawn[len(drawn) // 2], o1)
+
+
+def _enough(design: Design, count: int) -> None:
+    parameters, rows = len(design.model.names), design.rows.shape[1]
+    least = -(-parameters // rows) + 1
+    if count < least:
+        raise InputError(
+            f"{count} poses are too few for {parameters} parameters; plan at least {least}, better {2 * least}"
+        )
+    if count > len(design.joints):
+        raise InputError(f"{count} poses cannot be chosen from {len(design.joints)} candidates; give more candidates")
+
+
+def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Array:
+    """W ``(p, p)`` such that trace(W M^-1) is the mean squared predicted position error at the test poses, m^2."""
+    jacobian = parameter_jacobian(geometry, test_joints)[:, :3, design.model.columns] * design.model.tolerance
+    stacked = jacobian.reshape(-1, len(design.model.names))
+    return np.asarray(stacked.T @ stacked / len(test_joints))
+
+
+def predicted_error(rows: Array, weight: Array) -> float:
+    """RMS position error, m, that the uncertainty of parameters seen by ``rows`` ``(M, r, p)`` brings; see above."""
+    stacked = rows.reshape(-1, rows.shape[-1])
+    return float(np.sqrt(np.trace(np.linalg.solve(stacked.T @ stacked, weight))))

@@ -1,0 +1,1 @@
+"""Measured files of any instrument, through descriptions of their columns."""

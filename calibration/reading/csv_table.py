@@ -1,0 +1,309 @@
+"""The text of a measurement file as columns of numbers: CSV, or YAML with nested entries named by dotted paths.
+
+Columns may be computed from others (+ - * / and numbers; odd names in backticks). Whatever is no number is refused
+with the file, row and column named; a file with another separator, decimal sign or encoding is named as what it is.
+"""
+
+from __future__ import annotations
+
+import ast
+import csv
+import io
+import json
+import operator
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.errors import InputError
+from pickenv.texts import decimal_number, listed, parsed, read_text, shortened
+
+SEPARATORS = {";": "';'", "\t": "a tab", "|": "'|'", ",": "','", " ": "a space"}
+"""What may stand between columns, and how it is called; in the order in which a file is asked for it."""
+
+LONGEST_EXPRESSION = 1000
+"""Characters; nobody writes a longer one, and a parser's depth ends."""
+
+
+class Table:
+    """Turns columns and expressions into numbers and names the cell at fault.
+
+    Attributes:
+        where: The file.
+        header: Column names.
+        lines: Line (or entry) of each row, as messages name it.
+    """
+
+    def __init__(self, where: str, header: list[str], rows: list[list[str]], lines: list[int], decimal: str) -> None:
+        self.where, self.header, self.rows, self.lines, self.decimal = where, header, rows, lines, decimal
+        self.cache: dict[str, Array] = {}
+        for row, line in zip(rows, lines, strict=True):
+            if any(cell.strip() for cell in row[len(header) :]):
+                raise InputError(
+                    f"{where}: row {line} has {len(row)} cells, but there are {len(header)} columns; check the "
+                    "separator and the decimal sign, and name them in a column description"
+                )
+
+    def column(self, name: str) -> Array:
+        """A column of finite numbers."""
+        if name not in self.cache:
+            index = self.index(name)
+            pairs = zip(self.rows, self.lines, strict=True)
+            self.cache[name] = np.array([self._cell(row, index, name, line) for row, line in pairs])
+        return self.cache[name]
+
+    def index(self, name: str) -> int:
+        """Where a column stands."""
+        if name not in self.header:
+            raise InputError(f"{self.where}: column '{shortened(name)}' is missing; the file has {listed(self.header)}")
+        if self.header.count(name) > 1:
+            raise InputError(
+                f"{self.where}: column '{shortened(name)}' occurs {self.header.count(name)} times; rename all but one"
+            )
+        return self.header.index(name)
+
+    def blank(self, name: str) -> Array:
+        """Whether each cell of a column is empty or says NaN."""
+        index = self.index(name)
+        texts = [row[index].strip().lower() if index < len(row) else "" for row in self.rows]
+        return np.array([text in ("", "nan", "null", "none", "na", "-") for text in texts])
+
+    def fill_blanks(self, name: str) -> None:
+        """Read empty and NaN cells of a column as zero: what a lost reflector leaves."""
+        index = self.index(name)
+        for row, lost in zip(self.rows, self.blank(name), strict=True):
+            if lost and index < len(row):
+                row[index] = "0"
+
+    def resolution(self, names: tuple[str, ...]) -> float:
+        """Size of the last digit that most numbers in plain columns carry; 0 where columns are computed."""
+        if any(name not in self.header for name in names):
+            return 0.0
+        digits = []
+        for index in map(self.index, names):
+            for row in self.rows[:200]:
+                mantissa, _, exponent = (row[index] if index < len(row) else "").strip().lower().partition("e")
+                shift = int(exponent) if re.fullmatch(r"[+-]?[0-9]{1,3}", exponent) else 0
+                digits.append(len(mantissa.replace(self.decimal, ".").partition(".")[2]) - shift)
+        return float(10.0 ** -np.median(digits))
+
+    def _cell(self, row: list[str], index: int, name: str, line: int) -> float:
+        text = row[index].strip() if index < len(row) else ""
+        grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands
+        return number_in_cell("" if grouped else text.replace(self.decimal, "."), text, self.where, line, name)
+
+    def value(self, expression: str) -> Array:
+        """A column by its name, or an expression of columns with + - * / and numbers; `odd names` in backticks."""
+        if expression in self.header:
+            return self.column(expression)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            values = self._computed(expression)
+        if not np.isfinite(values).all():
+            line = self.lines[int(np.argmin(np.isfinite(values)))]
+            raise InputError(
+                f"{self.where}: row {line}, '{shortened(expression)}' divides by zero or overflows; correct it"
+            )
+        return values
+
+    def values(self, expressions: tuple[str, ...]) -> Array:
+        """Several columns or expressions ``(N, k)``."""
+        return np.stack([self.value(expression) for expression in expressions], -1)
+
+    def _computed(self, expression: str) -> Array:
+        tree, quoted = expression_tree(expression)
+        if tree is None:
+            raise InputError(
+                f"{self.where}: column '{shortened(expression)}' is missing; the file has {listed(self.header)}"
+            )
+        try:
+            return np.broadcast_to(self._evaluate(tree, expression, quoted), len(self.rows)).astype(float)
+        except (OverflowError, RecursionError) as error:  # a constant of 400 digits, brackets in brackets
+            raise InputError(
+                f"{self.where}: cannot compute '{shortened(expression)}'; give numbers and brackets of ordinary size"
+            ) from error
+
+    def _evaluate(self, node: ast.AST, expression: str, quoted: list[str]) -> Any:
+        operators: dict[type[ast.AST], Callable[..., Any]] = {
+            ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
+            ast.USub: operator.neg, ast.UAdd: operator.pos,
+        }  # fmt: skip
+        match node:
+            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+                return np.float64(value)
+            case ast.Name(id=name):
+                match_ = re.fullmatch(r"__quoted_(\d+)", name)
+                return self.column(quoted[int(match_[1])] if match_ else name)
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in operators:
+                return operators[type(op)](
+                    self._evaluate(left, expression, quoted), self._evaluate(right, expression, quoted)
+                )
+            case ast.UnaryOp(op=op, operand=operand) if type(op) in operators:
+                return operators[type(op)](self._evaluate(operand, expression, quoted))
+        raise InputError(
+            f"{self.where}: cannot compute '{shortened(expression)}'; use column names, numbers and + - * / only"
+        )
+
+
+def number_in_cell(number: str, text: str, where: str, line: int, name: str) -> float:
+    """The finite number that a cell spells, in the digits of any instrument.
+
+    Args:
+        number: The cell with a decimal point.
+        text: The cell as the file has it.
+        where: The file.
+        line: Its row.
+        name: Its column.
+
+    Raises:
+        InputError: Names file, row and column.
+    """
+    value = decimal_number(number)
+    if value is not None and np.isfinite(value):
+        return value
+    if value is not None:
+        said = f"is {shortened(text)}"
+    else:
+        said = f"holds '{shortened(text)}', which is not a number" if text else "is empty"
+    raise InputError(f"{where}: row {line}, column '{shortened(name)}' {said}; correct or remove the row")
+
+
+def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:
+    """The syntax of an expression of columns, None where it has none, and the names that stand in backticks."""
+    quoted = re.findall(r"`([^`]+)`", expression)
+    text = expression
+    for i, name in enumerate(quoted):
+        text = text.replace(f"`{name}`", f"__quoted_{i}")
+    if len(text) > LONGEST_EXPRESSION:
+        return None, quoted
+    try:
+        return ast.parse(text.strip(), mode="eval").body, quoted
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return None, quoted
+
+
+def refuse_repeated(paths: Sequence[str | Path]) -> None:
+    """Refuse a list of files that names one of them twice, by whatever path.
+
+    Raises:
+        InputError: Names the file.
+    """
+    seen: set[object] = set()
+    for path in paths:
+        try:
+            stat = Path(path).stat()
+        except (OSError, ValueError):
+            continue  # whoever reads it says what is wrong
+        mark = (stat.st_dev, stat.st_ino)
+        if mark in seen:
+            raise InputError(f"{path} is given twice; name each file once")
+        seen.add(mark)
+
+
+def read_table(
+    path: str | Path, separator: str = ",", decimal: str = ".", names: tuple[str, ...] | None = None
+) -> Table:
+    """Read a CSV file, or a YAML file of entries (.yaml, .yml).
+
+    Args:
+        path: The file.
+        separator: Character between columns.
+        decimal: Decimal sign.
+        names: Column names of a file without a header, or None.
+
+    Raises:
+        InputError: If it is missing, unreadable or without rows.
+    """
+    path = Path(path)
+    text = read_text(path, "a CSV file")
+    if path.suffix in (".yaml", ".yml"):
+        return _yaml_table(path, text)
+    rows, lines = csv_rows(text, path, separator)
+    if not rows:
+        raise InputError(f"{path} is empty; give a CSV file with a header and one row per pose")
+    _refuse_other_separator(rows, path, separator, decimal)
+    if names is not None:
+        header = list(names)
+    else:
+        header, rows, lines = [cell.strip() for cell in rows[0]], rows[1:], lines[1:]
+    if not rows:
+        raise InputError(f"{path} has a header but no rows; give one row per pose")
+    return Table(str(path), header, rows, lines, decimal)
+
+
+def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[list[str]], list[int]]:
+    """The rows of a CSV text that are not blank, and the line of each.
+
+    Raises:
+        InputError: If a cell is too long or a quote is not closed; names the line.
+    """
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    rows, lines, before, unclosed = [], [], 0, text.count('"') % 2 == 1
+    try:
+        for row in reader:
+            if unclosed and any("\n" in cell for cell in row):
+                raise InputError(f"{path}: line {before + 1} opens a quote that is never closed; close or remove it")
+            if any(cell.strip() for cell in row):
+                rows.append(row)
+                lines.append(reader.line_num)
+            before = reader.line_num
+    except csv.Error as error:
+        raise InputError(
+            f"cannot read {path}: line {before + 1}: {shortened(error)}; is a quote not closed, or is it no CSV file?"
+        ) from error
+    return rows, lines
+
+
+def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, decimal: str) -> None:
+    """A first row in one piece that holds another separator: say which, and how a description names it."""
+    first = rows[0][0].strip() if len(rows[0]) == 1 else ""
+    other = next((character for character in SEPARATORS if character != separator and character in first), None)
+    if other is None or not any(other in cell for row in rows[1:] for cell in row):
+        return
+    comma = other != "," and decimal == "." and any(re.search(r"\d,\d", ",".join(row)) for row in rows[1:])
+    keys = f"separator = {json.dumps(other)}" + (' and decimal = ","' if comma else "")
+    raise InputError(
+        f"{path} is separated by {SEPARATORS[other]}, not by {SEPARATORS.get(separator, repr(separator))}; separate "
+        f"its columns so, or, if it holds measurements, give --columns a description with {keys}"
+    )
+
+
+def _yaml_table(path: Path, text: str) -> Table:
+    """Entries of a list or mapping, flattened: pose.x, target_joints.0."""
+    import yaml
+
+    class Plain(yaml.SafeLoader):
+        """Without aliases, through which a few lines can stand for endless ones."""
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                raise ValueError("it uses an alias (*name); write the values out")
+            return super().compose_node(parent, index)
+
+    def flat_entries() -> list[dict[str, str]]:
+        content = yaml.load(text, Plain)  # a safe loader
+        entries = list(content.values()) if isinstance(content, Mapping) else content
+        if not isinstance(entries, list) or not entries or not all(isinstance(entry, Mapping) for entry in entries):
+            return []
+        return [dict(_flattened(entry, "")) for entry in entries]
+
+    flat = parsed(flat_entries, path, "YAML")
+    if not flat:
+        raise InputError(f"{path} holds no list of entries; give one entry with joints and a pose per measurement")
+    header = list(dict.fromkeys(name for entry in flat for name in entry))
+    rows = [[entry.get(name, "") for name in header] for entry in flat]
+    return Table(str(path), header, rows, list(range(1, len(rows) + 1)), ".")
+
+
+def _flattened(value: Any, name: str) -> Iterator[tuple[str, str]]:
+    if isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _flattened(part, f"{name}.{key}" if name else str(key))
+    elif isinstance(value, list):
+        for i, part in enumerate(value):
+            yield from _flattened(part, f"{name}.{i}")
+    else:
+        yield name, "" if value is None else repr(value) if isinstance(value, float) else str(value)

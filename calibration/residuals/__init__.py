@@ -1,0 +1,1 @@
+"""What the parameters leave, learnt from joints to pose errors, and the gate that says whether it pays."""

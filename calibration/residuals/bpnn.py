@@ -1,0 +1,240 @@
+"""The paper's back-propagation network for what geometry does not explain (Qiao 2026, section 1.4, eqs (17)-(18)).
+
+6-256-128-64-32-6 with batch normalisation, ReLU and dropout after every hidden layer, mean square error, Adam 1e-3,
+L2 1e-5, 500 epochs, batches of 16. Trained with torch; run afterwards as a NumPy forward pass, batch norm folded in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.residuals.standardising import spread
+from pickenv.errors import InputError
+
+
+@dataclass(frozen=True)
+class BpnnSettings:
+    """Training settings; the defaults are the paper's. Its dropout rate is not given: ours is stated here.
+
+    Attributes:
+        hidden: Neurons of the hidden layers.
+        epochs: Passes over the training data.
+        batch_size: Poses per step.
+        learning_rate: Adam's first learning rate; it falls along a cosine to zero, which the paper leaves open.
+        weight_decay: L2 coefficient.
+        dropout: Dropout rate after each hidden layer.
+    """
+
+    hidden: tuple[int, ...] = (256, 128, 64, 32)
+    epochs: int = 500
+    batch_size: int = 16
+    learning_rate: float = 1e-3
+    weight_decay: float = 1e-5
+    dropout: float = 0.05
+
+
+Layers = list[tuple[NDArray[Any], NDArray[Any]]]
+"""Matrices ``(in, out)`` and what each product is cut off below, or, in the last layer, what is added to it."""
+
+ROWS = 512
+"""Poses that go through the network together: what a core's second cache holds."""
+
+
+def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
+    """Values ``(..., in)`` through a network with ReLU between its layers."""
+    for weight, threshold in layers[:-1]:
+        values = values @ weight
+        np.maximum(values, threshold, out=values)
+    weight, bias = layers[-1]
+    return np.asarray(values @ weight + bias)
+
+
+@dataclass(frozen=True, eq=False)
+class Bpnn:
+    """A trained network: joints in, pose residual out, in plain arrays.
+
+    Attributes:
+        input_mean: Mean of the training joints ``(n,)``, rad or m.
+        input_std: Their spread.
+        weights: Matrices of the layers, ``(out, in)``, normalisation folded in.
+        biases: Biases of the layers.
+        output_mean: Mean of the training residuals ``(6,)``, m and rad.
+        output_std: Their spread.
+        loss: Mean training loss of each epoch, in units of the residual's spread squared.
+        single_precision: Whether it runs in single precision, in which it was trained: twice as fast, 1e-8 m apart.
+    """
+
+    input_mean: Array
+    input_std: Array
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
+    output_mean: Array
+    output_std: Array
+    loss: Array
+    single_precision: bool = False
+
+    def predict(self, joints: ArrayLike) -> Array:
+        """Residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
+
+        Many poses go through the network in blocks that are cut at fixed places.
+        """
+        values = np.asarray(joints, dtype=self._dtype)
+        if values.ndim == 1:
+            return np.asarray(_through(self._layers, values), dtype=float)
+        rows = values.reshape(-1, values.shape[-1])
+        parts = [_through(self._layers, rows[a : a + ROWS]) for a in range(0, max(len(rows), 1), ROWS)]
+        return np.concatenate(parts).reshape(*values.shape[:-1], -1).astype(float, copy=False)
+
+    @property
+    def _dtype(self) -> type[np.floating[Any]]:
+        return np.float32 if self.single_precision else np.float64
+
+    @cached_property
+    def _layers(self) -> Layers:
+        """The layers with the scaling of inputs and outputs folded in, and the biases: max(0, x + b) = max(-b, x) + b.
+
+        What is added after a cut-off goes into the next layer's bias, so that each layer passes its numbers but once.
+        """
+        weights = [weight.T for weight in self.weights]
+        weights[0] = weights[0] / self.input_std[:, None]
+        biases = [self.biases[0] - self.input_mean @ weights[0], *self.biases[1:]]
+        weights[-1], biases[-1] = weights[-1] * self.output_std, biases[-1] * self.output_std + self.output_mean
+        for i in range(1, len(weights)):
+            biases[i] = biases[i] + biases[i - 1] @ weights[i]
+        thresholds = [*(-bias for bias in biases[:-1]), biases[-1]]
+        return [
+            (weight.astype(self._dtype, order="C"), limit.astype(self._dtype))
+            for weight, limit in zip(weights, thresholds, strict=True)
+        ]
+
+    def arrays(self) -> dict[str, Array]:
+        """All numbers by name, for saving."""
+        named = {"input_mean": self.input_mean, "input_std": self.input_std, "loss": self.loss}
+        named |= {"output_mean": self.output_mean, "output_std": self.output_std}
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            named |= {f"weight{i}": weight, f"bias{i}": bias}
+        return named
+
+    @staticmethod
+    def from_arrays(named: dict[str, Array]) -> Bpnn:
+        """The inverse of `arrays`."""
+        layers = sum(key.startswith("weight") for key in named)
+        return Bpnn(
+            input_mean=named["input_mean"],
+            input_std=named["input_std"],
+            weights=tuple(named[f"weight{i}"] for i in range(layers)),
+            biases=tuple(named[f"bias{i}"] for i in range(layers)),
+            output_mean=named["output_mean"],
+            output_std=named["output_std"],
+            loss=named["loss"],
+        )
+
+
+def train_bpnn(
+    joints: Array,
+    residuals: Array,
+    rng: np.random.Generator,
+    settings: BpnnSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Bpnn:
+    """Train the network.
+
+    Args:
+        joints: Training joints ``(N, n)``, rad or m.
+        residuals: Measured minus identified pose ``(N, 6)``, m and rad (eq (17)).
+        rng: Seeds weights, dropout and shuffling; equal generators give equal networks on one machine.
+        settings: Training settings; the paper's when left out.
+        progress: Called after each epoch with (epochs done, epochs in all).
+
+    Raises:
+        InputError: If there are fewer than two batches of poses.
+    """
+    import torch
+
+    settings = settings or BpnnSettings()
+    size = settings.batch_size
+    if len(joints) < 2 * size:
+        raise InputError(
+            f"{len(joints)} poses are too few to train a network in batches of {size}; measure at least {2 * size}"
+        )
+    input_mean, input_std = joints.mean(axis=0), spread(joints, 1.0)
+    output_mean, output_std = residuals.mean(axis=0), spread(residuals, 1e-12)
+    x = torch.as_tensor((joints - input_mean) / input_std, dtype=torch.float32)
+    y = torch.as_tensor((residuals - output_mean) / output_std, dtype=torch.float32)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # layers this small lose time to threads, and one thread adds in one order
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(int(rng.integers(2**63)))
+            model = _network(x.shape[1], y.shape[1], settings)
+            loss = _train(model, x, y, rng, settings, progress)
+    finally:
+        torch.set_num_threads(threads)
+    weights, biases = _folded(model)
+    return Bpnn(input_mean, input_std, weights, biases, output_mean, output_std, loss)
+
+
+def _network(inputs: int, outputs: int, settings: BpnnSettings):  # type: ignore[no-untyped-def]
+    from torch import nn
+
+    layers: list[nn.Module] = []
+    for a, b in pairwise((inputs, *settings.hidden)):
+        layers += [nn.Linear(a, b), nn.BatchNorm1d(b), nn.ReLU()]
+        if settings.dropout:
+            layers.append(nn.Dropout(settings.dropout))
+    return nn.Sequential(*layers, nn.Linear(settings.hidden[-1], outputs))
+
+
+def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-untyped-def]
+    """The loop of eq (18); a last batch that is short is filled from the start of the epoch's shuffle."""
+    import torch
+
+    optimiser = torch.optim.Adam(
+        model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, fused=True
+    )
+    steps = -(-len(x) // settings.batch_size)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, settings.epochs)
+    losses = np.zeros(settings.epochs)
+    model.train()
+    for epoch in range(settings.epochs):
+        order = rng.permutation(len(x))
+        order = torch.as_tensor(np.resize(order, steps * settings.batch_size)).reshape(steps, -1)
+        total = torch.zeros(())
+        for rows in order:
+            optimiser.zero_grad(set_to_none=True)
+            loss = torch.nn.functional.mse_loss(model(x[rows]), y[rows])
+            loss.backward()
+            optimiser.step()
+            total += loss.detach()
+        schedule.step()
+        losses[epoch] = float(total) / steps
+        if progress is not None:
+            progress(epoch + 1, settings.epochs)
+    return losses
+
+
+def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: ignore[no-untyped-def]
+    """Weights and biases with each batch normalisation folded into the linear layer before it."""
+    import torch
+    from torch import nn
+
+    weights, biases = [], []
+    for layer in model.eval():
+        if isinstance(layer, nn.Linear):
+            weights.append(layer.weight.detach().double().numpy().copy())
+            biases.append(layer.bias.detach().double().numpy().copy())
+        elif isinstance(layer, nn.BatchNorm1d):
+            mean, variance = layer.running_mean, layer.running_var
+            assert mean is not None and variance is not None  # they are kept unless a layer is told not to
+            gain = (layer.weight / torch.sqrt(variance + layer.eps)).detach().double().numpy()
+            weights[-1] *= gain[:, None]
+            biases[-1] = (biases[-1] - mean.double().numpy()) * gain + layer.bias.detach().double().numpy()
+    return tuple(weights), tuple(biases)

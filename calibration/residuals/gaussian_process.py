@@ -1,0 +1,254 @@
+"""Gaussian process regression with one length scale per input (automatic relevance determination).
+
+Kernel s^2 exp(-sum_f (x_f - x'_f)^2 / 2 l_f^2) + noise; hyper-parameters maximise the marginal likelihood with its
+analytic gradient (Rasmussen and Williams 2006, algorithm 2.1, eqs (5.8)-(5.9)). That likelihood has several optima, of
+which some take everything for noise, so it is climbed from several starts. One process per output; NumPy alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from operator import itemgetter
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dpotri
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.residuals.standardising import spread
+from pickenv.errors import InputError
+from pickenv.threads import single_threaded
+
+CHUNK = 2048
+"""Rows predicted at once, which bounds the memory of the kernel matrix."""
+
+
+AMPLITUDES = (0.03, 30.0)
+"""Bounds of the prior standard deviation, in units of the output's spread."""
+
+PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
+"""Amplitude, every length scale and noise where half is noise and where almost nothing is; all inputs count alike."""
+
+DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
+"""Where amplitude, each length scale and noise of further starts are drawn, so that inputs count differently.
+
+Shorter length scales end in noise alone, longer ones with inputs ignored."""
+
+COARSE, FINE = 1e-5, 1e-7
+"""A search ends when a step gains a smaller share of the log likelihood."""
+
+
+@dataclass(frozen=True)
+class GaussianProcessSettings:
+    """How the process is fitted.
+
+    Attributes:
+        rows: Training rows kept at most, drawn evenly; the cost grows with their cube.
+        likelihood_rows: Rows at most that the marginal likelihood is taken over.
+        starts: Drawn starts of the search, beside the two plain ones.
+        start_rows: Rows at most that the starts are compared on; the best two go on with all.
+        iterations: Iterations of L-BFGS at most, per search.
+        length_scales: Bounds of a length scale, in standardised inputs.
+        noise: Bounds of the noise's standard deviation, in units of the output's spread.
+    """
+
+    rows: int = 2000
+    likelihood_rows: int = 600
+    starts: int = 8
+    start_rows: int = 200
+    iterations: int = 100
+    length_scales: tuple[float, float] = (0.1, 1e3)
+    noise: tuple[float, float] = (1e-3, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianProcess:
+    """A fitted process in plain arrays; far from its rows it predicts the mean.
+
+    Attributes:
+        rows: Training inputs ``(M, F)``, standardised.
+        length_scales: Of each output and input ``(k, F)``, in standardised inputs.
+        amplitude: Prior standard deviation s of each output ``(k,)``, in units of its spread.
+        noise: Standard deviation of the noise of each output ``(k,)``, in units of its spread.
+        weights: Dual weights ``(k, M)``.
+        output_mean: Mean of the training outputs ``(k,)``, m and rad.
+        output_std: Their spread.
+    """
+
+    rows: Array
+    length_scales: Array
+    amplitude: Array
+    noise: Array
+    weights: Array
+    output_mean: Array
+    output_std: Array
+
+    def predict(self, inputs: ArrayLike) -> Array:
+        """Mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
+        inputs = np.asarray(inputs, dtype=float)
+        flat = inputs.reshape(-1, inputs.shape[-1])
+        values = np.empty((len(flat), len(self.amplitude)))
+        for start in range(0, len(flat), CHUNK):
+            part = slice(start, start + CHUNK)
+            for j in range(values.shape[1]):
+                values[part, j] = self._kernel(j, flat[part]) @ self.weights[j]
+        return (values * self.output_std + self.output_mean).reshape(*inputs.shape[:-1], -1)
+
+    def predict_std(self, inputs: ArrayLike) -> Array:
+        """Standard deviation ``(..., k)`` (m, rad) of the noise-free outputs at standardised inputs ``(..., F)``."""
+        inputs = np.asarray(inputs, dtype=float)
+        flat = inputs.reshape(-1, inputs.shape[-1])
+        values = np.empty((len(flat), len(self.amplitude)))
+        for start in range(0, len(flat), CHUNK):
+            part = slice(start, start + CHUNK)
+            for j, factor in enumerate(self._factors):
+                known = np.sum(solve_triangular(factor, self._kernel(j, flat[part]).T, lower=True) ** 2, axis=0)
+                values[part, j] = np.sqrt(np.maximum(self.amplitude[j] ** 2 - known, 0.0))
+        return (values * self.output_std).reshape(*inputs.shape[:-1], -1)
+
+    @cached_property
+    def _factors(self) -> tuple[Array, ...]:
+        """Cholesky factors of the kernel matrices: computed when first wanted, never saved."""
+        return tuple(_factor(self._kernel(j, self.rows), noise) for j, noise in enumerate(self.noise))
+
+    def _kernel(self, output: int, inputs: Array) -> Array:
+        return _kernel(inputs, self.rows, self.length_scales[output], float(self.amplitude[output]))
+
+    def arrays(self) -> dict[str, Array]:
+        """All numbers by name, for saving."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    @staticmethod
+    def from_arrays(named: Mapping[str, NDArray[Any]]) -> GaussianProcess:
+        """The inverse of `arrays`."""
+        return GaussianProcess(**{name: named[name] for name in GaussianProcess.__dataclass_fields__})
+
+
+def fit_gaussian_process(
+    inputs: Array, targets: Array, rng: np.random.Generator, settings: GaussianProcessSettings | None = None
+) -> GaussianProcess:
+    """Fit one process per output.
+
+    Args:
+        inputs: Standardised inputs ``(N, F)``.
+        targets: Residuals to learn ``(N, k)``, m and rad.
+        rng: Draws the starts of the search, and the rows that are kept where there are too many.
+        settings: How; the defaults when left out.
+
+    Raises:
+        InputError: If there are fewer than ten rows.
+    """
+    settings = settings or GaussianProcessSettings()
+    if len(inputs) < 10:
+        raise InputError(f"{len(inputs)} poses are too few for a Gaussian process; measure at least 10")
+    order = rng.permutation(len(inputs))
+    kept = np.sort(order[: settings.rows])
+    seen = np.sort(order[: settings.likelihood_rows])
+    mean, std = targets.mean(axis=0), spread(targets, 1e-12)
+    scaled = (targets - mean) / std
+    lengths, amplitudes, noises, weights = [], [], [], []
+    with single_threaded():
+        for j in range(targets.shape[1]):
+            amplitude, length, noise = _most_likely(inputs[seen], scaled[seen, j], rng, settings)
+            factor = _factor(_kernel(inputs[kept], inputs[kept], length, amplitude), noise)
+            lengths.append(length)
+            amplitudes.append(amplitude)
+            noises.append(noise)
+            weights.append(cho_solve((factor, True), scaled[kept, j]))
+    return GaussianProcess(
+        rows=inputs[kept],
+        length_scales=np.array(lengths),
+        amplitude=np.array(amplitudes),
+        noise=np.array(noises),
+        weights=np.array(weights),
+        output_mean=mean,
+        output_std=std,
+    )
+
+
+def _most_likely(
+    inputs: Array, target: Array, rng: np.random.Generator, settings: GaussianProcessSettings
+) -> tuple[float, Array, float]:
+    """Amplitude, length scales and noise of the best optimum of the marginal likelihood that any start leads to."""
+    count = np.array([1, inputs.shape[1], 1])
+    plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
+    low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
+    drawn = rng.uniform(low, high, (settings.starts, len(low)))
+    starts = [*plain, *drawn]
+    some = np.linspace(0, len(inputs) - 1, min(len(inputs), settings.start_rows)).astype(int)
+    found = sorted(
+        (_search(start, inputs[some], target[some], COARSE, settings) for start in starts), key=itemgetter(1)
+    )
+    finalists = [optimum for optimum, _ in found[:2]]
+    if len(some) < len(inputs):
+        finalists.append(plain[0])  # where some rows show noise alone, all may show more
+    best, _ = min((_search(start, inputs, target, FINE, settings) for start in finalists), key=itemgetter(1))
+    best = np.exp(best)
+    return float(best[0]), np.asarray(best[1:-1]), float(best[-1])
+
+
+def _search(
+    start: Array, inputs: Array, target: Array, precision: float, settings: GaussianProcessSettings
+) -> tuple[Array, float]:
+    """The optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there."""
+    from scipy.optimize import fmin_l_bfgs_b
+
+    bounds = np.log([AMPLITUDES, *[settings.length_scales] * inputs.shape[1], settings.noise])
+    optimum, value, _ = fmin_l_bfgs_b(
+        negative_log_likelihood,
+        start,
+        args=(inputs, target),
+        bounds=[(low, high) for low, high in bounds.tolist()],
+        factr=precision / np.finfo(float).eps,
+        maxiter=settings.iterations,
+    )
+    return optimum, float(value)
+
+
+def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple[float, Array]:
+    """Negative log marginal likelihood and its gradient (Rasmussen and Williams eqs (2.30), (5.9)).
+
+    Args:
+        theta: Logarithms of amplitude, F length scales and noise, ``(F + 2,)``.
+        inputs: Inputs ``(M, F)``.
+        target: One output ``(M,)``.
+    """
+    amplitude, length, noise = np.exp(theta[0]), np.exp(theta[1:-1]), np.exp(theta[-1])
+    smooth = _kernel(inputs, inputs, length, amplitude)
+    factor = _factor(smooth, noise)
+    dual = cho_solve((factor, True), target)
+    value = 0.5 * target @ dual + np.log(np.diag(factor)).sum() + 0.5 * len(target) * np.log(2.0 * np.pi)
+    half = dpotri(factor, lower=1, overwrite_c=1)[0].T  # with its diagonal halved, half + half.T is the inverse
+    half[np.diag_indices_from(half)] *= 0.5
+    trace = dual @ dual - 2.0 * np.trace(half)
+    half *= smooth
+    scaled = inputs / length
+    columns = np.column_stack([np.ones(len(inputs)), scaled])
+    # (dual dual^T - inverse), times the kernel element by element, times columns
+    weighted = dual[:, None] * (smooth @ (dual[:, None] * columns)) - half @ columns - half.T @ columns
+    by_length = weighted[:, 0] @ scaled**2 - np.sum(scaled * weighted[:, 1:], axis=0)
+    slope = np.concatenate([[weighted[:, 0].sum()], by_length, [noise**2 * trace]])
+    return float(value), -slope
+
+
+def _factor(smooth: Array, noise: float) -> Array:
+    """Lower Cholesky factor of the kernel matrix with noise and a whisper of jitter on its diagonal."""
+    matrix = smooth.copy()
+    matrix[np.diag_indices_from(matrix)] += noise**2 + 1e-10
+    return np.asarray(cholesky(matrix.T, lower=True, overwrite_a=True, check_finite=False))
+
+
+def _kernel(left: Array, right: Array, length: Array, amplitude: float) -> Array:
+    """Kernel without noise between rows, computed in place: fresh memory costs more than the arithmetic."""
+    a, b = left / length, right / length
+    kernel = a @ b.T
+    kernel -= 0.5 * np.sum(a**2, axis=1)[:, None]
+    kernel -= 0.5 * np.sum(b**2, axis=1)
+    np.minimum(kernel, 0.0, out=kernel)
+    np.exp(kernel, out=kernel)
+    kernel *= amplitude**2
+    return np.asarray(kernel)

@@ -1,0 +1,218 @@
+"""Learnt residuals behind one small protocol: what remains after the geometric fit, from the joints (and conditions).
+
+Qiao 2026 eqs (17)-(18) with any regressor: BPNN, RBF network, Gaussian process, extra trees. Inputs are joints in rad
+and m, standardised, with sine and cosine for joints that turn far; outputs are pose (6) or position (3) residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.residuals.blend import Blend, fit_blend
+from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
+from pickenv.calibration.residuals.extra_trees import ExtraTrees, fit_extra_trees
+from pickenv.calibration.residuals.gaussian_process import GaussianProcess, fit_gaussian_process
+from pickenv.calibration.residuals.rbf import Rbf, fit_rbf
+from pickenv.calibration.residuals.standardising import spread
+from pickenv.errors import InputError
+
+PERIODIC_SPAN = 1.5 * np.pi
+"""A revolute joint whose training rows span more than this, rad, enters by sine and cosine, so that turns close."""
+
+
+class Regressor(Protocol):
+    """What the registry needs of a model: numbers in, numbers out, and all of it in plain arrays."""
+
+    def predict(self, inputs: ArrayLike) -> Array:
+        """Outputs ``(..., k)`` at standardised inputs ``(..., F)``."""
+        ...
+
+    def arrays(self) -> Mapping[str, NDArray[Any]]:
+        """All numbers by name, for saving without pickle; the class's ``from_arrays`` is the inverse."""
+        ...
+
+
+Fitter = Callable[[Array, Array, np.random.Generator], Regressor]
+"""Fits standardised inputs ``(N, F)`` to targets ``(N, k)``."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointInputs:
+    """How joints and conditions become a regressor's inputs.
+
+    Attributes:
+        periodic: For each joint, whether it enters by sine and cosine ``(n,)``.
+        conditions: Number of further inputs, such as temperature or payload.
+        mean: Mean of each input over the training rows ``(F,)``.
+        std: Its spread.
+    """
+
+    periodic: NDArray[np.bool_]
+    conditions: int
+    mean: Array
+    std: Array
+
+    def __call__(self, joints: ArrayLike, conditions: ArrayLike | None = None) -> Array:
+        """Standardised inputs ``(..., F)`` of joints ``(..., n)`` and conditions ``(..., c)``.
+
+        Raises:
+            InputError: If there are fewer or more joints or conditions than at training.
+        """
+        joints = np.asarray(joints, dtype=float)
+        if joints.shape[-1:] != self.periodic.shape:
+            raise InputError(
+                f"joints have shape {joints.shape}, but the residual model was fitted for {len(self.periodic)} joints"
+            )
+        given = 0 if conditions is None else np.asarray(conditions).shape[-1]
+        if given != self.conditions:
+            raise InputError(
+                f"the residual model needs {self.conditions} conditions beside the joints, but got {given}"
+            )
+        return (_raw_inputs(joints, conditions, self.periodic) - self.mean) / self.std
+
+
+def joint_inputs(
+    joints: Array, prismatic: Sequence[bool], conditions: Array | None = None, *, periodic_span: float = PERIODIC_SPAN
+) -> JointInputs:
+    """The inputs that suit training joints ``(N, n)`` and conditions ``(N, c)``; see `PERIODIC_SPAN`."""
+    periodic = ~np.asarray(prismatic, dtype=bool) & (np.ptp(joints, axis=0) > periodic_span)
+    raw = _raw_inputs(joints, conditions, periodic)
+    count = 0 if conditions is None else conditions.shape[-1]
+    return JointInputs(periodic, count, raw.mean(axis=0), spread(raw, 1.0))
+
+
+def _raw_inputs(joints: Array, conditions: ArrayLike | None, periodic: NDArray[np.bool_]) -> Array:
+    turning = joints[..., periodic]
+    parts = [joints[..., ~periodic], np.sin(turning), np.cos(turning)]
+    if conditions is not None:
+        parts.append(np.broadcast_to(conditions, (*joints.shape[:-1], np.shape(conditions)[-1])))
+    return np.concatenate(parts, axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class LearntResidual:
+    """A residual model of an arm: joints in, residual out.
+
+    Attributes:
+        kind: Name of the regressor in the registry.
+        inputs: How joints become its inputs.
+        model: The regressor.
+    """
+
+    kind: str
+    inputs: JointInputs
+    model: Regressor
+
+    def predict(self, joints: ArrayLike, conditions: ArrayLike | None = None) -> Array:
+        """Residual ``(..., 6)`` (m and rad, world axes), or ``(..., 3)`` where it was learnt from positions.
+
+        Args:
+            joints: Joint displacements ``(..., n)``, rad or m.
+            conditions: Further inputs ``(..., c)`` in the order and units of training, if it had any.
+
+        Raises:
+            InputError: If joints or conditions differ in number from those of training.
+        """
+        return self.model.predict(self.inputs(joints, conditions))
+
+    def in_single_precision(self) -> LearntResidual:
+        """The same residual, faster: the network runs in single precision; other models stay as they are."""
+        if not isinstance(self.model, Bpnn):
+            return self
+        return replace(self, model=replace(self.model, single_precision=True))
+
+    def standard_deviation(self, joints: ArrayLike, conditions: ArrayLike | None = None) -> Array | None:
+        """Standard deviation of `predict`, or None where the model does not know it (all but the Gaussian process)."""
+        if not isinstance(self.model, GaussianProcess):
+            return None
+        return self.model.predict_std(self.inputs(joints, conditions))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """All numbers by name, for saving without pickle."""
+        named: dict[str, NDArray[Any]] = {"kind": np.array(self.kind), "conditions": np.array(self.inputs.conditions)}
+        named |= {name: getattr(self.inputs, name) for name in ("periodic", "mean", "std")}
+        return named | {f"model_{name}": value for name, value in self.model.arrays().items()}
+
+    @staticmethod
+    def from_arrays(named: Mapping[str, NDArray[Any]]) -> LearntResidual:
+        """The inverse of `arrays`.
+
+        Raises:
+            InputError: If the model is of a kind that this program does not know.
+        """
+        kind = str(named["kind"])
+        if kind not in REGRESSORS:
+            raise InputError(f"unknown residual model '{kind}' in the file; this program knows {', '.join(REGRESSORS)}")
+        parts = {name.removeprefix("model_"): value for name, value in named.items() if name.startswith("model_")}
+        inputs = JointInputs(named["periodic"], int(named["conditions"]), named["mean"], named["std"])
+        return LearntResidual(kind, inputs, REGRESSORS[kind](parts))
+
+
+def _fit_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
+    """The paper's network as printed up to 400 poses; with more, larger batches and fewer epochs do as well sooner."""
+    settings = BpnnSettings()
+    if len(inputs) > 400:
+        epochs = max(20, 48_000 // len(inputs))
+        settings = BpnnSettings(
+            epochs=epochs, batch_size=2 * settings.batch_size, learning_rate=2 * settings.learning_rate
+        )
+    return train_bpnn(inputs, targets, rng, settings)
+
+
+FITTERS: Mapping[str, Fitter] = MappingProxyType(
+    {"bpnn": _fit_bpnn, "rbf": fit_rbf, "gp": fit_gaussian_process, "trees": fit_extra_trees, "blend": fit_blend}
+)
+"""The residual models by name."""
+
+REGRESSORS: Mapping[str, Callable[[dict[str, Any]], Regressor]] = MappingProxyType(
+    {
+        "bpnn": Bpnn.from_arrays,
+        "rbf": Rbf.from_arrays,
+        "gp": GaussianProcess.from_arrays,
+        "trees": ExtraTrees.from_arrays,
+        "blend": Blend.from_arrays,
+    }
+)
+"""How each is read back."""
+
+
+def fit_residual(
+    name: str,
+    joints: Array,
+    residuals: Array,
+    prismatic: Sequence[bool],
+    rng: np.random.Generator,
+    *,
+    conditions: Array | None = None,
+    fitter: Fitter | None = None,
+    periodic_span: float = PERIODIC_SPAN,
+) -> LearntResidual:
+    """Fit a residual model by name.
+
+    Args:
+        name: One of `FITTERS`: "bpnn", "rbf", "gp", "trees", "blend".
+        joints: Training joints ``(N, n)``, rad or m.
+        residuals: Measured minus identified ``(N, 6)`` or ``(N, 3)``, m and rad (eq (17)).
+        prismatic: Joint types.
+        rng: Every random draw comes from it.
+        conditions: Further inputs ``(N, c)``, such as temperature or payload.
+        fitter: Another way to fit this kind of model, such as one with other settings.
+        periodic_span: Revolute joints that span more, rad, enter by sine and cosine; infinite for joints as they are.
+
+    Raises:
+        InputError: If the model is unknown, a number is not finite, or there are too few rows.
+    """
+    if name not in FITTERS:
+        raise InputError(f"unknown residual model '{name}'; give one of {', '.join(FITTERS)}")
+    if not (np.isfinite(joints).all() and np.isfinite(residuals).all()):
+        raise InputError(f"joints or residuals for the residual model '{name}' are not all finite; remove those rows")
+    inputs = joint_inputs(joints, prismatic, conditions, periodic_span=periodic_span)
+    model = (fitter or FITTERS[name])(inputs(joints, conditions), residuals, rng)
+    return LearntResidual(name, inputs, model)

@@ -1,0 +1,1 @@
+"""What makes an arm miss: one file per effect."""

@@ -1,0 +1,83 @@
+"""The ground under the machine gives way: it tilts at once with the reach moment, and goes on sinking for hours.
+
+Tilt = moment / stiffness, at once; then creep towards a multiple of it and a settlement of the whole machine, both with
+one time constant (a Kelvin-Voigt body). Gravity points along -z of the world. Units: m, rad, N*m, s, kg.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+from pickenv.arm.effects.structure import GRAVITY, Load, turn_horizontally
+from pickenv.arm.kinematics.backend import exponential
+from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, attach
+
+
+@dataclass(frozen=True)
+class BaseTilt:
+    """Tilt and sinkage of the machine that carries the arm.
+
+    Attributes:
+        stiffness: Tilt stiffness of the ground contact about the world's x and y axes, N*m/rad.
+        pivot: Point in the world about which the machine tilts, m.
+        creep: Tilt that a held moment adds in the long run, as a multiple of the immediate tilt.
+        settlement: How far the machine sinks in the long run under its own weight, m.
+        time_constant: Time constant of creep and settlement, s.
+    """
+
+    stiffness: tuple[Scalar, Scalar]
+    pivot: tuple[float, float, float]
+    creep: Scalar
+    settlement: Scalar
+    time_constant: Scalar
+
+
+def immediate_tilt(tilt: BaseTilt, chain: Chain, frames: Sequence[Frame], load: Load) -> tuple[Scalar, Scalar]:
+    """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once.
+
+    Args:
+        tilt: The ground.
+        chain: The chain.
+        frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
+        load: The masses of links and payload.
+    """
+    x0, y0, _ = tilt.pivot
+    tool = attach(frames[-1], chain.tool)
+    moment_x, moment_y = load.payload * (tool[9] - x0), load.payload * (tool[10] - y0)
+    for frame, mass, (cx, cy, cz) in zip(frames[1:], load.mass, load.centre, strict=True):
+        xx, xy, _, yx, yy, _, zx, zy, _, px, py, _ = frame
+        moment_x = moment_x + mass * (px - x0 + cx * xx + cy * yx + cz * zx)
+        moment_y = moment_y + mass * (py - y0 + cx * xy + cy * yy + cz * zy)
+    about_x, about_y = tilt.stiffness
+    return -GRAVITY * moment_y / about_x, GRAVITY * moment_x / about_y
+
+
+def sunk(
+    m: ModuleType, tilt: BaseTilt, sinkage: Sequence[Scalar], immediate: tuple[Scalar, Scalar], dt: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Creep (x, y) in rad and settlement in m after the immediate tilt has lasted for ``dt`` seconds."""
+    creep_x, creep_y, settlement = sinkage
+    faded = exponential(m, -dt / tilt.time_constant)
+    final_x, final_y, final = long_run(tilt, immediate)
+    return (
+        final_x + (creep_x - final_x) * faded,
+        final_y + (creep_y - final_y) * faded,
+        final + (settlement - final) * faded,
+    )
+
+
+def long_run(tilt: BaseTilt, immediate: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar]:
+    """Creep (x, y) in rad and settlement in m after a very long time."""
+    return tilt.creep * immediate[0], tilt.creep * immediate[1], tilt.settlement
+
+
+def tilted_frame(tilt: BaseTilt, immediate: tuple[Scalar, Scalar], sinkage: Sequence[Scalar], frame: Frame) -> Frame:
+    """A frame of the world carried along by tilt, creep and settlement of the machine."""
+    creep_x, creep_y, settlement = sinkage
+    x0, y0, z0 = tilt.pivot
+    *axes, px, py, pz = frame
+    vectors = (*axes, px - x0, py - y0, pz - z0)
+    turned = turn_horizontally(vectors, immediate[0] + creep_x, immediate[1] + creep_y, starts=(0, 3, 6, 9))
+    return (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)

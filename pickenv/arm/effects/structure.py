@@ -1,0 +1,200 @@
+"""What bends, yields and turns unevenly in a real arm: one small function per effect, in components.
+
+Every function runs on Python floats, NumPy arrays or torch tensors, like `pickenv.arm.kinematics.forward`; the numbers of an
+effect may be arrays too, one entry per arm. Gravity points along -z of the world. Units: m, rad, N, kg.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+from pickenv.arm.kinematics.forward import Chain, Flexure, Frame, Scalar, attach
+
+GRAVITY = 9.80665
+"""Standard acceleration of gravity, m/s^2 (ISO 80000-3)."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """Masses that gravity pulls at.
+
+    Attributes:
+        mass: Mass of each link, kg.
+        centre: Centre of mass of each link in the link's frame, m.
+        payload: Mass held at the tool's origin, kg.
+    """
+
+    mass: tuple[Scalar, ...]
+    centre: tuple[tuple[float, float, float], ...]
+    payload: Scalar
+
+
+@dataclass(frozen=True)
+class JointCompliance:
+    """Each joint yields under its gravity torque or force: dq = tau / k.
+
+    Attributes:
+        stiffness: N*m/rad for revolute joints, N/m for prismatic ones.
+    """
+
+    stiffness: tuple[Scalar, ...]
+
+
+@dataclass(frozen=True)
+class BoomBending:
+    """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
+
+    Attributes:
+        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
+        length: Free length at zero displacement, m; the displacement adds to it.
+        flexural_rigidity: EI, N*m^2.
+        end_mass: Mass carried at the tip without payload, kg.
+        mass_per_length: Mass of the boom, kg/m.
+    """
+
+    joint: int
+    length: Scalar
+    flexural_rigidity: Scalar
+    end_mass: Scalar
+    mass_per_length: Scalar
+
+
+@dataclass(frozen=True)
+class RollerPlay:
+    """A telescopic boom tips in its rollers: angle = clearance / overlap, and the overlap shrinks as the boom runs out.
+
+    Attributes:
+        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
+        length: Free length at zero displacement, m; the displacement adds to it.
+        clearance: Clearance between boom and rollers, m.
+        overlap: Length inside the rollers at zero displacement, m; the displacement is taken off it.
+    """
+
+    joint: int
+    length: Scalar
+    clearance: Scalar
+    overlap: Scalar
+
+
+@dataclass(frozen=True)
+class Harmonic:
+    """One periodic term of a drive's error, A sin(2 pi q / period + phase).
+
+    Attributes:
+        joint: Index of the joint (from 0).
+        amplitude: rad or m.
+        period: rad or m.
+        phase: rad.
+    """
+
+    joint: int
+    amplitude: Scalar
+    period: Scalar
+    phase: Scalar
+
+
+@dataclass(frozen=True)
+class TransmissionError:
+    """Drives that do not deliver what the motor side shows: a lead error and periodic terms.
+
+    Attributes:
+        lead: Relative lead error of each joint (m/m or rad/rad).
+        harmonics: The periodic terms.
+    """
+
+    lead: tuple[Scalar, ...]
+    harmonics: tuple[Harmonic, ...]
+
+
+def driven_joints(m: ModuleType, error: TransmissionError, q: Sequence[Scalar]) -> list[Scalar]:
+    """Joint displacements behind the drives for commanded displacements ``q``."""
+    driven = [
+        value if isinstance(lead, float) and not lead else value * (1.0 + lead)
+        for value, lead in zip(q, error.lead, strict=True)
+    ]
+    for term in error.harmonics:
+        angle = q[term.joint] * (6.283185307179586 / term.period) + term.phase
+        driven[term.joint] = driven[term.joint] + term.amplitude * m.sin(angle)
+    return driven
+
+
+def gravity_torques(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Scalar]:
+    """Generalised gravity forces on the joints: N*m for revolute, N for prismatic ones, positive along the joint.
+
+    Args:
+        chain: The chain.
+        frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
+        load: The masses.
+    """
+    mass: Scalar = load.payload
+    tool = attach(frames[-1], chain.tool)
+    moment_x, moment_y = mass * tool[9], mass * tool[10]  # sum of mass times horizontal position
+    torques: list[Scalar] = [0.0] * len(chain.links)
+    for i in reversed(range(len(chain.links))):
+        xx, xy, _, yx, yy, _, zx, zy, zz, px, py, _ = frames[i + 1]
+        own, (cx, cy, cz) = load.mass[i], load.centre[i]
+        mass = mass + own
+        moment_x = moment_x + own * (px + cx * xx + cy * yx + cz * zx)
+        moment_y = moment_y + own * (py + cx * xy + cy * yy + cz * zy)
+        if chain.links[i].prismatic:
+            torques[i] = -GRAVITY * mass * zz
+        else:
+            torques[i] = GRAVITY * (zy * (moment_x - mass * px) - zx * (moment_y - mass * py))
+    return torques
+
+
+def yielded_joints(compliance: JointCompliance, torques: Sequence[Scalar], q: Sequence[Scalar]) -> list[Scalar]:
+    """Joint displacements after the joints have yielded under ``torques``."""
+    return [value + torque / k for value, torque, k in zip(q, torques, compliance.stiffness, strict=True)]
+
+
+def boom_flexure(boom: BoomBending, payload: Scalar, q: Sequence[Scalar]) -> Flexure:
+    """A `Flexure` that lowers and tilts the boom's tip under gravity; only the part across the boom bends it."""
+    length = q[boom.joint] + boom.length
+    end, own, stiffness = boom.end_mass + payload, boom.mass_per_length, boom.flexural_rigidity / GRAVITY
+    sag = length * length * length * (end / (3.0 * stiffness) + length * (own / (8.0 * stiffness)))
+    slope = length * length * (end / (2.0 * stiffness) + length * (own / (6.0 * stiffness)))
+    return lowered_tip(boom.joint, sag, slope)
+
+
+def roller_flexure(play: RollerPlay, q: Sequence[Scalar]) -> Flexure:
+    """A `Flexure` that lets the boom tip down in its rollers: fully when level, less as it is raised."""
+    angle = play.clearance / (play.overlap - q[play.joint])
+    return lowered_tip(play.joint, angle * (q[play.joint] + play.length), angle)
+
+
+def lowered_tip(joint: int, sag: Scalar, slope: Scalar) -> Flexure:
+    """A `Flexure` that lowers the tip of a level link ``joint`` by ``sag`` (m) and tilts it down by ``slope`` (rad)."""
+
+    def bend(i: int, frame: Frame) -> Frame:
+        if i != joint:
+            return frame
+        *axes, zx, zy, zz, px, py, pz = frame
+        # Gravity across the boom is (zx zz, zy zz, zz^2 - 1); the slope turns z towards it, about z x (0, 0, -1).
+        turned = turn_horizontally((*axes, zx, zy, zz), -slope * zy, slope * zx)
+        return (*turned, px + sag * zx * zz, py + sag * zy * zz, pz + sag * (zz * zz - 1.0))
+
+    return bend
+
+
+def turn_horizontally(
+    axes: Sequence[Scalar], wx: Scalar, wy: Scalar, starts: Sequence[int] = (0, 3, 6)
+) -> list[Scalar]:
+    """Turn vectors, at ``starts`` in ``axes``, by the small horizontal rotation vector (wx, wy, 0): Rodrigues' formula.
+
+    Its two coefficients are taken as series, so that no division is needed at zero; below 0.03 rad they are exact to
+    double precision.
+    """
+    square = wx * wx + wy * wy
+    first = 1.0 - square * (1.0 / 6.0 - square / 120.0)
+    second = 0.5 - square * (1.0 / 24.0 - square / 720.0)
+    turned: list[Scalar] = []
+    for j in starts:
+        x, y, z = axes[j : j + 3]
+        along = wx * x + wy * y
+        turned.append(x + first * wy * z + second * (wx * along - square * x))
+        turned.append(y - first * wx * z + second * (wy * along - square * y))
+        turned.append(z + first * (wx * y - wy * x) - second * square * z)
+    return turned

@@ -1,0 +1,1 @@
+"""Arms as files: TOML and URDF in."""

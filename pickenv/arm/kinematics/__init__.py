@@ -1,0 +1,1 @@
+"""Geometry, forward and inverse kinematics, Jacobians and pose errors."""

@@ -1,0 +1,40 @@
+"""The few operations that `math`, `numpy` and `torch` spell differently, so that a formula is written once.
+
+Numbers of a plant may be plain floats while the joints are arrays; functions of such numbers alone stay on floats.
+"""
+
+from __future__ import annotations
+
+import math
+from types import ModuleType
+
+from pickenv.arm.kinematics.forward import Scalar
+
+
+def namespace_of(m: ModuleType, value: Scalar) -> ModuleType:
+    """The namespace that holds sin, cos, exp and sqrt for ``value``: `math` for plain floats, else ``m``."""
+    return math if isinstance(value, float | int) else m
+
+
+def exponential(m: ModuleType, value: Scalar) -> Scalar:
+    """The exponential of ``value``."""
+    return namespace_of(m, value).exp(value)
+
+
+def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
+    """``value`` held between ``low`` and ``high``, three numbers of one kind."""
+    if m is math:
+        return min(max(value, low), high)
+    return m.minimum(m.maximum(value, low), high)
+
+
+def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
+    """``yes`` where ``condition`` holds, else ``no``."""
+    if m is math or isinstance(condition, bool):
+        return yes if condition else no
+    return m.where(condition, yes, no)
+
+
+def nearest_whole(m: ModuleType, value: Scalar) -> Scalar:
+    """The nearest whole number; halves go to the even one, as in IEEE 754."""
+    return float(round(value)) if m is math else m.round(value)

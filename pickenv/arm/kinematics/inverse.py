@@ -1,0 +1,177 @@
+"""Rank-aware inverse kinematics for batches of targets.
+
+Gauss-Newton steps through the truncated pseudo-inverse, a pull to mid-range in the null space (Liegeois 1977), joint
+limits by locking joints that push outwards, and restarts from evenly spread joints. Targets that cannot be reached are
+said to be so, with the error that remains. Metres and radians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import qmc
+
+from pickenv.arm.kinematics.forward import forward
+from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
+from pickenv.arm.kinematics.jacobians import joint_jacobian
+from pickenv.arm.kinematics.pose_error import pose_error
+from pickenv.arm.kinematics.task_space import RANK_TOLERANCE, noncompensable_error, truncated_inverse
+
+STEP_LIMIT = 0.4
+"""Largest Gauss-Newton step, in half-ranges of a joint or 0.4 rad, so that a step stays where the Jacobian holds."""
+
+NUMERIC_TOLERANCE = 1e-6
+"""Relative singular value below which a direction is lost in any case."""
+
+
+@dataclass(frozen=True, eq=False)
+class InverseSolution:
+    """Joints found for targets, and how well they reach them.
+
+    Attributes:
+        joints: ``(..., n)`` rad or m, within the joint limits.
+        reached: ``(...)``, whether position and compensable attitude are met within the tolerances asked for.
+        position_error: Remaining position error ``(...)``, m.
+        attitude_error: Remaining attitude error ``(...)``, rad, compensable or not.
+        noncompensable_attitude: The part of it that no joint motion removes ``(...)``, rad.
+    """
+
+    joints: Array
+    reached: NDArray[np.bool_]
+    position_error: Array
+    attitude_error: Array
+    noncompensable_attitude: Array
+
+
+def inverse(
+    geometry: Geometry,
+    target: Pose,
+    start: ArrayLike | None = None,
+    *,
+    position_tolerance: float = 1e-5,
+    attitude_tolerance: float = 1e-5,
+    rank_tolerance: float = RANK_TOLERANCE,
+    max_iterations: int = 100,
+    restarts: int = 4,
+) -> InverseSolution:
+    """Joints that bring the tool to ``target``, as far as rank and joint limits allow.
+
+    Args:
+        geometry: A single arm.
+        target: Tool poses, position ``(..., 3)`` and rotation ``(..., 3, 3)``, world frame.
+        start: Joints ``(..., n)`` to start from; mid-range when left out.
+        position_tolerance: m; a larger remaining position error counts as not reached.
+        attitude_tolerance: rad; for the compensable part of the attitude error.
+        rank_tolerance: Relative singular value below which a direction is left alone.
+        max_iterations: Gauss-Newton steps per start.
+        restarts: Further starts, spread evenly over the joint ranges, for targets not reached.
+
+    Returns:
+        An `InverseSolution`; unreachable targets have ``reached`` False and the closest joints found.
+
+    Raises:
+        ValueError: If the target or the start is not finite.
+    """
+    position, rotation = np.asarray(target.position, dtype=float), np.asarray(target.rotation, dtype=float)
+    if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
+        raise ValueError("the target pose is not finite; give finite positions (m) and rotation matrices")
+    shape = np.broadcast_shapes(position.shape[:-1], rotation.shape[:-2])
+    goals = Pose(
+        np.broadcast_to(position, (*shape, 3)).reshape(-1, 3),
+        np.broadcast_to(rotation, (*shape, 3, 3)).reshape(-1, 3, 3),
+    )
+    n, count = geometry.joints, goals.position.shape[0]
+    middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
+    first = middle if start is None else np.asarray(start, dtype=float)
+    if not np.isfinite(first).all():
+        raise ValueError("the start is not finite; give finite joints (rad or m)")
+    best = np.broadcast_to(first, (*shape, n)).reshape(-1, n).clip(geometry.lower, geometry.upper)
+    spread = qmc.Halton(n, scramble=False).random(restarts + 1)[1:] * 2 - 1 if restarts else np.empty((0, n))
+    best = _descend(geometry, goals, best, middle, half, rank_tolerance, max_iterations)
+    state = _judge(geometry, goals, best, position_tolerance, attitude_tolerance, rank_tolerance)
+    # None: from the best joints so far, using the directions near a singular pose that the truncation left alone.
+    for offset in (None, *spread, None):
+        open_ = np.flatnonzero(~state.reached)
+        if not open_.size:
+            break
+        some = Pose(goals.position[open_], goals.rotation[open_])
+        begin = best[open_] if offset is None else np.broadcast_to(middle + 0.9 * half * offset, (open_.size, n))
+        tolerance = rank_tolerance if offset is not None else min(rank_tolerance, NUMERIC_TOLERANCE)
+        tried = _descend(geometry, some, begin, middle, half, tolerance, max_iterations)
+        new = _judge(geometry, some, tried, position_tolerance, attitude_tolerance, rank_tolerance)
+        old_cost = state.position_error[open_] + state.attitude_error[open_] - state.noncompensable_attitude[open_]
+        better = new.position_error + new.attitude_error - new.noncompensable_attitude < old_cost
+        better = new.reached | (better & (offset is not None))
+        best[open_[better]] = tried[better]
+        state = _judge(geometry, goals, best, position_tolerance, attitude_tolerance, rank_tolerance)
+    assert state.joints.shape == (count, n)
+    return InverseSolution(
+        joints=state.joints.reshape(*shape, n),
+        reached=state.reached.reshape(shape),
+        position_error=state.position_error.reshape(shape),
+        attitude_error=state.attitude_error.reshape(shape),
+        noncompensable_attitude=state.noncompensable_attitude.reshape(shape),
+    )
+
+
+def _judge(
+    geometry: Geometry,
+    goals: Pose,
+    q: Array,
+    position_tolerance: float,
+    attitude_tolerance: float,
+    rank_tolerance: float,
+) -> InverseSolution:
+    error = pose_error(forward(geometry, q), goals)
+    impossible = noncompensable_error(geometry, q, error, rank_tolerance)
+    position = np.linalg.norm(error[:, :3], axis=-1)
+    possible = np.linalg.norm((error - impossible)[:, 3:], axis=-1)
+    return InverseSolution(
+        joints=q,
+        reached=(position <= position_tolerance) & (possible <= attitude_tolerance),
+        position_error=position,
+        attitude_error=np.linalg.norm(error[:, 3:], axis=-1),
+        noncompensable_attitude=np.linalg.norm(impossible[:, 3:], axis=-1),
+    )
+
+
+def _descend(
+    geometry: Geometry, goals: Pose, q: Array, middle: Array, half: Array, rank_tolerance: float, max_iterations: int
+) -> Array:
+    """Damped-step Gauss-Newton with null-space pull; rows that have settled are left alone."""
+    q = q.copy()
+    active = np.arange(len(q))
+    for _ in range(max_iterations):
+        here, some = q[active], Pose(goals.position[active], goals.rotation[active])
+        error = pose_error(forward(geometry, here), some)
+        jacobian = joint_jacobian(geometry, here)
+        step = _step(jacobian, error, (middle - here) / half**2, half, rank_tolerance)
+        # A joint at its limit that would be pushed outwards is locked, and the others take over its share.
+        outward = ((here <= geometry.lower) & (step < 0)) | ((here >= geometry.upper) & (step > 0))
+        if outward.any():
+            rows = np.flatnonzero(outward.any(axis=-1))
+            held = jacobian[rows] * ~outward[rows, None, :]
+            pull = (middle - here[rows]) / half**2 * ~outward[rows]
+            step[rows] = _step(held, error[rows], pull, half, rank_tolerance) * ~outward[rows]
+        moved = (here + step).clip(geometry.lower, geometry.upper)
+        q[active] = moved
+        active = active[np.max(np.abs(moved - here), axis=-1) > 1e-11]
+        if not active.size:
+            break
+    return q
+
+
+def _step(jacobian: Array, error: Array, pull: Array, half: Array, rank_tolerance: float) -> Array:
+    """One Gauss-Newton step plus the null-space pull along the gradient of the mid-range cost."""
+    back = truncated_inverse(jacobian, rank_tolerance)
+    step = np.einsum("...ij,...j->...i", back, error)
+    null = np.eye(jacobian.shape[-1]) - back @ jacobian
+    toward = np.einsum("...ij,...j->...i", null, pull)
+    # Exact minimiser of sum(((q - middle) / half)^2) along that direction, were the null space straight.
+    curvature = np.sum((toward / half) ** 2, axis=-1)
+    along = np.sum(toward * pull, axis=-1)
+    step = step + toward * np.divide(along, curvature, out=np.zeros_like(along), where=curvature > 1e-18)[..., None]
+    largest = np.max(np.abs(step) / np.minimum(half, 1.0), axis=-1, keepdims=True)
+    return np.asarray(step * np.minimum(1.0, STEP_LIMIT / np.maximum(largest, 1e-12)))

@@ -1,0 +1,51 @@
+"""Which part of a pose error the joints can remove, and how: the truncated pseudo-inverse of the joint Jacobian.
+
+The hybrid picking arm has six joints but task rank 5 everywhere (J1, J2 and J4 are parallel, J5 and J6 too), so J^-1 of
+Qiao 2026 eq (15) does not exist: singular values below `RANK_TOLERANCE` of the largest are cut off, and the attitude
+error along the missing direction is reported apart. One radian is weighed as one metre.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.arm.kinematics.jacobians import joint_jacobian
+
+RANK_TOLERANCE = 5e-3
+"""On the picking arm the fifth singular value stays above 0.11 of the first, and a real arm's sixth below 0.001."""
+
+
+def truncated_inverse(jacobian: Array, tolerance: float = RANK_TOLERANCE) -> Array:
+    """Pseudo-inverse ``(..., n, 6)`` of ``jacobian`` ``(..., 6, n)`` with small singular values cut off."""
+    return np.asarray(np.linalg.pinv(jacobian, rcond=tolerance))
+
+
+def task_directions(geometry: Geometry, q: ArrayLike, tolerance: float = RANK_TOLERANCE) -> tuple[Array, Array]:
+    """Directions of tool motion, ordered from the easiest to the impossible, and how many of them are possible.
+
+    Args:
+        geometry: The arm.
+        q: Joints ``(..., n)``.
+        tolerance: Relative singular value below which a direction counts as impossible.
+
+    Returns:
+        Orthonormal columns ``(..., 6, 6)`` (position in m, rotation vector in rad, world axes) and the task rank
+        ``(...)``.
+    """
+    u, s, _ = np.linalg.svd(joint_jacobian(geometry, q))
+    return u, np.sum(s > tolerance * s[..., :1], axis=-1)
+
+
+def noncompensable_error(
+    geometry: Geometry, q: ArrayLike, error: ArrayLike, tolerance: float = RANK_TOLERANCE
+) -> Array:
+    """The part ``(..., 6)`` of a pose error ``(..., 6)`` that no small joint motion removes.
+
+    For the picking arm it is a rotation about z1 x z5 (Qiao 2026 digest, fact 4).
+    """
+    u, rank = task_directions(geometry, q, tolerance)
+    impossible = np.arange(6) >= rank[..., None]
+    along = np.einsum("...ij,...i->...j", u, np.asarray(error, dtype=float)) * impossible
+    return np.asarray(np.einsum("...ij,...j->...i", u, along))

@@ -1,0 +1,1 @@
+"""The true arm: geometry and effects together, drawn, read from files, moved."""

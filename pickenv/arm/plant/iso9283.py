@@ -1,0 +1,372 @@
+"""How accurate an arm is by ISO 9283:1998, on the simulated arm: AP, RP, vAP and dAP, raw and calibrated.
+
+Thirty cycles over five poses of the inclined plane of the largest cube in the workspace, at full speed; the warm arm,
+except for the drift. AP = |mean - command|; RP = mean distance from the mean + 3 standard deviations. mm and deg.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm import Geometry, Plant, Pose, displace_pose, forward, inverse, pose_error
+from pickenv.arm.effects.hysteresis import one_stop
+from pickenv.arm.kinematics.forward import Frame, pose_of
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.kinematics.workspace import Cube, largest_cube
+from pickenv.arm.plant.dynamics import PlantState
+from pickenv.arm.plant.motion import Pace, moved
+from pickenv.errors import InputError
+
+Compensate = Callable[[Array], Array]
+"""Joint targets ``(..., n)`` for the nominal arm to joint commands for the real one."""
+
+ORDER = (4, 3, 2, 1, 0)
+"""One cycle: P5, P4, P3, P2, P1."""
+
+VARIATION_POSES = (0, 1, 3)
+"""vAP is taken at P1, P2 and P4."""
+
+NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / math.pi)
+"""RP_l of normal noise of standard deviation 1 in three axes: its norm has Maxwell's distribution."""
+
+
+@dataclass(frozen=True)
+class Iso9283Settings:
+    """How the test is run; the standard's numbers unless changed.
+
+    Attributes:
+        cycles: Measurements per pose.
+        pace: Speed, control period and waiting time before each measurement.
+        warm_up: Time on before the tests of the warm arm, s.
+        approach: Length of the approaches from three directions, m.
+        drift_time: Duration of the drift test, s.
+        drift_interval: Time between its measurements, s.
+        drift_cycles: Measurements averaged each time.
+    """
+
+    cycles: int = 30
+    pace: Pace = field(default_factory=lambda: Pace(dwell=2.0))
+    warm_up: float = 4 * 3600.0
+    approach: float = 0.05
+    drift_time: float = 8 * 3600.0
+    drift_interval: float = 600.0
+    drift_cycles: int = 10
+
+    def __post_init__(self) -> None:
+        if self.cycles < 2 or self.drift_cycles < 2:
+            raise InputError(f"cycles is {min(self.cycles, self.drift_cycles)}; repeatability needs at least two")
+        if not (self.approach > 0 and self.drift_interval > 0 and self.drift_time >= 0 and self.warm_up >= 0):
+            raise InputError("approach and drift interval must be above zero, drift time and warm-up not below it")
+
+
+@dataclass(frozen=True)
+class PosePerformance:
+    """Figures of one pose.
+
+    Attributes:
+        name: P1 to P5.
+        accuracy_mm: AP_P, distance between the mean of the attained positions and the command.
+        accuracy_deg: The same for the attitude: angle of the mean rotation vector.
+        repeatability_mm: RP_l, mean distance from the mean + 3 standard deviations.
+        repeatability_deg: RP_a, RP_b, RP_c: three standard deviations about each world axis.
+        mean_error_mm: Mean error in x, y, z of the world.
+    """
+
+    name: str
+    accuracy_mm: float
+    accuracy_deg: float
+    repeatability_mm: float
+    repeatability_deg: tuple[float, float, float]
+    mean_error_mm: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Performance:
+    """What one controller, raw or calibrated, gets out of the arm.
+
+    Attributes:
+        poses: AP and RP at P1 to P5.
+        variation_mm: vAP_P: largest distance between the means of three approach directions, at P1, P2 and P4.
+        variation_deg: The same for the attitude.
+        drift_mm: dAP_P: largest change of AP_P at P1 since the start, over the drift time.
+        drift_deg: The same for the attitude.
+        wander_mm: Largest distance of the mean position at P1 from where it was at the start.
+        drift_hours: Times of the drift measurements, h.
+        drift_accuracy_mm: AP_P at P1 at those times.
+    """
+
+    poses: tuple[PosePerformance, ...]
+    variation_mm: dict[str, float]
+    variation_deg: dict[str, float]
+    drift_mm: float
+    drift_deg: float
+    wander_mm: float
+    drift_hours: tuple[float, ...]
+    drift_accuracy_mm: tuple[float, ...]
+
+    @property
+    def worst_accuracy_mm(self) -> float:
+        """The largest AP_P of the five poses."""
+        return max(pose.accuracy_mm for pose in self.poses)
+
+    @property
+    def worst_repeatability_mm(self) -> float:
+        """The largest RP_l of the five poses."""
+        return max(pose.repeatability_mm for pose in self.poses)
+
+
+@dataclass(frozen=True, eq=False)
+class Iso9283Result:
+    """A test by ISO 9283.
+
+    Attributes:
+        plant: Name of the plant.
+        cube: The cube that the poses lie in.
+        settings: How the test was run.
+        instrument_mm: RP_l that the noise of the measuring instrument would show on an arm that repeats exactly.
+        raw: The arm as its controller believes it to be.
+        calibrated: The same arm with compensated commands, or None.
+    """
+
+    plant: str
+    cube: Cube
+    settings: Iso9283Settings
+    instrument_mm: float
+    raw: Performance
+    calibrated: Performance | None
+
+    def performances(self) -> dict[str, Performance]:
+        """Raw, and calibrated if it was tested, by name."""
+        return {"raw": self.raw} | ({"calibrated": self.calibrated} if self.calibrated is not None else {})
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; the unit of each number is in its key."""
+        settings = {
+            "cycles": self.settings.cycles,
+            "speed_share": self.settings.pace.speed,
+            "dwell_s": self.settings.pace.dwell,
+            "warm_up_h": self.settings.warm_up / 3600.0,
+            "drift_h": self.settings.drift_time / 3600.0,
+        }
+        cube = {"centre_mm": (1e3 * self.cube.centre).tolist(), "edge_mm": 1e3 * self.cube.edge}
+        found: dict[str, Any] = {}
+        for name, performance in self.performances().items():
+            found[name] = asdict(performance) | {
+                "worst_accuracy_mm": performance.worst_accuracy_mm,
+                "worst_repeatability_mm": performance.worst_repeatability_mm,
+            }
+        head = {"standard": "ISO 9283:1998", "plant": self.plant, "settings": settings, "cube": cube}
+        return head | {"instrument_repeatability_mm": self.instrument_mm} | found
+
+    def report(self) -> str:
+        """The test report, for people."""
+        s, centre = self.settings, ", ".join(f"{1e3 * value:.0f}" for value in self.cube.centre)
+        lines = [
+            f"ISO 9283 on the simulated arm {self.plant}: {s.cycles} cycles at {100 * s.pace.speed:.0f} % speed, "
+            f"measured {s.pace.dwell:g} s after arrival, on for {s.warm_up / 3600:g} h",
+            f"cube of {1e3 * self.cube.edge:.0f} mm about ({centre}) mm",
+            f"the instrument's noise alone would show RP {self.instrument_mm:.3f} mm",
+        ]
+        for name, performance in self.performances().items():
+            lines += [
+                "",
+                f"{name + ':':<12}{'AP [mm]':>9}{'RP [mm]':>9}{'AP [deg]':>10}{'RP [deg]':>10}{'vAP [mm]':>10}",
+            ]
+            for pose in performance.poses:
+                turn = max(pose.repeatability_deg)
+                figures = f"{pose.accuracy_mm:9.3f}{pose.repeatability_mm:9.3f}{pose.accuracy_deg:10.4f}{turn:10.4f}"
+                variation = performance.variation_mm.get(pose.name)
+                lines.append(f"{pose.name:<12}{figures}" + (f"{variation:10.3f}" if variation is not None else ""))
+            lines.append(
+                f"drift dAP over {s.drift_time / 3600:g} h: {performance.drift_mm:.3f} mm, "
+                f"{performance.drift_deg:.4f} deg; the mean position wanders by {performance.wander_mm:.3f} mm"
+            )
+        return "\n".join(lines)
+
+
+def iso9283(
+    plant: Plant,
+    compensate: Compensate | None = None,
+    *,
+    rng: np.random.Generator,
+    settings: Iso9283Settings | None = None,
+    cube: Cube | None = None,
+    reference: Geometry | None = None,
+) -> Iso9283Result:
+    """Test the simulated arm by ISO 9283.
+
+    Args:
+        plant: The arm, on single numbers.
+        compensate: Maps joint targets to joint commands, such as a calibration's compensator; None tests the raw arm
+            only.
+        rng: Draws the friction of each stop and the measuring instrument's noise; raw and calibrated arm meet the same.
+        settings: How the test is run.
+        cube: Where; the largest cube in the workspace when left out.
+        reference: What joint targets mean in the world: the arm's nominal geometry when left out. A calibration that
+            fitted base and tool means its own nominal geometry; both raw and calibrated arm are then judged by it.
+
+    Raises:
+        InputError: If a test pose cannot be reached.
+    """
+    settings = settings or Iso9283Settings()
+    cube = cube or largest_cube(plant.arm.nominal)
+    seed = int(rng.integers(2**63))
+    poses = cube.inclined_plane()
+    targets = _joints_for(plant, poses, None)
+    approaches = _approaches(plant, poses, targets, settings.approach)
+    wanted = forward(reference or plant.arm.nominal, targets)
+    tests = [_Test(plant, change, settings, targets, approaches, wanted, seed) for change in (None, compensate)]
+    return Iso9283Result(
+        plant=plant.name,
+        cube=cube,
+        settings=settings,
+        instrument_mm=NORM_OF_NOISE * 1e3 * (plant.measurement_noise.position_std if plant.measurement_noise else 0.0),
+        raw=tests[0].performance(),
+        calibrated=None if compensate is None else tests[1].performance(),
+    )
+
+
+def _joints_for(plant: Plant, poses: Pose, start: Array | None) -> Array:
+    solution = inverse(plant.arm.nominal, poses, start)
+    if not solution.reached.all():
+        raise InputError(
+            f"arm '{plant.arm.name}' does not reach all test poses of this cube; give a smaller one or another attitude"
+        )
+    return solution.joints
+
+
+def _approaches(plant: Plant, poses: Pose, targets: Array, length: float) -> Array:
+    """Joints ``(3 poses, 3 directions, n)`` a short way before P1, P2, P4 along x, y and z, towards the centre."""
+    some = list(VARIATION_POSES)
+    inwards = np.where(poses.position[some] - poses.position[0] > 0, -1.0, 1.0)
+    before = poses.position[some][:, None, :] + length * inwards[:, :, None] * np.eye(3)
+    rotation = np.broadcast_to(poses.rotation[some][:, None], (*before.shape[:-1], 3, 3))
+    start = np.broadcast_to(targets[some][:, None, :], (*before.shape[:-1], targets.shape[-1]))
+    return _joints_for(plant, Pose(before, rotation), start)
+
+
+class _Test:
+    """One controller's run through all parts of the test."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        compensate: Compensate | None,
+        settings: Iso9283Settings,
+        targets: Array,
+        approaches: Array,
+        wanted: Pose,
+        seed: int,
+    ) -> None:
+        self.plant, self.settings, self.rng = plant, settings, np.random.default_rng(seed)
+        self.wanted = wanted
+        change = compensate or (lambda joints: joints)
+        self.commands: list[list[float]] = np.asarray(change(targets)).tolist()
+        self.approaches: list[list[list[float]]] = np.asarray(change(approaches)).tolist()
+
+    def performance(self) -> Performance:
+        """All figures."""
+        variation = [self._variation(k) for k in range(len(VARIATION_POSES))]
+        names = [f"P{i + 1}" for i in VARIATION_POSES]
+        hours, means = self._drift()
+        accuracy, turn = np.linalg.norm(means[:, :3], axis=-1), np.linalg.norm(means[:, 3:], axis=-1)
+        wander = np.linalg.norm(means[:, :3] - means[0, :3], axis=-1)
+        return Performance(
+            poses=self._poses(),
+            variation_mm=dict(zip(names, (1e3 * v[0] for v in variation), strict=True)),
+            variation_deg=dict(zip(names, (math.degrees(v[1]) for v in variation), strict=True)),
+            drift_mm=1e3 * float(np.abs(accuracy - accuracy[0]).max()),
+            drift_deg=math.degrees(float(np.abs(turn - turn[0]).max())),
+            wander_mm=1e3 * float(wander.max()),
+            drift_hours=tuple(hours),
+            drift_accuracy_mm=tuple((1e3 * accuracy).tolist()),
+        )
+
+    def _poses(self) -> tuple[PosePerformance, ...]:
+        state, here = self._warm()
+        errors: dict[int, list[Array]] = {i: [] for i in ORDER}
+        for _ in range(self.settings.cycles):
+            for i in ORDER:
+                state, frame = self._move(state, here, self.commands[i])
+                here = self.commands[i]
+                errors[i].append(self._error(i, frame))
+        return tuple(_pose_performance(f"P{i + 1}", np.array(errors[i])) for i in sorted(errors))
+
+    def _variation(self, k: int) -> tuple[float, float]:
+        """Largest distance (m, rad) between the mean poses of the three approach directions."""
+        pose = VARIATION_POSES[k]
+        state, here = self._warm()
+        means = []
+        for before in self.approaches[k]:
+            errors = []
+            for _ in range(self.settings.cycles):
+                state, _ = self._move(state, here, before)
+                state, frame = self._move(state, before, self.commands[pose])
+                here = self.commands[pose]
+                errors.append(self._error(pose, frame))
+            means.append(np.mean(errors, axis=0))
+        apart = [a - b for i, a in enumerate(means) for b in means[:i]]
+        distances = [float(np.linalg.norm(gap[:3])) for gap in apart]
+        angles = [float(np.linalg.norm(gap[3:])) for gap in apart]
+        return max(distances), max(angles)
+
+    def _drift(self) -> tuple[list[float], Array]:
+        """Hours, and the mean error ``(T, 6)`` at P1, from switching the cold arm on."""
+        away, home = self.commands[1], self.commands[0]
+        state, clock = self.plant.initial_state(math, home), 0.0
+        hours, means = [], []
+        for k in range(round(self.settings.drift_time / self.settings.drift_interval) + 1):
+            wait = max(k * self.settings.drift_interval - clock, 0.0)
+            state, _ = self.plant.advance(math, state, home, wait)
+            clock += wait
+            hours.append(clock / 3600.0)
+            errors = []
+            for _ in range(self.settings.drift_cycles):
+                state, _ = self._move(state, home, away)
+                state, frame = self._move(state, away, home)
+                errors.append(self._error(0, frame))
+            way = np.max(np.abs(np.subtract(home, away)) / self.plant.arm.speed) / self.settings.pace.speed
+            clock += 2.0 * self.settings.drift_cycles * (float(way) + self.settings.pace.dwell)
+            means.append(np.mean(errors, axis=0))
+        return hours, np.array(means)
+
+    def _warm(self) -> tuple[PlantState, list[float]]:
+        start = self.commands[0]
+        state, _ = self.plant.advance(math, self.plant.initial_state(math, start), start, self.settings.warm_up)
+        return state, start
+
+    def _move(self, state: PlantState, start: list[float], target: list[float]) -> tuple[PlantState, Frame]:
+        """A move whose friction is that of this one stop: without scatter, an arm would repeat exactly."""
+        plant, band = self.plant, self.plant.stick_band
+        if band is not None and band.scatter:
+            plant = replace(plant, stick_band=one_stop(band, self.rng))
+        return moved(plant, math, state, start, target, self.settings.pace)
+
+    def _error(self, i: int, frame: Frame) -> Array:
+        """Measured pose error (6,) against the commanded pose, m and rad."""
+        pose, noise = pose_of(frame), self.plant.measurement_noise
+        if noise is not None:
+            scale = np.repeat([noise.position_std, noise.attitude_std], 3)
+            pose = displace_pose(pose, self.rng.normal(size=6) * scale)
+        return pose_error(Pose(self.wanted.position[i], self.wanted.rotation[i]), pose)
+
+
+def _pose_performance(name: str, errors: Array) -> PosePerformance:
+    """Figures of errors ``(cycles, 6)`` in m and rad."""
+    mean = errors.mean(axis=0)
+    distance = np.linalg.norm(errors[:, :3] - mean[:3], axis=-1)
+    turns = np.degrees(3.0 * errors[:, 3:].std(axis=0, ddof=1))
+    x, y, z = (1e3 * mean[:3]).tolist()
+    return PosePerformance(
+        name=name,
+        accuracy_mm=1e3 * float(np.linalg.norm(mean[:3])),
+        accuracy_deg=math.degrees(float(np.linalg.norm(mean[3:]))),
+        repeatability_mm=1e3 * float(distance.mean() + 3.0 * distance.std(ddof=1)),
+        repeatability_deg=(float(turns[0]), float(turns[1]), float(turns[2])),
+        mean_error_mm=(x, y, z),
+    )

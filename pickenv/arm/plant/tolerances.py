@@ -1,0 +1,302 @@
+"""How arms of one design differ: tolerance classes, and draws of as many different true arms as are wanted.
+
+Lengths follow ISO 286-1: IT = k (0.45 D^(1/3) + 0.001 D) um up to 500 mm, k (0.004 D + 2.1) um above, with D in mm.
+Sizes of effects spread log-normally about the plant's own. Inside everything is m, rad, K, s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.special import ndtri
+
+from pickenv.arm.effects.ground import BaseTilt
+from pickenv.arm.effects.hysteresis import Backlash, StickBand
+from pickenv.arm.effects.settling import Settling
+from pickenv.arm.effects.structure import BoomBending, JointCompliance, RollerPlay, TransmissionError
+from pickenv.arm.effects.thermal import ThermalGrowth
+from pickenv.arm.files.arm_file import read_toml, refuse_unknown
+from pickenv.arm.files.tables import Table
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
+from pickenv.arm.plant.plant import Plant
+from pickenv.errors import InputError
+
+TOLERANCES = Path(__file__).parent / "tolerance_classes"
+
+GRADES = {5: 7, 6: 10, 7: 16, 8: 25, 9: 40, 10: 64, 11: 100, 12: 160, 13: 250, 14: 400, 15: 640, 16: 1000, 17: 1600}
+"""Tolerance in units i for each IT grade (ISO 286-1, table 1)."""
+
+Effect = TypeVar("Effect")
+
+LARGEST_DAMPING = 0.5
+"""No structure is damped more; a draw from a wide spread stops here."""
+
+DISTRIBUTIONS = ("uniform", "normal")
+SPREADS = (
+    "joint_stiffness",
+    "flexural_rigidity",
+    "transmission_error",
+    "roller_clearance",
+    "backlash",
+    "friction",
+    "warm_up_time",
+    "ground_stiffness",
+    "sinkage",
+    "frequency",
+    "damping",
+)
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How far arms of one design may lie from each other.
+
+    Attributes:
+        name: Name of the class.
+        it_grade: ISO 286-1 grade of the lengths a and d; the deviation is within plus or minus half the tolerance.
+        least_length: Length below which the tolerance shrinks no further, m (a seat has a tolerance even at a = 0).
+        angle: Half-width of the assembly angles alpha and theta, rad.
+        distribution: ``uniform`` over the tolerance zone, or ``normal`` with the zone's edges at three standard
+            deviations.
+        spread: For each of `SPREADS`, the standard deviation of the logarithm of the size (0.1 is about 10 %).
+        temperature_rise: Range of the warm arm's temperature rise, K; drawn evenly.
+    """
+
+    name: str
+    it_grade: int
+    least_length: float
+    angle: float
+    distribution: str
+    spread: dict[str, float]
+    temperature_rise: tuple[float, float]
+
+
+def it_tolerance(grade: int, length: Array | float) -> Array:
+    """Width of the tolerance zone of ISO 286-1 for lengths in m, in m."""
+    millimetres = np.abs(np.asarray(length, dtype=float)) * 1e3
+    small = 0.45 * np.cbrt(millimetres) + 0.001 * millimetres
+    large = 0.004 * millimetres + 2.1
+    return np.asarray(GRADES[grade] * 1e-6 * np.where(millimetres <= 500.0, small, large))
+
+
+def shipped_tolerances() -> list[str]:
+    """Names of the tolerance classes that come with pickenv."""
+    return sorted(path.stem for path in TOLERANCES.glob("*.toml"))
+
+
+def load_tolerances(name: str | Path) -> Tolerances:
+    """Read a tolerance class by name or from a path to a TOML file.
+
+    Raises:
+        InputError: If it is unknown or a number is impossible; the message names the file and the key.
+    """
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = TOLERANCES / f"{name}.toml"
+    if not path.is_file():
+        raise InputError(
+            f"unknown tolerance class '{name}'; give one of {shipped_tolerances()} or a path to a file (.toml)"
+        )
+    content, where = read_toml(path), str(path)
+    refuse_unknown(content, ("name", "source", "lengths", "angles", "spread", "temperature"), where, "a tolerance file")
+    lengths = Table(content.get("lengths", {}), "lengths", where, ("it_grade", "least_length_mm", "distribution"))
+    grade = lengths.number("it_grade")
+    if grade not in GRADES:
+        raise lengths.fail("it_grade", f"a whole number from {min(GRADES)} to {max(GRADES)}")
+    angles = Table(content.get("angles", {}), "angles", where, ("half_width_deg",))
+    spread = Table(content.get("spread", {}), "spread", where, SPREADS)
+    temperature = Table(content.get("temperature", {}), "temperature", where, ("rise_K",))
+    low, high = temperature.numbers("rise_K", 2, signed=True)
+    if low > high:
+        raise temperature.fail("rise_K", "the lower number first")
+    return Tolerances(
+        name=str(content.get("name", path.stem)),
+        it_grade=int(grade),
+        least_length=lengths.number("least_length_mm", positive=True) * 1e-3,
+        angle=math.radians(angles.number("half_width_deg")),
+        distribution=lengths.choice("distribution", DISTRIBUTIONS, "uniform"),
+        spread={key: spread.number(key, default=0.0) for key in SPREADS},
+        temperature_rise=(low, high),
+    )
+
+
+def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:
+    """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
+
+    Link parameters are drawn about the nominal geometry; the sizes of the effects that are on, about the plant's own.
+    Arm i has its own random stream, child i of ``rng``: it does not depend on ``count``, nor on which effects are on.
+
+    Args:
+        plant: The design; on single numbers.
+        tolerances: How far its arms differ.
+        count: Number of arms N, at least 1.
+        rng: The parent of the arms' streams.
+
+    Returns:
+        A plant with link parameters ``(N, n)`` and effect numbers ``(N,)``; `pickenv.arm.plant.plant_batch.plant_at` picks one.
+
+    Raises:
+        InputError: If ``count`` is below 1 or ``plant`` is already a batch of arms.
+    """
+    if count < 1:
+        raise InputError(f"count is {count}; draw at least one arm")
+    if plant.geometry.alpha.ndim != 1:
+        raise InputError(f"plant '{plant.name}' is already a batch of arms; draw from a single one")
+    total = max(columns.stop for columns in random_columns(plant).values())
+    return plants_from(plant, tolerances, np.stack([child.random(total) for child in rng.spawn(count)]))
+
+
+def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
+    """The arms that these even random numbers stand for, as one plant whose numbers are arrays.
+
+    Args:
+        plant: The design; on single numbers.
+        tolerances: How far its arms differ.
+        even: Numbers from 0 to 1 for each arm ``(N, K)``; `random_columns` says what each column is for.
+    """
+    draws = _Draws(plant, tolerances, even)
+    parts = {name: draw(draws) for name, draw in EFFECT_DRAWS.items() if getattr(plant, name) is not None}
+    return replace(plant, geometry=_geometry(draws), **parts)
+
+
+def random_columns(plant: Plant) -> dict[str, range]:
+    """Which of an arm's even random numbers each quantity takes: fixed places, whatever effects the plant has."""
+    n = plant.arm.nominal.joints
+    wave = len(plant.transmission_error.harmonics) if plant.transmission_error is not None else 0
+    sizes = {"geometry": 4 * n, "temperature_rise": 1}
+    sizes |= {"joint_stiffness": n, "backlash": n, "friction": 2 * n, "frequency": n, "damping": n}
+    sizes |= {"ground_stiffness": 2, "sinkage": 2, "flexural_rigidity": 1, "roller_clearance": 1, "warm_up_time": 1}
+    sizes |= {"lead": n, "transmission_error": wave, "phase": wave}  # last: their number depends on the plant
+    edges = np.cumsum([0, *sizes.values()]).tolist()
+    return {key: range(a, b) for key, a, b in zip(sizes, edges, edges[1:], strict=False)}
+
+
+class _Draws:
+    """Even random numbers per arm, by what they are for."""
+
+    def __init__(self, plant: Plant, tolerances: Tolerances, even: Array) -> None:
+        self.plant, self.tolerances = plant, tolerances
+        self.even = {key: even[:, columns.start : columns.stop] for key, columns in random_columns(plant).items()}
+
+    def deviation(self, key: str) -> Array:
+        """Numbers in the tolerance zone from -1 to 1, (N, size)."""
+        even = self.even[key]
+        return 2.0 * even - 1.0 if self.tolerances.distribution == "uniform" else _normal(even) / 3.0
+
+    def factors(self, key: str, spread: str | None = None) -> Array:
+        """Factors about 1, (N, size)."""
+        return np.asarray(np.exp(self.tolerances.spread[spread or key] * _normal(self.even[key])))
+
+    def scaled(self, values: tuple[float, ...], key: str, first: int = 0) -> tuple[Array, ...]:
+        """Each value times the factors of its column."""
+        factors = self.factors(key)
+        return tuple(value * factors[:, first + i] for i, value in enumerate(values))
+
+
+def _normal(even: Array) -> Array:
+    return np.asarray(ndtri(np.clip(even, 1e-12, 1.0 - 1e-12)))
+
+
+def _geometry(draws: _Draws) -> Geometry:
+    nominal, tolerances = draws.plant.arm.nominal, draws.tolerances
+    n = nominal.joints
+    deviation = draws.deviation("geometry")
+    count = len(deviation)
+    numbers: dict[str, Any] = {name: np.broadcast_to(getattr(nominal, name), (count, n)) for name in LINK_PARAMETERS}
+    for k, name in enumerate(("alpha", "a", "theta", "d")):
+        if name in ("a", "d"):
+            length = np.maximum(np.abs(getattr(nominal, name)), tolerances.least_length)
+            half = it_tolerance(tolerances.it_grade, length) / 2.0
+        else:
+            half = np.full(n, tolerances.angle)
+        numbers[name] = numbers[name] + half * deviation[:, k * n : (k + 1) * n]
+    return replace(nominal, **numbers)
+
+
+def _joint_compliance(draws: _Draws) -> JointCompliance:
+    effect = _given(draws.plant.joint_compliance)
+    return replace(effect, stiffness=draws.scaled(effect.stiffness, "joint_stiffness"))
+
+
+def _boom_bending(draws: _Draws) -> BoomBending:
+    effect = _given(draws.plant.boom_bending)
+    return replace(effect, flexural_rigidity=draws.scaled((effect.flexural_rigidity,), "flexural_rigidity")[0])
+
+
+def _transmission_error(draws: _Draws) -> TransmissionError:
+    """Amplitudes and leads spread, phases are anything: no two gears are mounted alike."""
+    effect = _given(draws.plant.transmission_error)
+    amplitudes = draws.scaled(tuple(term.amplitude for term in effect.harmonics), "transmission_error")
+    phases = 2.0 * math.pi * draws.even["phase"]
+    factors = draws.factors("lead", "transmission_error")
+    return TransmissionError(
+        lead=tuple(lead * factors[:, i] for i, lead in enumerate(effect.lead)),
+        harmonics=tuple(
+            replace(term, amplitude=amplitude, phase=phases[:, k])
+            for k, (term, amplitude) in enumerate(zip(effect.harmonics, amplitudes, strict=True))
+        ),
+    )
+
+
+def _roller_play(draws: _Draws) -> RollerPlay:
+    effect = _given(draws.plant.roller_play)
+    return replace(effect, clearance=draws.scaled((effect.clearance,), "roller_clearance")[0])
+
+
+def _backlash(draws: _Draws) -> Backlash:
+    effect = _given(draws.plant.backlash)
+    return replace(effect, width=draws.scaled(effect.width, "backlash"))
+
+
+def _stick_band(draws: _Draws) -> StickBand:
+    effect = _given(draws.plant.stick_band)
+    n = len(effect.forward)
+    forward, backward = draws.scaled(effect.forward, "friction"), draws.scaled(effect.backward, "friction", n)
+    return replace(effect, forward=forward, backward=backward)
+
+
+def _thermal_growth(draws: _Draws) -> ThermalGrowth:
+    effect = _given(draws.plant.thermal_growth)
+    low, high = draws.tolerances.temperature_rise
+    return replace(
+        effect,
+        final_rise=low + (high - low) * draws.even["temperature_rise"][:, 0],
+        time_constant=draws.scaled((effect.time_constant,), "warm_up_time")[0],
+    )
+
+
+def _base_tilt(draws: _Draws) -> BaseTilt:
+    effect = _given(draws.plant.base_tilt)
+    about_x, about_y = draws.scaled(effect.stiffness, "ground_stiffness")
+    creep, settlement = draws.scaled((effect.creep, effect.settlement), "sinkage")
+    return replace(effect, stiffness=(about_x, about_y), creep=creep, settlement=settlement)
+
+
+def _settling(draws: _Draws) -> Settling:
+    effect = _given(draws.plant.settling)
+    damping = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in draws.scaled(effect.damping, "damping"))
+    return replace(effect, frequency=draws.scaled(effect.frequency, "frequency"), damping=damping)
+
+
+def _given(effect: Effect | None) -> Effect:
+    assert effect is not None, "only effects that are on are drawn"
+    return effect
+
+
+EFFECT_DRAWS: Mapping[str, Callable[[_Draws], Any]] = {
+    "joint_compliance": _joint_compliance,
+    "boom_bending": _boom_bending,
+    "transmission_error": _transmission_error,
+    "roller_play": _roller_play,
+    "backlash": _backlash,
+    "stick_band": _stick_band,
+    "thermal_growth": _thermal_growth,
+    "base_tilt": _base_tilt,
+    "settling": _settling,
+}
+"""What is drawn for each effect; encoders and servos are alike in all arms."""

@@ -1,0 +1,143 @@
+"""Commands around a calibration: plan-poses before it, its report page, apply and export after it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from pickenv.errors import InputError
+from pickenv.reservations import DO_NOT_USE, obey
+
+ARM = typer.Option(help="Arm name or arm file (.toml, .urdf).", show_default=False)
+UNIT = typer.Option(help="Serial number of the robot, which must be the calibration's.", show_default=False)
+ALLOW = typer.Option(help="Use the calibration in spite of this reservation: do-not-use.", show_default=False)
+UNREACHED = 3
+"""Exit code where targets cannot be reached."""
+
+CALIBRATION = typer.Argument(help="Calibration file (.npz).", show_default=False)
+
+
+def plan_poses(
+    arm: Annotated[str, ARM],
+    n: Annotated[int, typer.Option("--n", help="Poses to measure.", min=1)] = 30,
+    kind: Annotated[str, typer.Option(help="What will be measured: pose or position.")] = "pose",
+    criterion: Annotated[
+        str, typer.Option(help="d-optimal, or test-poses to be accurate at the poses of --at.")
+    ] = "d-optimal",
+    at: Annotated[
+        Path | None, typer.Option(help="CSV of joints or tool poses where accuracy matters.", show_default=False)
+    ] = None,
+    frames: Annotated[
+        str, typer.Option(help="fitted: base and tool will be fitted too; known: the arm's own parameters alone.")
+    ] = "fitted",
+    candidates: Annotated[int, typer.Option(help="Poses to choose from.", min=10)] = 2000,
+    seed: Annotated[int, typer.Option(help="Seed of candidates and exchange.", min=0)] = 0,
+    out: Annotated[Path | None, typer.Option(help="Write the joints in measuring order (.csv).")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+) -> None:
+    """Choose poses to measure that tell the most about an arm, within its joint limits, ordered for short travel."""
+    from pickenv.arm import load_arm
+    from pickenv.calibration.model.error_model import complete_model, link_model
+    from pickenv.calibration.planning.plan import plan_poses as plan
+    from pickenv.calibration.reading.targets import joints_of, read_targets
+    from pickenv.files import separate, write_text
+
+    separate({"--at": at, "--arm": arm}, {"--out": out, "--json": json_file})
+    if frames not in ("fitted", "known"):
+        raise InputError(f"frames is '{frames}'; give fitted or known")
+    chosen = load_arm(arm)
+    planned = plan(
+        chosen,
+        (complete_model if frames == "fitted" else link_model)(chosen.nominal),
+        n,
+        np.random.default_rng(seed),
+        candidates=candidates,
+        kind=kind,
+        criterion=criterion,
+        test_joints=None if at is None else joints_of(read_targets(at, chosen.nominal), chosen.nominal),
+    )
+    print(planned.report())
+    if out is not None:
+        print(f"wrote {planned.write_csv(out, chosen.nominal.prismatic)}")
+    if json_file is not None:
+        print(f"wrote {write_text(json_file, json.dumps(planned.as_dict(), indent=2) + chr(10))}")
+
+
+def apply(
+    calibration: Annotated[Path, CALIBRATION],
+    targets: Annotated[
+        Path, typer.Argument(help="CSV of joint targets (q1_deg, …) or tool poses (x_mm … rz_deg).", show_default=False)
+    ],
+    arm: Annotated[str, ARM],
+    out: Annotated[Path, typer.Option(help="Write the corrected commands (.csv).")] = Path("commands.csv"),
+    frame: Annotated[
+        str, typer.Option(help="Frame of pose targets: controller, or instrument (where the calibration was measured).")
+    ] = "controller",
+    payload_kg: Annotated[float | None, typer.Option(help="Mass held, where the calibration asks for it.")] = None,
+    temperature_k: Annotated[float | None, typer.Option(help="Temperature rise above the reference, likewise.")] = None,
+    unit: Annotated[str | None, UNIT] = None,
+    allow: Annotated[list[str] | None, ALLOW] = None,
+) -> None:
+    """Turn nominal joint or pose targets into corrected joint commands, with the error and uncertainty to expect.
+
+    Where a target cannot be reached its command stays empty, and the exit code is 3.
+    """
+    from pickenv.arm import load_arm
+    from pickenv.calibration.model.arm_model import Conditions
+    from pickenv.calibration.pipeline.apply import apply_calibration
+    from pickenv.calibration.pipeline.calibration import Calibration
+    from pickenv.calibration.reading.targets import read_targets
+    from pickenv.files import separate
+
+    separate({"CALIBRATION": calibration, "TARGETS": targets, "--arm": arm}, {"--out": out})
+    chosen = load_arm(arm)
+    loaded = Calibration.load(calibration, chosen, unit)
+    obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
+    conditions = Conditions(
+        payload=None if payload_kg is None else np.array(payload_kg),
+        temperature=None if temperature_k is None else np.array(temperature_k),
+    )
+    commands = apply_calibration(
+        loaded, chosen, read_targets(targets, chosen.nominal), frame=frame, conditions=conditions
+    )
+    written = commands.write_csv(out)
+    print(commands.report())
+    print(f"wrote {written}")
+    if not commands.reached.all():
+        raise typer.Exit(UNREACHED)
+
+
+def export(
+    calibration: Annotated[Path, CALIBRATION],
+    arm: Annotated[str, ARM],
+    toml: Annotated[Path | None, typer.Option(help="Write the corrected arm as an arm file (.toml).")] = None,
+    urdf: Annotated[Path | None, typer.Option(help="Write the corrected arm as URDF.")] = None,
+    onnx: Annotated[Path | None, typer.Option(help="Write the learnt network as ONNX.")] = None,
+    unit: Annotated[str | None, UNIT] = None,
+    allow: Annotated[list[str] | None, ALLOW] = None,
+) -> None:
+    """Write the corrected arm as TOML or URDF, and its learnt residual as ONNX, for other programs."""
+    from pickenv.arm import load_arm
+    from pickenv.calibration.pipeline.calibration import Calibration
+    from pickenv.calibration.pipeline.export import write_arm_toml, write_arm_urdf, write_onnx
+    from pickenv.files import separate
+
+    if toml is None and urdf is None and onnx is None:
+        raise InputError("nothing to write; give --toml, --urdf or --onnx with a file name")
+    separate(
+        {"CALIBRATION": calibration, "--arm": arm},
+        {"--toml": toml, "--urdf": urdf, "--onnx": onnx},
+    )
+    chosen = load_arm(arm)
+    loaded = Calibration.load(calibration, chosen, unit)
+    obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
+    if toml is not None:
+        print(f"wrote {write_arm_toml(loaded, chosen, toml)}")
+    if urdf is not None:
+        print(f"wrote {write_arm_urdf(loaded, chosen, urdf)}")
+    if onnx is not None:
+        print(f"wrote {write_onnx(loaded, onnx)}")

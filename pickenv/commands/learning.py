@@ -1,0 +1,211 @@
+"""Commands about policies: `pickenv train` and `pickenv evaluate`."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pickenv.errors import InputError
+
+if TYPE_CHECKING:
+    from pickenv.agents.training.training import Training
+
+
+NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
+
+
+def train(
+    context: typer.Context,
+    algo: Annotated[str, typer.Option(help="Algorithm: ppo, sac or tqc.")] = "ppo",
+    env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
+    compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
+    allow: Annotated[
+        list[str] | None,
+        typer.Option(help="Train behind the calibration in spite of this: fitted-frames, do-not-use."),
+    ] = None,
+    plant: Annotated[
+        str | None, typer.Option(help="Plant preset or plant file; the environment's if left out.")
+    ] = None,
+    feedback: Annotated[str, typer.Option(help="encoders or camera.")] = "encoders",
+    camera_noise: Annotated[float, typer.Option(help="Noise of the camera's view of the gap, mm per axis.")] = 0.0,
+    fruit_noise: Annotated[float, typer.Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
+    randomise: Annotated[
+        str | None, typer.Option(help="Tolerance class: a new arm of it in every episode (domain randomisation).")
+    ] = None,
+    steps: Annotated[int | None, typer.Option(help="Environment steps; the tuned number if left out.", min=1)] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    checkpoint_every: Annotated[int, typer.Option(help="Steps between checkpoints.", min=1)] = 50_000,
+    evaluate_every: Annotated[int, typer.Option(help="Steps between evaluations.", min=1)] = 50_000,
+    out: Annotated[Path, typer.Option(help="Run folder to write.")] = Path("runs/train"),
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")
+    ] = False,
+) -> None:
+    """Train a policy; the folder gets its file, checkpoints, evaluations in millimetres and TensorBoard's logs."""
+    from pickenv.agents.training.training import Training, resumed
+    from pickenv.agents.training.training import train as run
+    from pickenv.files import separate
+
+    written = [out / name for name in ("policy.npz", "checkpoint.pt", "evaluations.json")]
+    separate({"--compensate": compensate, "--plant": plant}, {"--out": written})
+    if resume:
+        training = resumed(out)
+        _refuse_changes(context, training, out)
+    else:
+        if _was_given(context, "camera_noise") and feedback != "camera":
+            raise InputError(NO_CAMERA)
+        if (out / "checkpoint.pt").exists():
+            raise InputError(f"{out} holds a training already; go on with --resume, or give another --out")
+        arguments: dict[str, Any] = {}
+        if plant is not None:
+            arguments["plant"] = plant
+        if feedback != "encoders":
+            arguments["feedback"] = feedback
+        if camera_noise:
+            arguments["camera_noise_mm"] = camera_noise
+        if camera_noise or fruit_noise:
+            arguments["fruit_noise_mm"] = fruit_noise
+        if randomise is not None:
+            arguments |= {"arms": "per_episode", "tolerances": randomise}
+        training = Training(
+            algorithm=algo,
+            env_id=env,
+            steps=steps,
+            seed=seed,
+            arguments=arguments,
+            compensate=None if compensate is None else str(compensate),
+            allow=allow or [],
+            checkpoint_every=checkpoint_every,
+            evaluate_every=evaluate_every,
+        )
+    try:
+        done = run(training, out, resume=resume, progress=sys.stderr.isatty())
+    except KeyboardInterrupt:
+        print(
+            f"interrupted; `pickenv train --resume --out {shlex.quote(str(out))}` goes on from its last checkpoint",
+            file=sys.stderr,
+        )
+        raise
+    last = done.evaluations[-1]
+    print(
+        f"{training.algorithm} on {training.env_id}: {last['mean_mm']:.3f} mm mean, {last['p95_mm']:.3f} mm p95 on "
+        f"held-out fruit after {last['steps']:.0f} steps, {done.steps_per_second:.0f} steps/s"
+    )
+    for path in written:
+        print(f"wrote {path}")
+
+
+def _refuse_changes(context: typer.Context, begun: Training, out: Path) -> None:
+    """Refuse options on the command line that say something else than the training that is to go on."""
+    options = {
+        "algo": begun.algorithm,
+        "env": begun.env_id,
+        "compensate": begun.compensate,
+        "allow": begun.allow,
+        "plant": begun.arguments.get("plant"),
+        "feedback": begun.arguments.get("feedback", "encoders"),
+        "camera_noise": begun.arguments.get("camera_noise_mm", 0.0),
+        "fruit_noise": begun.arguments.get("fruit_noise_mm", 0.0),
+        "randomise": begun.arguments.get("tolerances"),
+        "steps": begun.total,
+        "seed": begun.seed,
+        "checkpoint_every": begun.checkpoint_every,
+        "evaluate_every": begun.evaluate_every,
+    }
+    changed = [
+        f"without --{word}" if value is None else f"with --{word} {value}, not {given}"
+        for name, value in options.items()
+        for word, given in [(name.replace("_", "-"), context.params[name])]
+        if _was_given(context, name) and (str(given) if isinstance(given, Path) else given) != value
+    ]
+    if changed:
+        raise InputError(
+            f"the training in {out} was begun {', '.join(changed)}; leave out what was not said then, or give "
+            "another --out"
+        )
+
+
+def _was_given(context: typer.Context, name: str) -> bool:
+    """Whether an option stands on the command line; Typer may bring a click of its own, so it is asked by name."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def evaluate(
+    context: typer.Context,
+    policy: Annotated[
+        list[str] | None, typer.Option(help="Policy, baseline or policy file; may be given several times.")
+    ] = None,
+    compensation: Annotated[list[str] | None, typer.Option(help="raw, ls, ls_bpnn, best; may be repeated.")] = None,
+    feedback: Annotated[list[str] | None, typer.Option(help="encoders, camera; may be repeated.")] = None,
+    plant: Annotated[list[str] | None, typer.Option(help="Plant preset; may be repeated.")] = None,
+    gripper: Annotated[list[str] | None, typer.Option(help="Gripper preset; may be repeated.")] = None,
+    arms: Annotated[int, typer.Option(help="Arms drawn for each plant.", min=1)] = 8,
+    episodes: Annotated[int, typer.Option(help="Fruits per arm.", min=1)] = 64,
+    tolerances: Annotated[str, typer.Option(help="Tolerance class of the arms.")] = "coarse",
+    camera_noise: Annotated[float, typer.Option(help="Noise of the camera's view of the gap, mm per axis.")] = 1.0,
+    fruit_noise: Annotated[float, typer.Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
+    epochs: Annotated[int, typer.Option(help="Epochs of each arm's network.", min=1)] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of fruit, pictures and calibrations.", min=0)] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
+    table: Annotated[Path | None, typer.Option(help="Write the rows as .csv or .parquet as well.")] = None,
+    figures: Annotated[Path | None, typer.Option(help="Folder for the figures.")] = None,
+    cache: Annotated[Path | None, typer.Option(help="Folder that keeps the arms' calibrations.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
+) -> None:
+    """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit."""
+    from pickenv.agents.evaluation.calibrated import Protocol
+    from pickenv.agents.evaluation.grid import GridSettings, kind_of, run_grid
+    from pickenv.agents.evaluation.grid_tables import GRID, ROWS, print_grid, write_grid, write_json, write_rows
+    from pickenv.commands.handing_over import deliver
+    from pickenv.files import separate
+    from pickenv.inspect.runs.run_folder import RECORD
+
+    separate(
+        {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
+        {"--out": [] if out is None else [out / RECORD, out / GRID, out / ROWS], "--json": json_file, "--table": table},
+    )
+    given: dict[str, Any] = {"policies": policy, "compensations": compensation, "feedback": feedback, "plants": plant}
+    given["grippers"] = gripper
+    names: dict[str, Any] = {key: tuple(value) for key, value in given.items() if value}
+    settings = GridSettings(
+        arms=arms,
+        episodes=episodes,
+        seed=seed,
+        tolerances=tolerances,
+        camera_noise_mm=camera_noise,
+        fruit_noise_mm=fruit_noise,
+        protocol=Protocol(epochs=epochs, seed=seed),
+        **names,
+    )
+
+    seen = "camera" in settings.feedback and any("camera" in kind_of(name).feedback for name in settings.policies)
+    if _was_given(context, "camera_noise") and not seen:
+        raise InputError(NO_CAMERA)
+
+    def report(stage: str, done: int, total: int) -> None:
+        if sys.stderr.isatty():
+            end = "\n" if done == total else "\r"
+            print(f"{stage:<40} {done}/{total}", end=end, file=sys.stderr, flush=True)
+
+    grid = run_grid(settings, cache, report)
+    rows, comparisons = grid.rows(), grid.comparisons()
+    files: list[Callable[[], Path | Iterable[Path]]] = []
+    if json_file is not None:
+        files.append(partial(write_json, json_file, grid))
+    if table is not None:
+        files.append(partial(write_rows, table, rows))
+    if out is not None:
+        files.append(partial(write_grid, grid, out))
+    if figures is not None:
+        from pickenv.agents.evaluation.grid_figures import grid_drawings
+        from pickenv.inspect.figures.run_drawings import write_drawings
+
+        files.append(lambda: write_drawings(grid_drawings(grid), figures))
+    deliver(files, lambda: print_grid(rows, comparisons))

@@ -1,0 +1,1 @@
+"""Harvest: the machine of Li 2016 as an environment."""

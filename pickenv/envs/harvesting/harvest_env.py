@@ -1,0 +1,157 @@
+"""`pickenv/Harvest-v0`: one policy moves a master arm and its slaves to pick a zone's fruit without a collision."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.envs.harvesting import harvest_batch as batch
+from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.shared.spaces import given_options
+from pickenv.envs.shared.task import MOST_ACTION, as_numbers
+from pickenv.errors import InputError
+
+Information = dict[str, Any]
+LONGEST = 600
+"""Periods of an episode: a minute."""
+
+
+class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """Pick the fruit of one zone with the multi-arm harvester of Li 2016.
+
+    ## Description
+
+    A master arm (turn, lift, reach) carries one to six slave arms (lift, swing, stretch), each with a cup that takes a
+    fruit from below, cuts its stalk and keeps it. One policy moves all joints. What moves is the machine as built,
+    whose cups are 6 to 9 mm off while they forgive 5 to 11 mm; a cup that goes in pushes its neighbours' fruit away.
+    Arms never collide: a guard holds those that would come nearer than two arm radii and a margin.
+
+    ## Action Space
+
+    `Box(-1, 1, (3 + 3 arms,), float32)`: joint increments, as shares of the largest increment per period of 0.1 s.
+
+    | Num    | Action              | Control Min | Control Max | Largest increment | Unit |
+    |--------|---------------------|-------------|-------------|-------------------|------|
+    | 0      | master turn theta1  | -1          | 1           | 4.5               | deg  |
+    | 1      | master lift d2      | -1          | 1           | 40                | mm   |
+    | 2      | master reach d3     | -1          | 1           | 50                | mm   |
+    | 3 + 3i | slave i lift d4     | -1          | 1           | 40                | mm   |
+    | 4 + 3i | slave i swing theta5| -1          | 1           | 6                 | deg  |
+    | 5 + 3i | slave i stretch d6  | -1          | 1           | 50                | mm   |
+
+    A cup whose sensor finds a fruit inside (15 mm in height) closes its blade by itself: its arm and the master stand
+    for 1 s. Afterwards it tries again only once it has gone 50 mm away.
+
+    ## Observation Space
+
+    `Box(float32)`: joints scaled to their limits (3 + 3 arms, -1 to 1); the share of sensing and cutting left of each
+    slave (arms, 0 to 1); then for each fruit slot its place as the camera saw it, right of, ahead of and above frame 3
+    (-2 to 2 m), and 1 while it hangs in reach (else all four are 0).
+
+    ## Rewards
+
+    +1 for a fruit collected whole, -1 for one damaged, the decrease in m of the mean distance from hanging fruit to
+    the nearest cup, -0.05 for each arm that the guard holds, -0.005 per period and up to -0.005 for motion. Eight fruit
+    give at most about 8; doing nothing for a minute gives -3.
+
+    ## Starting State
+
+    Fruit evenly in 0.7 x 0.4 x 0.55 m somewhere on the tree's side; the master at the pick point that reaches most of
+    it, the slaves at rest.
+
+    ## Episode End
+
+    - Termination: no fruit in reach hangs any more.
+    - Truncation: after 600 periods (`max_episode_steps`).
+
+    ## Information
+
+    `collected`, `lost`, `reachable`, `attempts`, `held` (arms held in the last period), `closest_mm` (least distance
+    between two arms' centre lines so far), `picks_per_hour`, `is_success` (all fruit in reach collected).
+
+    ## Arguments
+
+    ```python
+    >>> import gymnasium as gym
+    >>> import pickenv
+    >>> from pickenv.envs.harvesting.harvest_env import HarvestEnv
+    >>> env = HarvestEnv(slaves=2, fruit=6)
+    >>> observation, info = env.reset(seed=1)
+    >>> observation.shape
+    (35,)
+
+    ```
+
+    - `slaves` (1 to 6, default 3), `spacing_mm` (default 350), `fruit` (1 to 40, default 8).
+    - `ideal` (bool, default False): whether the machine is as drawn.
+
+    `pickenv.wrappers.CompensationWrapper` takes a compensator of the whole machine's joints, for instance a
+    `pickenv.harvester.true_machine.Controller`.
+
+    ## Version History
+
+    * v0: First version.
+    """
+
+    metadata = {"render_modes": [], "render_fps": 10}  # noqa: RUF012
+
+    def __init__(
+        self,
+        *,
+        slaves: int | None = None,
+        spacing_mm: float | None = None,
+        fruit: int = 8,
+        ideal: bool = False,
+        render_mode: str | None = None,
+    ) -> None:
+        """See the class for the arguments; raises `InputError` for impossible ones."""
+        if render_mode is not None:
+            raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
+        self.task: HarvestTask = batch.make_task(slaves, spacing_mm, fruit, ideal)
+        self.render_mode = render_mode
+        self.compensator: Compensate | None = None
+        low, high = batch.bounds(self.task)
+        self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.task.machine.joints,), np.float32)
+        self.state: HarvestState | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], Information]:
+        """Start with another zone; there are no options."""
+        super().reset(seed=seed)
+        given_options(options, ())
+        self.state = batch.begin(self.task, [self.np_random])
+        return batch.observe(self.task, self.state)[0], self._information()
+
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:
+        """Move all joints by ``action``.
+
+        Raises:
+            InputError: If the action is not finite or has another shape, or before the first reset.
+        """
+        values = checked_actions(action, (self.task.machine.joints,))
+        if self.state is None:
+            raise InputError("step was called before reset; call reset first")
+        rewards = batch.step(self.task, self.state, values[None], [self.np_random], self.compensator)
+        terminated = bool(batch.finished(self.state)[0])
+        return batch.observe(self.task, self.state)[0], float(rewards[0]), terminated, False, self._information()
+
+    def _information(self) -> Information:
+        assert self.state is not None
+        return {key: values[0].item() for key, values in batch.information(self.state).items()}
+
+
+def checked_actions(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Actions as finite numbers of the right shape and size.
+
+    Raises:
+        InputError: If they are not.
+    """
+    values = as_numbers("action", action)
+    if values.shape != shape or not (np.abs(values) <= MOST_ACTION).all():
+        raise InputError(f"an action of shape {values.shape} is not finite numbers of shape {shape} between -1 and 1")
+    return values

@@ -1,0 +1,130 @@
+"""`pickenv/Harvest-v0` for PettingZoo: the master and each slave arm are agents of their own (extra ``marl``).
+
+The same simulator as the Gymnasium environment; an agent moves its three joints, sees all there is to see and who it
+is, and shares the team's reward.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pettingzoo  # type: ignore[import-untyped,import-not-found,unused-ignore]
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.envs.harvesting import harvest_batch as batch
+from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_env import LONGEST, checked_actions
+from pickenv.errors import InputError
+
+ID = "pickenv/Harvest-v0"
+Observations = dict[str, NDArray[np.float32]]
+
+
+class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArray[np.float32]]):  # type: ignore[misc]
+    """Agents ``master`` and ``slave_0`` to ``slave_5``, from left to right; each a `Box(-1, 1, (3,))` of increments.
+
+    Args:
+        max_cycles: Periods after which an episode is truncated.
+        render_mode: None; there is no drawing.
+        arguments: As for `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
+    """
+
+    metadata = {"name": "harvest_v0", "render_modes": [], "is_parallelizable": True}  # noqa: RUF012
+
+    def __init__(self, *, max_cycles: int = LONGEST, render_mode: str | None = None, **arguments: Any) -> None:
+        """See the class."""
+        if render_mode is not None:
+            raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
+        self.task: HarvestTask = batch.make_task(**arguments)
+        self.max_cycles, self.render_mode = max_cycles, render_mode
+        self.possible_agents = ["master", *(f"slave_{i}" for i in range(self.task.machine.arms))]
+        self.agents: list[str] = []
+        self.compensator: Compensate | None = None
+        low, high = batch.bounds(self.task)
+        count = len(self.possible_agents)
+        low, high = np.append(low, np.zeros(count, np.float32)), np.append(high, np.ones(count, np.float32))
+        self._observations = {name: gym.spaces.Box(low, high, dtype=np.float32) for name in self.possible_agents}
+        self._actions = {name: gym.spaces.Box(-1.0, 1.0, (3,), np.float32) for name in self.possible_agents}
+        self._rng = np.random.default_rng()
+        self._state: HarvestState | None = None
+
+    def observation_space(self, agent: str) -> gym.spaces.Box:
+        """The same object for each call."""
+        return self._observations[agent]
+
+    def action_space(self, agent: str) -> gym.spaces.Box:
+        """The same object for each call."""
+        return self._actions[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, dict[str, Any]]]:
+        """Start with another zone."""
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        self.agents = list(self.possible_agents)
+        self._state = batch.begin(self.task, [self._rng])
+        return self._seen(), self._told()
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Move all agents' joints; agents without an action stand still.
+
+        Raises:
+            InputError: If an action is not three finite numbers, or before the first reset.
+        """
+        if self._state is None:
+            raise InputError("step was called before reset; call reset first")
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        still: ArrayLike = np.zeros(3)
+        parts = [checked_actions(actions.get(name, still), (3,)) for name in self.possible_agents]
+        rewards = batch.step(self.task, self._state, np.concatenate(parts)[None], [self._rng], self.compensator)
+        over = bool(batch.finished(self._state)[0])
+        late = bool(self._state.periods[0] >= self.max_cycles)
+        names = self.agents
+        seen, told = self._seen(), self._told()
+        if over or late:
+            self.agents = []
+        return (
+            seen,
+            dict.fromkeys(names, float(rewards[0])),
+            dict.fromkeys(names, over),
+            dict.fromkeys(names, late),
+            told,
+        )
+
+    def state(self) -> NDArray[np.float32]:
+        """What all agents see together, for centralised training."""
+        if self._state is None:
+            raise InputError("state was called before reset; call reset first")
+        return np.asarray(batch.observe(self.task, self._state)[0])
+
+    def render(self) -> None:
+        """There is no drawing."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def _seen(self) -> Observations:
+        shared = self.state()
+        mine = np.eye(len(self.possible_agents), dtype=np.float32)
+        return {name: np.append(shared, mine[i]).astype(np.float32) for i, name in enumerate(self.possible_agents)}
+
+    def _told(self) -> dict[str, dict[str, Any]]:
+        assert self._state is not None
+        known = {key: values[0].item() for key, values in batch.information(self._state).items()}
+        return {name: dict(known) for name in self.possible_agents}
+
+
+@cache
+def register() -> None:
+    """Enter the environment into PettingZoo's registry: ``pettingzoo.make("parallel", "pickenv/Harvest-v0")``."""
+    pettingzoo.register("parallel", ID, entry_point=HarvestParallelEnv, max_cycles=LONGEST)
+
+
+register()

@@ -1,0 +1,150 @@
+"""The native vector version of `pickenv/Harvest-v0`: many zones in one set of arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.envs.harvesting import harvest_batch as batch
+from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_env import LONGEST, checked_actions
+from pickenv.envs.shared.spaces import given_options
+from pickenv.errors import InputError
+
+Information = dict[str, Any]
+Rows = NDArray[np.intp]
+
+
+class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """Many harvesters at once; environment i is seeded with ``seed + i`` and does not depend on how many there are.
+
+    Args:
+        num_envs: Number of harvesters.
+        max_episode_steps: Periods after which an episode is truncated.
+        autoreset_mode: "NextStep", "SameStep" or "Disabled", or an `AutoresetMode`.
+        render_mode: None; there is no drawing.
+        arguments: As for `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int = LONGEST,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        """See the class."""
+        if render_mode is not None:
+            raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
+        if num_envs < 1:
+            raise InputError(f"{num_envs} environments are impossible; give 1 or more")
+        self.task: HarvestTask = batch.make_task(**arguments)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {"render_modes": [], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
+        self.num_envs, self.max_episode_steps, self.render_mode = num_envs, max_episode_steps, None
+        low, high = batch.bounds(self.task)
+        self.single_observation_space = gym.spaces.Box(low, high, dtype=np.float32)
+        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.task.machine.joints,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.compensator: Compensate | None = None
+        self.state: HarvestState | None = None
+        self._rngs: list[np.random.Generator] = []
+        self._over = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], Information]:
+        """Start all episodes anew, or those in ``options["reset_mask"]``."""
+        options = given_options(options, ("reset_mask",))
+        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise InputError(f"reset_mask must be {self.num_envs} truth values, one of them true")
+        self._seed(seed)
+        rows = np.flatnonzero(mask)
+        if self.state is None:
+            rows = np.arange(self.num_envs)
+        self._restart(rows)
+        return self._observation(), self._information()
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], Information]:
+        """One period of every harvester; those that are over start anew as the autoreset mode says.
+
+        Raises:
+            InputError: If actions are not finite or have another shape, or before the first reset.
+        """
+        values = checked_actions(actions, (self.num_envs, self.task.machine.joints))
+        if self.state is None:
+            raise InputError("step was called before reset; call reset first")
+        again = self._over.copy()
+        if again.any() and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise InputError("an episode is over; reset it with options={'reset_mask': ...} before the next step")
+        rewards = np.zeros(self.num_envs)
+        going = np.flatnonzero(~again)
+        if going.size:
+            some = HarvestState(**{k: getattr(self.state, k)[going] for k in HarvestState.__dataclass_fields__})
+            rngs = [self._rngs[i] for i in going]
+            rewards[going] = batch.step(self.task, some, values[going], rngs, self.compensator)
+            self.state.put(going, some)
+        if again.any():
+            self._restart(np.flatnonzero(again))
+        terminated = batch.finished(self.state) & ~again
+        truncated = (self.state.periods >= self.max_episode_steps) & ~again
+        self._over = terminated | truncated
+        extra: Information = {}
+        if self._over.any() and self.autoreset_mode is AutoresetMode.SAME_STEP:
+            extra = self._last_words()
+            self._restart(np.flatnonzero(self._over))
+        return self._observation(), rewards, terminated, truncated, self._information() | extra
+
+    def _seed(self, seed: int | Sequence[int | None] | None) -> None:
+        if seed is None and self._rngs:
+            return
+        if seed is None:
+            given: list[int | None] = [None] * self.num_envs
+        else:
+            given = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
+        if len(given) != self.num_envs:
+            raise InputError(f"{len(given)} seeds were given for {self.num_envs} environments; give one each")
+        old = self._rngs
+        self._rngs = [old[i] if old and value is None else seeding.np_random(value)[0] for i, value in enumerate(given)]
+
+    def _restart(self, rows: Rows) -> None:
+        fresh = batch.begin(self.task, [self._rngs[i] for i in rows])
+        if self.state is None:
+            self.state = fresh
+        else:
+            self.state.put(rows, fresh)
+        self._over[rows] = False
+
+    def _observation(self) -> NDArray[np.float32]:
+        assert self.state is not None
+        return batch.observe(self.task, self.state)
+
+    def _information(self) -> Information:
+        assert self.state is not None
+        found: Information = dict(batch.information(self.state))
+        return found | {f"_{key}": np.ones(self.num_envs, dtype=bool) for key in found}
+
+    def _last_words(self) -> Information:
+        """Observations and information of the episodes that have just ended."""
+        assert self.state is not None
+        over = self._over.copy()
+        observations = np.full(self.num_envs, None, dtype=object)
+        shown = self._observation()
+        for i in np.flatnonzero(over):
+            observations[i] = shown[i].copy()
+        known: Information = {k: np.where(over, v, 0) for k, v in batch.information(self.state).items()}
+        known |= {f"_{key}": over.copy() for key in known}
+        return {"final_obs": observations, "_final_obs": over, "final_info": known, "_final_info": over.copy()}

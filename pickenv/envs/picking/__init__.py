@@ -1,0 +1,1 @@
+"""Pick: reaching among fruit, with a gripper."""

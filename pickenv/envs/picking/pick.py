@@ -1,0 +1,412 @@
+"""`pickenv/Pick-v0`: pick a canopy's fruit one after the other, under a time budget, with an arm that is not exact."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm.kinematics.forward import Frame
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.dynamics import PlantState
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.envs.picking.pick_reach import reach_of
+from pickenv.envs.picking.pick_scene import Orchard, PickScene, draw_scene, make_orchard, upright_turn
+from pickenv.envs.reaching.reach import RENDER_MODES
+from pickenv.envs.shared.arms import population_size
+from pickenv.envs.shared.backends import FLOATS
+from pickenv.envs.shared.simulation import move, nominal_frames
+from pickenv.envs.shared.spaces import box, given_options
+from pickenv.envs.shared.task import (
+    CONTROL_PERIOD,
+    MOST_ACTION,
+    Task,
+    as_numbers,
+    check_choice,
+    check_count,
+    check_number,
+    make_task,
+)
+from pickenv.errors import InputError
+
+Compensate = Callable[[Array], Array]
+Information = dict[str, Any]
+
+LONGEST = 400
+"""Steps of an episode where the environment was not made by `gymnasium.make`."""
+STILL = 1.0
+"""Time without a command after which the observation says that the arm stands still, s."""
+MOST_LEFT = 50
+COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
+
+
+class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """Pick the fruit in front of the arm: come from below, settle, grasp, twist, retreat, and on to the next.
+
+    ## Description
+
+    A six-joint picking arm (Qiao 2026) stands before a section of canopy, 0.9 m wide and 0.8 m high, that holds some
+    ten fruit. The environment names the next fruit: the nearest to the believed tool that the camera found within
+    reach and that was not yet tried. Each fruit can be tried once. The policy commands the *nominal* arm; what moves is
+    the *true* one, which also swings after every move, so that haste costs accuracy. The gripper takes a fruit if the
+    true tool is near enough to it; a failed grasp, and any fruit that the tool meets on its way, pushes neighbours
+    aside, and they swing for a while.
+
+    ## Action Space
+
+    `Box(-1, 1, (7,), float32)`: joint increments as in `pickenv/Reach-v0`, and the gripper.
+
+    | Num | Action            | Control Min | Control Max | Largest increment | Unit |
+    |-----|-------------------|-------------|-------------|-------------------|------|
+    | 0   | J1 pitch          | -1          | 1           | 6                 | deg  |
+    | 1   | J2 horizontal rail| -1          | 1           | 50                | mm   |
+    | 2   | J3 telescopic boom| -1          | 1           | 50                | mm   |
+    | 3   | J4 end rotation   | -1          | 1           | 6                 | deg  |
+    | 4   | J5 end slide      | -1          | 1           | 50                | mm   |
+    | 5   | J6 twist          | -1          | 1           | 18                | deg  |
+    | 6   | gripper           | -1          | 1           | see below         | 1    |
+
+    Above 0.5 an empty gripper closes at the end of the period, if the fruit is believed to be within 60 mm: that is the
+    fruit's one attempt. Around a fruit, a positive command twists, by up to 0.5 N m at 1. Below -0.5 it opens: what
+    hangs swings back, what is off falls and is damaged. A detached fruit is collected once the believed tool has gone
+    80 mm down.
+
+    ## Observation Space
+
+    `Box(float32)`, 23 numbers. The first 18 are laid out as in `pickenv/Reach-v0`, so that a reach policy can be used
+    again. Nothing depends on the true arm but the gripper's two sensors. Base frame.
+
+    | Num   | Observation                                                          | Min  | Max  | Unit |
+    |-------|----------------------------------------------------------------------|------|------|------|
+    | 0-5   | joint readings (motor side, as nominal joints), scaled to the limits | -1   | 1    | 1    |
+    | 6-8   | believed tool position (nominal forward kinematics of the readings)  | -R   | R    | m    |
+    | 9-11  | position of the present fruit as the camera saw it                   | -R   | R    | m    |
+    | 12-14 | that position minus believed tool position                           | -2R  | 2R   | m    |
+    | 15-17 | upright against believed attitude, shortest rotation vector          | -pi  | pi   | rad  |
+    | 18    | time since the joint target moved, at most 1 s                       | 0    | 1    | s    |
+    | 19    | share of the time budget that is left                                | 0    | 1    | 1    |
+    | 20    | a fruit is in the gripper and on its stem                            | 0    | 1    | 1    |
+    | 21    | a fruit is in the gripper and off its stem                           | 0    | 1    | 1    |
+    | 22    | fruit still to try, in fifties                                       | 0    | 1    | 1    |
+
+    R is an upper bound of the arm's reach plus 1 m.
+
+    ## Rewards
+
+    Per step: 1 x (fruit collected undamaged) - 0.25 x (fruit newly damaged) - 0.002. Fruit is damaged by a tool that
+    hits it faster than 0.4 m/s, by being pulled off instead of twisted, and by falling. The reward is never part of an
+    observation.
+
+    So haste costs more than the time it saves. Of the scripted policy with a calibrated arm on 60 canopies of some
+    seven fruit in reach, relative to the same policy with gentle moves and half a second of waiting (simulated; mean
+    and 95 % interval per canopy, tests/envs/test_pick.py):
+
+    | What is left out                 | Fruit collected        | Reward                 |
+    |----------------------------------|------------------------|------------------------|
+    | waiting for the arm to settle    | -0.27 (-0.40 to -0.13) | -0.18 (-0.31 to -0.05) |
+    | waiting and gentle moves         | -0.72 (-0.94 to -0.49) | -0.81 (-1.07 to -0.54) |
+    | calibration                      | -0.45 (-0.67 to -0.24) | -0.45 (-0.66 to -0.23) |
+
+    ## Starting State
+
+    All joints at mid-range, the arm at rest, cold and not yet sunk. Fruit is drawn until at least one is in reach: seen
+    by the camera, reachable with the tool upright there and 100 mm below, with no fruit in the way from below.
+    `reset(options=...)` takes `"fruit"`, positions (n, 3) in the base frame in m, `"start_joints"` (rad and m) and,
+    where `arms` is not "fixed", `"arm"`, the number of the arm in the population. Every draw comes from `np_random` in
+    `reset`: what happens then depends on the actions alone, and one seed gives the same fruit to every arm.
+
+    ## Episode End
+
+    - Termination: no fruit is left to try and the gripper is empty.
+    - Truncation: after 400 steps of 0.1 s (`max_episode_steps`).
+
+    ## Information
+
+    `info` has the same keys after `reset` and `step`. The first seven are the funnel so far, each at most the one
+    before. Where all fruit has been tried, those of the present fruit are of the last one.
+
+    | Key                 | Meaning                                                             | Unit |
+    |---------------------|---------------------------------------------------------------------|------|
+    | `present`           | fruit in the section of canopy                                      |      |
+    | `visible`           | fruit that the camera found                                         |      |
+    | `reachable`         | fruit within reach, with a free way from below                      |      |
+    | `attempted`         | fruit that the gripper closed on                                    |      |
+    | `attached`          | fruit that it took                                                  |      |
+    | `detached`          | fruit that came off its stem in the gripper                         |      |
+    | `collected`         | fruit collected undamaged                                           |      |
+    | `damaged`           | fruit damaged, collected or not                                     |      |
+    | `is_success`        | whether all reachable fruit is collected undamaged                  | bool |
+    | `position_error_mm` | true tool to true position of the present fruit                     | mm   |
+    | `grasp_lateral_mm`  | last grasp: fruit from true tool, across the tool axis (0 before)   | mm   |
+    | `grasp_axial_mm`    | the same along the axis, positive beyond the tool                   | mm   |
+    | `tilt_deg`          | angle between true tool axis and the vertical                       | deg  |
+    | `joint_command`     | what the drives got                                                 | rad, m |
+    | `tool_position`     | true tool position                                                  | m    |
+    | `fruit_position`    | true position of the present fruit                                  | m    |
+    | `fruit_number`      | its number                                                          |      |
+
+    ## Arguments
+
+    ```python
+    >>> import gymnasium as gym
+    >>> import pickenv
+    >>> env = gym.make("pickenv/Pick-v0", gripper="compliant_hand")
+    >>> observation, info = env.reset(seed=1)
+    >>> observation.shape
+    (23,)
+    >>> info["present"] >= info["visible"] >= info["reachable"] > 0
+    True
+
+    ```
+
+    - `plant` (str, default "orchard"): preset or path of a plant file; "ideal" has no error. Fruit is
+      placed for the arm qiao2026, upright tool 0.5 to 0.9 m beside its base; other arms reach less of it.
+    - `without` (sequence of str): effects of the plant to switch off.
+    - `gripper` (default "li_cup"; "compliant_hand"), `camera` (default "laser_line"), `canopy` (default "li2016"),
+      `fruit_map` (default "li2016_lab", singly hung; "v_trellis" is clumped), `fruit_size` (default "li2016", 60 mm):
+      presets of `pickenv.orchard.shipped` or paths of TOML files. False detections are left out.
+    - `fruit` (float, default 10): mean number of fruit in the section.
+    - `looks` (int, default 16): images that the camera averages; noise falls, bias and occlusion's pull stay.
+    - `arms` ("fixed", "per_env" or "per_episode"), `tolerances`, `population` and `population_seed`: the plant's own
+      true arm, or one of a population, as in `pickenv/Reach-v0`.
+    - `render_mode` (None, "human" or "rgb_array").
+
+    There is no native vector version: it would gain little, since drawing a canopy takes as long as some seventy steps.
+    `gym.make_vec("pickenv/Pick-v0", num_envs=8)` makes a `SyncVectorEnv`; environment i is seeded with `seed + i` and
+    gives there what it gives alone.
+
+    ## Version History
+
+    * v0: First version.
+    """
+
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
+
+    def __init__(
+        self,
+        *,
+        plant: str = "orchard",
+        without: Sequence[str] = (),
+        gripper: str = "li_cup",
+        camera: str = "laser_line",
+        canopy: str = "li2016",
+        fruit_map: str = "li2016_lab",
+        fruit_size: str = "li2016",
+        fruit: float = 10.0,
+        looks: int = 16,
+        arms: str = "fixed",
+        tolerances: str = "medium",
+        population: int = 256,
+        population_seed: int = 0,
+        render_mode: str | None = None,
+    ) -> None:
+        """See the class for the arguments; raises `InputError` for impossible ones."""
+        if render_mode is not None:
+            check_choice("render_mode", render_mode, RENDER_MODES)
+        check_number("fruit", fruit, positive=True)
+        check_count("looks", looks)
+        self.task: Task = make_task(
+            plant=plant,
+            without=without,
+            arms=arms,
+            tolerances=tolerances,
+            population=population,
+            population_seed=population_seed,
+        )
+        self.plant: Plant = self.task.plant if arms == "fixed" else plant_at(self.task.plant, 0)
+        self.orchard: Orchard = make_orchard(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks)
+        self.render_mode = render_mode
+        self.compensator: Compensate | None = None
+        self._reach = reach_of(self.plant.arm.nominal)
+        bounds = box([1.0] * self.task.joints + [self.task.reach] * 6 + [2 * self.task.reach] * 3 + [math.pi] * 3)
+        self._low = np.concatenate([bounds.low, np.zeros(5, np.float32)])
+        self._high = np.concatenate([bounds.high, np.ones(5, np.float32)])
+        self.observation_space = gym.spaces.Box(self._low, self._high, dtype=np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.task.joints + 1,), np.float32)
+        self.scene: PickScene | None = None
+        self._number = 0
+        self._step = 0
+        self._still = 0.0
+        self._target: Sequence[float] = self.task.middle
+        self._state = PlantState()
+        self._tool: Frame = ()
+        self._arm: int | None = None
+        self._window: Any = None
+
+    @property
+    def increment(self) -> Array:
+        """Largest increment of each joint in one action, rad or m."""
+        return np.array(self.task.increment)
+
+    @property
+    def joint_target(self) -> Array:
+        """The nominal joint target that the actions have built up, rad or m."""
+        return np.array(self._target)
+
+    @property
+    def arm(self) -> int:
+        """Number of the true arm in its population; 0 for a fixed one."""
+        return self._arm or 0
+
+    @property
+    def longest(self) -> int:
+        """Steps that the time budget allows."""
+        given = None if self.spec is None else self.spec.max_episode_steps
+        return given if given and given > 0 else LONGEST
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], Information]:
+        """Start before another section of canopy; see the class for `options`."""
+        super().reset(seed=seed)
+        options = given_options(options, ("fruit", "start_joints", "arm"))
+        start = options.get("start_joints")
+        self._target = self.task.middle if start is None else self.task.given_joints("start_joints", start).tolist()
+        self.scene = draw_scene(self.orchard, self._reach, self.np_random, options.get("fruit"))
+        self._take_arm(options.get("arm"), again=seed is not None)
+        self._step, self._still = 0, STILL
+        command = self._command()
+        self._state = self.plant.initial_state(math, command)
+        self._state, self._tool = self.plant.advance(math, self._state, command, 0.0)
+        shown = self._shown(command)
+        believed = nominal_frames(FLOATS, self.task, shown)[1]
+        self._number = self._next(believed)
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(shown, believed), self._information(command)
+
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:
+        """Move the joint target by `action`, then work the gripper.
+
+        Raises:
+            InputError: If the action has another shape or numbers beyond -1 to 1, or before the first reset.
+        """
+        values = as_numbers("action", action)
+        if values.shape != (self.task.joints + 1,) or not (np.abs(values) <= MOST_ACTION).all():
+            raise InputError(f"action {values} is not {self.task.joints + 1} finite numbers between -1 and 1")
+        if self.scene is None:
+            raise InputError("step was called before reset; call reset first")
+        scene = self.scene
+        *moves, gripper = values.clip(-1.0, 1.0).tolist()
+        collected, damaged = scene.funnel()["collected"], int(scene.damaged.sum())
+        target = move(FLOATS, self.task, self._target, moves)
+        moved = any(abs(a - b) > 1e-9 for a, b in zip(target, self._target, strict=True))
+        self._still = 0.0 if moved else min(STILL, self._still + CONTROL_PERIOD)
+        self._target, self._step, before = target, self._step + 1, self._tool
+        command = self._command()
+        self._state, self._tool = self.plant.advance(math, self._state, command, CONTROL_PERIOD)
+        shown = self._shown(command)
+        believed = nominal_frames(FLOATS, self.task, shown)[1]
+        scene.advance(before, self._tool, self._number if scene.held is None else None, CONTROL_PERIOD)
+        scene.work_gripper(gripper, self._number, believed, self._tool)
+        if scene.held is None and not scene.waiting[self._number]:
+            self._number = self._next(believed)
+        funnel = scene.funnel()
+        reward = COLLECTED * (funnel["collected"] - collected) + DAMAGED * (int(scene.damaged.sum()) - damaged) + STEP
+        terminated = scene.held is None and not scene.waiting.any()
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(shown, believed), reward, terminated, False, self._information(command)
+
+    def render(self) -> Any:
+        """Draw the nominal ghost, the true arm and the canopy: an RGB array, or a window for "human"."""
+        if self.render_mode is None:
+            gym.logger.warn(
+                "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
+            )
+            return None
+        from pickenv.envs.shared.drawing import Window, pick_pixels
+
+        if self.scene is None:
+            raise InputError("render was called before reset; call reset first")
+        command, tool = np.array(self._command()), np.array(self._tool[9:12])
+        picture = pick_pixels(self.plant, self.joint_target, command, tool, self.scene, self._number)
+        if self.render_mode == "rgb_array":
+            return picture
+        self._window = self._window or Window(self.metadata["render_fps"])
+        self._window.show(picture)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def _take_arm(self, asked: int | None, *, again: bool) -> None:
+        """Choose the true arm: anew in every episode, or once per environment and seed."""
+        task = self.task
+        if task.arms == "fixed":
+            if asked is not None:
+                raise InputError("option arm needs a population; make the environment with arms='per_episode'")
+            return
+        if again or self._arm is None or task.arms == "per_episode":
+            self._arm = int(self.np_random.integers(population_size(task)))
+        if asked is not None:
+            self._arm = task.given_arm(asked)
+        self.plant = plant_at(task.plant, self._arm)
+
+    def _next(self, believed: Frame) -> int:
+        """Number of the next fruit, or of the last one where none waits."""
+        assert self.scene is not None
+        number = self.scene.nearest(believed[9:12])
+        return self._number if number is None else number
+
+    def _command(self) -> Sequence[float]:
+        """What the drives get for the joint target."""
+        if self.compensator is None:
+            return self._target
+        command: list[float] = self.compensator(np.array(self._target)).tolist()
+        return command
+
+    def _shown(self, command: Sequence[float]) -> list[float]:
+        """Joint readings, mapped back to nominal joints: a compensator stays invisible to the policy."""
+        readings = self.plant.readings(math, self._state, command)
+        return [q + (reading - sent) for q, reading, sent in zip(self._target, readings, command, strict=True)]
+
+    def _observation(self, shown: Sequence[float], believed: Frame) -> NDArray[np.float32]:
+        scene, task = self.scene, self.task
+        assert scene is not None
+        lower, upper = np.array(task.lower), np.array(task.upper)
+        seen, tool = scene.seen[self._number], np.array(believed[9:12])
+        held = scene.held is not None
+        parts = [
+            ((2.0 * np.array(shown) - (lower + upper)) / (upper - lower)).clip(-1.0, 1.0),
+            tool,
+            seen,
+            seen - tool,
+            upright_turn(np.array(believed[6:9])),
+            [
+                self._still,
+                max(0.0, 1.0 - self._step / self.longest),
+                held and not scene.holds_detached,
+                scene.holds_detached,
+                min(1.0, scene.waiting.sum() / MOST_LEFT),
+            ],
+        ]
+        values = np.concatenate(parts, dtype=np.float64)
+        return np.asarray(values.clip(self._low, self._high), dtype=np.float32)
+
+    def _information(self, command: Sequence[float]) -> Information:
+        scene = self.scene
+        assert scene is not None
+        tool, fruit = np.array(self._tool[9:12]), scene.positions[self._number]
+        funnel = scene.funnel()
+        return {
+            **funnel,
+            "damaged": int(scene.damaged.sum()),
+            "is_success": funnel["collected"] == funnel["reachable"],
+            "position_error_mm": 1e3 * float(np.linalg.norm(fruit - tool)),
+            "grasp_lateral_mm": 1e3 * scene.miss[0],
+            "grasp_axial_mm": 1e3 * scene.miss[1],
+            "tilt_deg": math.degrees(math.acos(max(-1.0, min(1.0, self._tool[8])))),
+            "joint_command": np.array(command),
+            "tool_position": tool,
+            "fruit_position": fruit.copy(),
+            "fruit_number": self._number,
+        }

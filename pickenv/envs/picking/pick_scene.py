@@ -1,0 +1,359 @@
+"""The fruit before a picking arm: where it hangs and is seen, how it is pushed, taken, twisted off and collected.
+
+Everything is in the arm's base frame (m, s, N): the orchard frame turned by half a turn about z, so that trees stand at
+-y. The tool is a cylinder below its point that opens upwards, and comes from below. Every random number is drawn at
+the start, so that two policies meet the same fruit, the same camera and the same luck.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv import orchard as trees
+from pickenv.arm.kinematics.forward import Frame
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.envs.picking.pick_reach import APPROACH, UP, Flags, Reach
+from pickenv.envs.shared.task import as_numbers
+from pickenv.errors import InputError
+
+MIDDLE, FACE, MOUNT = 0.6, -0.53, 0.15
+"""Base frame: x of the section's middle, y of the canopy's face, z of its lowest fruit, m."""
+
+WIDTH, HEIGHT, DEPTH = 0.9, 0.8, 0.4
+"""Section of the canopy before the arm, m: what its joints can serve."""
+
+TOOL_RADIUS, TOOL_LENGTH = 0.0375, 0.30
+"""Outer size of the gripper, m: a cup of 70 mm opening with a wall of 2.5 mm."""
+
+BLOCKED = 0.02
+"""Fruit nearer than this to the axis of the way from below blocks it; fruit further out is pushed aside, m (ours)."""
+
+BRUISE_SPEED = 0.4
+"""A tool that hits a fruit faster than this bruises it, m/s; slides move at up to 0.5 m/s. On the safe side: bruises of
+apples are measured for drops of 10 mm, 0.44 m/s, and more (Slupska et al. 2022, Materials 15:139); Komarnicki and Stopa
+(2013) found none up to 30 mm, 0.77 m/s."""
+
+KNOCK, MOST_PUSH = 0.02, 0.15
+"""How far a failed grasp pushes its fruit, and how far any fruit can be pushed, m."""
+
+TWIST = 0.5
+"""Twist of the gripper at full command, N m: about twice what takes 95 % of the fruit off."""
+
+COLLECTED_BELOW = 0.08
+"""A detached fruit is collected once the tool has gone down by this, m."""
+
+NEAR = 0.06
+"""The gripper closes only where the controller believes its fruit to be nearer than this, m."""
+
+CLOSE, OPEN = 0.5, -0.5
+"""Commands beyond which the gripper closes and opens."""
+
+ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
+"""Draws until a fruit is in reach; of given fruit only what the camera makes of it is drawn again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Orchard:
+    """What kind of fruit hangs before the arm, what sees it and what takes it."""
+
+    canopy: trees.Canopy
+    fruit_map: trees.FruitMap
+    size: trees.FruitSize
+    camera: trees.Camera
+    gripper: trees.Gripper
+    branch: trees.Branch
+    detachment: trees.Detachment
+    looks: int
+
+
+def make_orchard(
+    canopy: str, fruit_map: str, fruit_size: str, camera: str, gripper: str, fruit: float, looks: int
+) -> Orchard:
+    """Read the presets; ``fruit`` is the mean number of fruit in the section before the arm."""
+    whole, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
+    section = replace(
+        whole,
+        width=min(WIDTH, whole.width),
+        depth=min(DEPTH, whole.depth),
+        top=min(whole.bottom + HEIGHT, whole.top),
+    )
+    return Orchard(
+        canopy=section,
+        fruit_map=crop.scaled(fruit / section.width),
+        size=trees.load_fruit_size(fruit_size),
+        camera=trees.load_camera(camera),
+        gripper=trees.load_gripper(gripper),
+        branch=trees.load_branch("apple"),
+        detachment=trees.load_detachment("apple"),
+        looks=looks,
+    )
+
+
+def to_base(canopy: trees.Canopy, positions: Array) -> Array:
+    """Positions (..., 3) of the orchard frame in the base frame; it is its own inverse up to the signs."""
+    return np.array([MIDDLE, FACE, MOUNT - canopy.bottom]) + positions * [-1.0, -1.0, 1.0]
+
+
+def to_orchard(canopy: trees.Canopy, positions: Array) -> Array:
+    """Positions (..., 3) of the base frame in the orchard frame."""
+    return np.asarray((positions - np.array([MIDDLE, FACE, MOUNT - canopy.bottom])) * [-1.0, -1.0, 1.0])
+
+
+def upright_turn(axis: Array) -> Array:
+    """Rotation vector (3,) of the shortest turn that brings a unit vector upright, rad."""
+    across = np.cross(axis, UP)
+    sine = float(np.linalg.norm(across))
+    if sine < 1e-12:
+        return np.zeros(3) if axis[2] > 0 else np.array([math.pi, 0.0, 0.0])
+    return np.asarray(across / sine * math.atan2(sine, float(axis[2])))
+
+
+@dataclass(eq=False)
+class PickScene:
+    """All fruit of an episode, and what has become of it; arrays with one entry per fruit.
+
+    Attributes:
+        orchard: What kind it is.
+        rest: Where it hangs, m, shape (n, 3).
+        diameters: m.
+        masses: kg.
+        strength: Pull and twist that take it off.
+        chance: Uniform numbers that decide grasps.
+        seen: Where the camera saw it, m, shape (n, 3).
+        visible: Whether the camera found it.
+        reachable: Whether it was found where the arm can get at it, with a free way from below.
+        displacement: How far it hangs from its rest, m, shape (n, 3).
+        velocity: m/s, shape (n, 3).
+        attempted: Whether the gripper has closed on it; likewise attached, detached, collected and damaged.
+        held: Number of the fruit in the gripper, or None.
+        miss: How far the last grasp was from its fruit, across and along the tool's axis, m.
+        grip: Displacement of the fruit in the gripper less the tool's position, m.
+        detached_at: Height of the believed tool when the fruit in it came off, m.
+    """
+
+    orchard: Orchard
+    rest: Array
+    diameters: Array
+    masses: Array
+    strength: trees.Strength
+    chance: Array
+    seen: Array
+    visible: Flags
+    reachable: Flags
+    displacement: Array = field(init=False)
+    velocity: Array = field(init=False)
+    attempted: Flags = field(init=False)
+    attached: Flags = field(init=False)
+    detached: Flags = field(init=False)
+    collected: Flags = field(init=False)
+    damaged: Flags = field(init=False)
+    held: int | None = None
+    miss: tuple[float, float] = (0.0, 0.0)
+    grip: Array = field(default_factory=lambda: np.zeros(3))
+    detached_at: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.displacement, self.velocity = np.zeros_like(self.rest), np.zeros_like(self.rest)
+        for name in ("attempted", "attached", "detached", "collected", "damaged"):
+            setattr(self, name, np.zeros(len(self.rest), dtype=bool))
+
+    @property
+    def positions(self) -> Array:
+        """Where the fruit is now, (n, 3)."""
+        return self.rest + self.displacement
+
+    @property
+    def waiting(self) -> Flags:
+        """Fruit that can still be tried."""
+        return self.reachable & ~self.attempted
+
+    @property
+    def holds_detached(self) -> bool:
+        """Whether the gripper holds a fruit that is off its stem."""
+        return self.held is not None and bool(self.detached[self.held])
+
+    def funnel(self) -> dict[str, int]:
+        """Fruit that got through each stage; none has more than the one before."""
+        return {
+            "present": len(self.rest),
+            "visible": int(self.visible.sum()),
+            "reachable": int(self.reachable.sum()),
+            "attempted": int(self.attempted.sum()),
+            "attached": int(self.attached.sum()),
+            "detached": int(self.detached.sum()),
+            "collected": int((self.collected & ~self.damaged).sum()),
+        }
+
+    def nearest(self, tool: ArrayLike) -> int | None:
+        """Number of the waiting fruit that was seen nearest to the tool, or None."""
+        waiting = np.flatnonzero(self.waiting)
+        if not waiting.size:
+            return None
+        away = self.seen[waiting] - np.asarray(tool)
+        return int(waiting[np.argmin(np.einsum("ij,ij->i", away, away))])
+
+    def advance(self, before: Frame, tool: Frame, target: int | None, dt: float) -> None:
+        """Let the fruit swing for ``dt`` seconds, and the tool push what is in its way."""
+        self.displacement, self.velocity = trees.swing(
+            self.orchard.branch, self.displacement, self.velocity, self.masses, dt
+        )
+        point, axis = np.array(tool[9:12]), np.array(tool[6:9])
+        moved = point - np.array(before[9:12])
+        if self.held is not None and not self.detached[self.held]:
+            self._push(self.rest[self.held], moved)
+            self.displacement[self.held] = self.grip + point
+            self.velocity[self.held] = 0.0
+        away = self.positions - point
+        along = away @ axis
+        across = away - along[:, None] * axis
+        gap = np.linalg.norm(across, axis=-1)
+        radius = self.diameters / 2
+        wide = np.sqrt(np.maximum(radius**2 - np.maximum(along, 0.0) ** 2, 0.0))
+        touched = (gap < TOOL_RADIUS + wide) & (along > -TOOL_LENGTH) & (along < radius) & ~self.detached
+        if self.held is not None:
+            touched[self.held] = False
+        if target is not None:  # what stands above the opening goes in
+            touched[target] &= gap[target] > TOOL_RADIUS
+        speed = np.linalg.norm(moved) / dt if dt else 0.0
+        for i in np.flatnonzero(touched):
+            self._push(self.positions[i], across[i] / max(gap[i], 1e-9) * (TOOL_RADIUS + wide[i] - gap[i]))
+            self.damaged[i] |= speed > BRUISE_SPEED
+
+    def work_gripper(self, share: float, number: int, believed: Frame, tool: Frame) -> None:
+        """Close the gripper on fruit ``number``, twist, open or empty it.
+
+        Args:
+            share: The command, -1 to 1.
+            number: The fruit that the arm is after.
+            believed: Frame of the believed tool: what the controller goes by.
+            tool: Frame of the true one: what counts.
+        """
+        if self.held is None:
+            near = math.dist(self.seen[number].tolist(), believed[9:12]) <= NEAR
+            if share > CLOSE and near and self.waiting[number]:
+                self.grasp(number, tool)
+        elif share < OPEN:
+            self.let_go()
+        elif self.holds_detached:
+            if believed[11] <= self.detached_at - COLLECTED_BELOW:
+                self.collect()
+        else:
+            self.twist(share)
+            self.detached_at = believed[11]
+
+    def grasp(self, i: int, tool: Frame) -> None:
+        """Close the gripper on fruit ``i``: its one attempt."""
+        point, axis = np.array(tool[9:12]), np.array(tool[6:9])
+        lie = trees.misalignment(self.positions[i] - point, axis, UP)
+        probability = trees.capture_probability(
+            self.orchard.gripper, lie.lateral, lie.axial, lie.angle, self.diameters[i]
+        )
+        self.attempted[i] = True
+        self.miss = float(lie.lateral), float(lie.axial)
+        if self.chance[i] < float(probability):
+            self.attached[i] = True
+            self.held, self.grip = i, self.displacement[i] - point
+            return
+        away = self.positions[i] - point
+        self._push(self.positions[i], KNOCK * away / max(float(np.linalg.norm(away)), 1e-9))
+
+    def twist(self, share: float) -> None:
+        """Twist the fruit in the gripper, by a share of `TWIST`; what is pulled or twisted enough comes off."""
+        i, branch = self.held, self.orchard.branch
+        if i is None or self.detached[i]:
+            return
+        spring = np.array([branch.stiffness_sideways] * 2 + [branch.stiffness_upright])
+        pull = float(np.linalg.norm(spring * self.displacement[i]))
+        torque = TWIST * max(share, 0.0)
+        turned, torn = torque >= float(self.strength.twist[i]), pull >= float(self.strength.pull[i])
+        self.detached[i] = turned or torn
+        self.damaged[i] |= torn and not turned
+
+    def let_go(self) -> None:
+        """Open the gripper: a fruit on its stem swings back, a detached one falls."""
+        if self.held is not None:
+            self.damaged[self.held] |= self.detached[self.held]
+            self.held = None
+
+    def collect(self) -> None:
+        """Take the detached fruit out of the gripper."""
+        assert self.held is not None
+        self.collected[self.held] = True
+        self.held = None
+
+    def _push(self, contact: Array, push: Array) -> None:
+        """Displace the fruit around ``contact``; fruit in or past the gripper stays."""
+        moved = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
+        far = np.linalg.norm(moved, axis=-1, keepdims=True)
+        self.displacement = moved * np.minimum(1.0, MOST_PUSH / np.maximum(far, 1e-9))
+
+
+def draw_scene(orchard: Orchard, reach: Reach, rng: np.random.Generator, given: Any = None) -> PickScene:
+    """The fruit of an episode, at least one of it in reach.
+
+    Args:
+        orchard: What kind of fruit.
+        reach: Where the arm gets.
+        rng: Source of every random draw.
+        given: Fruit positions (n, 3) in the base frame, m, in place of drawn ones, or None.
+
+    Raises:
+        InputError: If none of the given fruit is found within reach, or none in many draws.
+    """
+    if given is not None:
+        centres = np.atleast_2d(as_numbers("option fruit", given))
+        if centres.ndim != 2 or centres.shape[-1] != 3 or not centres.size or not np.isfinite(centres).all():
+            raise InputError(f"option fruit has shape {centres.shape}; give at least one finite position (n, 3) in m")
+    for _ in range(ATTEMPTS if given is None else GIVEN_ATTEMPTS):
+        if given is None:
+            drawn = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
+            positions, diameters = drawn.positions, drawn.diameters
+        else:
+            positions = to_orchard(orchard.canopy, centres)
+            diameters = trees.sample_diameters(orchard.size, len(centres), rng)
+        if len(positions):
+            scene = _seen_scene(orchard, reach, rng, positions, diameters)
+            if scene.reachable.any():
+                return scene
+    where = "none of the fruit given" if given is not None else f"no fruit in {ATTEMPTS} draws of the orchard"
+    raise InputError(f"{where} is both seen and within the arm's reach from below; move the fruit or add some")
+
+
+def _seen_scene(
+    orchard: Orchard, reach: Reach, rng: np.random.Generator, positions: Array, diameters: Array
+) -> PickScene:
+    """Look at fruit in the orchard frame, and say which of it the arm can try."""
+    canopy, camera, count = orchard.canopy, orchard.camera, len(positions)
+    viewpoint = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2])
+    hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
+    found = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=-1), hidden.visible)
+    draws = rng.normal(size=(count, trees.DRAWS))
+    draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
+    believed = trees.measured_positions(
+        camera,
+        positions,
+        viewpoint,
+        draws,
+        visible=hidden.visible,
+        diameters=diameters,
+        visible_side=hidden.visible_side,
+    )
+    visible = (rng.random(count) < found) & trees.in_image(camera, positions, viewpoint, [0.0, 1.0, 0.0])
+    seen = to_base(canopy, believed)
+    clear = trees.approach_clear(positions, diameters, UP, BLOCKED, APPROACH)
+    return PickScene(
+        orchard=orchard,
+        rest=to_base(canopy, positions),
+        diameters=diameters,
+        masses=trees.fruit_masses(orchard.size, diameters),
+        strength=trees.sample_strength(orchard.detachment, count, rng),
+        chance=rng.random(count),
+        seen=seen,
+        visible=visible,
+        reachable=visible & clear & reach(seen),
+    )

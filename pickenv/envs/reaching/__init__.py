@@ -1,0 +1,1 @@
+"""Reach, ReachGoal, ReachIdeal, one at a time and in native vectors."""

@@ -1,0 +1,362 @@
+"""`pickenv/Reach-v0`: bring the tool to a fruit with an arm that is not quite the one its controller believes in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm.kinematics.forward import Frame
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.envs.shared.arms import changed_plant, choose_arm, population_size
+from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
+from pickenv.envs.shared.exact import exact_plant
+from pickenv.envs.shared.simulation import (
+    Look,
+    ReachState,
+    begin,
+    flat_observation,
+    goal_attempt,
+    look,
+    move,
+    nominal_frames,
+    true_reward,
+)
+from pickenv.envs.shared.spaces import action_space, flat_space, given_options
+from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
+from pickenv.envs.shared.task import (
+    CONTROL_PERIOD,
+    GOAL_ATTEMPTS,
+    MOST_ACTION,
+    Task,
+    as_numbers,
+    check_choice,
+    make_task,
+)
+from pickenv.errors import InputError
+
+EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
+RENDER_MODES = ("human", "rgb_array")
+
+Compensate = Callable[[Array], Array]
+Information = dict[str, Any]
+
+
+class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
+    """Bring the tool to a fruit, in the attitude asked for, with an arm that is not what its controller believes.
+
+    ## Description
+
+    A six-joint picking arm (Qiao 2026: pitch, horizontal rail, telescopic boom, end rotation, end slide, twist) must
+    bring its tool to a fruit, in the attitude asked for. The policy commands the *nominal* arm; what moves is the
+    *true* arm, whose parts are off by tenths of millimetres and whose joints and boom bend. How far the true tool ends
+    from the fruit is what is scored; the policy never sees it.
+
+    ## Action Space
+
+    `Box(-1, 1, (6,), float32)`: joint increments, as shares of the largest increment per control period of 0.1 s.
+
+    | Num | Action            | Control Min | Control Max | Largest increment | Unit |
+    |-----|-------------------|-------------|-------------|-------------------|------|
+    | 0   | J1 pitch          | -1          | 1           | 6                 | deg  |
+    | 1   | J2 horizontal rail| -1          | 1           | 50                | mm   |
+    | 2   | J3 telescopic boom| -1          | 1           | 50                | mm   |
+    | 3   | J4 end rotation   | -1          | 1           | 6                 | deg  |
+    | 4   | J5 end slide      | -1          | 1           | 50                | mm   |
+    | 5   | J6 twist          | -1          | 1           | 18                | deg  |
+
+    The environment adds the increments to a nominal joint target, keeps it inside the joint limits, and hands it to the
+    drives, through a compensator if `pickenv.wrappers.CompensationWrapper` has installed one.
+
+    ## Observation Space
+
+    `Box(float32)`, 18 numbers, or 21 with `feedback="camera"`. Nothing in it depends on the true arm but the camera's
+    offset. Positions and attitudes are in the base frame.
+
+    | Num   | Observation                                                          | Min  | Max  | Unit |
+    |-------|----------------------------------------------------------------------|------|------|------|
+    | 0-5   | joint readings (motor side, as nominal joints), scaled to the limits | -1   | 1    | 1    |
+    | 6-8   | believed tool position (nominal forward kinematics of the readings)  | -R   | R    | m    |
+    | 9-11  | fruit position as the camera saw it                                  | -R   | R    | m    |
+    | 12-14 | fruit minus believed tool position                                   | -2R  | 2R   | m    |
+    | 15-17 | wanted against believed attitude, rotation vector                    | -pi  | pi   | rad  |
+    | 18-20 | fruit minus true tool position as the camera measures it (camera)    | -2R  | 2R   | m    |
+
+    R is an upper bound of the arm's reach plus 1 m.
+
+    ## Rewards
+
+    With e the distance between true tool and fruit in mm and t the angle between true and wanted attitude in degrees:
+
+    - dense (default): -log10(1 + e) - 0.5 log10(1 + t), from about -4.4 (far away) to 0 (perfect); one more decimal of
+      accuracy is worth as much at a millimetre as at a metre.
+    - sparse: 0 while the fruit is inside the capture region, else -1.
+
+    ## Starting State
+
+    All joints at mid-range. Wanted poses are drawn from the nominal arm's joint ranges, 5 % away from the limits, such
+    that the tool points upwards within `max_tilt_deg`: the arm picks from below. A plant with memory (backlash,
+    vibration, warm-up) starts at rest, cold and not yet sunk. `reset(options=...)` takes `"start_joints"` and
+    `"goal_joints"` (rad and m) and, where `arms` is not "fixed", `"arm"`, the number of the arm in the population.
+
+    Every random number is a hash of seed and episode (`pickenv.envs.shared.streams`): resets without a seed go on through the
+    seed's episodes, and an environment gives the same episodes alone, in a `SyncVectorEnv` and in the native vector
+    environment.
+
+    ## Episode End
+
+    - Termination: never, unless `end_on_success`; final accuracy is the point, so reaching the fruit does not end the
+      episode.
+    - Truncation: after 60 steps (`max_episode_steps` of `gym.make`).
+
+    ## Information
+
+    `info` has the same keys after `reset` and `step`:
+
+    | Key                   | Meaning                                                               | Unit   |
+    |-----------------------|-----------------------------------------------------------------------|--------|
+    | `position_error_mm`   | distance between true tool and fruit; joints can remove all of it     | mm     |
+    | `attitude_error_deg`  | angle between true and wanted attitude                                | deg    |
+    | `noncompensable_deg`  | the part of that angle which no joint motion removes                  | deg    |
+    | `compensable_deg`     | the rest: sqrt(attitude_error^2 - noncompensable^2)                   | deg    |
+    | `is_success`          | whether the fruit is inside the capture region                        | bool   |
+    | `pose_error`          | true tool against fruit, and its rotation vector                      | m, rad |
+    | `joint_command`       | what the drives got                                                   | rad, m |
+    | `tool_position`       | true tool position                                                    | m      |
+    | `fruit_position`      | true fruit position                                                   | m      |
+
+    ## Arguments
+
+    ```python
+    >>> import gymnasium as gym
+    >>> import pickenv
+    >>> env = gym.make("pickenv/Reach-v0", plant="geometry_only", tolerance_mm=2.0)
+    >>> observation, info = env.reset(seed=1)
+    >>> observation.shape
+    (18,)
+
+    ```
+
+    - `plant` (str, default "qiao2026"): preset or path of a plant file; "geometry_only" is Table 1 alone, "ideal" has
+      no error at all.
+    - `without` (sequence of str): effects of the plant to switch off.
+    - `feedback` ("encoders" or "camera"): whether the camera's tool-to-fruit offset is part of the observation.
+    - `camera_noise_mm` (float, 0 to 100, default 0): standard deviation per axis of all that the camera sees.
+    - `fruit_noise_mm` (float, 0 to 100, default None): the same for the fruit's position, seen once per episode, where
+      it is not as noisy as the camera's view of the gap.
+    - `tolerance_mm` (float, default 5): radius of the gripper's capture region; 5 mm is the clearance of Li's cup.
+    - `angle_tolerance_deg` (float, default 10): attitude tolerance of the capture region.
+    - `reward` ("dense" or "sparse").
+    - `max_tilt_deg` (float, default 30): largest angle between the wanted tool axis and the vertical.
+    - `end_on_success` (bool, default False): whether the first step inside the capture region ends the episode.
+    - `arms` ("fixed", "per_env" or "per_episode"): the plant's own true arm, or one of a population, chosen once per
+      environment or anew in every episode. `tolerances` (class or file, default "medium"), `population` (int, default
+      256) and `population_seed` (int, default 0) say which; judge a policy on a population that it never saw.
+    - `executor` ("floats" or "numpy"): floats are fast; with "numpy" an environment gives the same bits as the native
+      vector environment on NumPy.
+    - `render_mode` (None, "human" or "rgb_array").
+
+    `gym.make_vec("pickenv/Reach-v0", num_envs=4096)` makes the native vector environment,
+    `pickenv.envs.reaching.vector.ReachVectorEnv`, which takes the same arguments and more.
+
+    ## Version History
+
+    * v0: First version.
+    """
+
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
+
+    def __init__(self, *, executor: str = "floats", render_mode: str | None = None, **arguments: Any) -> None:
+        """See the class for the arguments; raises `InputError` for impossible ones."""
+        check_choice("executor", executor, tuple(EXECUTORS))
+        if render_mode is not None:
+            check_choice("render_mode", render_mode, RENDER_MODES)
+        self.task: Task = make_task(**arguments)
+        self.plant: Plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, 0)
+        self.render_mode = render_mode
+        self.compensator: Compensate | None = None
+        self.observation_space: spaces.Space[Any] = flat_space(self.task)
+        self.action_space: Any = action_space(self.task)
+        self._x: Executor = EXECUTORS[executor]
+        if self._x is NUMPY:
+            self.plant = exact_plant(self.plant)
+        self._stream: int | None = None
+        self._episode = 0
+        self._step = 0
+        self._key: Scalar = 0
+        self._arm = 0
+        self._state: ReachState | None = None
+        self._scene: Look | None = None
+        self._window: Any = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Information]:
+        """Start an episode; see the class for `options`."""
+        super().reset(seed=seed)
+        options = given_options(options)
+        if seed is not None or self._stream is None:
+            given = self.np_random_seed
+            self._stream = seed_word(given if given is not None and given >= 0 else fresh_seed(self.np_random))
+            self._episode = 0
+        else:
+            self._episode += 1
+        x, task = self._x, self.task
+        self._key = episode_key(x, self._word(self._stream), self._word(self._episode))
+        self._take_arm(options.get("arm"))
+        start = self._given(options, "start_joints") or self._numbers(task.middle)
+        goal = self._given(options, "goal_joints")
+        frame = nominal_frames(x, task, goal)[1] if goal is not None else self._draw_goal()
+        self._state = begin(x, task, self.plant, self._key, start, frame, self._command(start))
+        self._step = 0
+        observation, _, information = self._look(0.0)
+        if self.render_mode == "human":
+            self.render()
+        return observation, information
+
+    def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
+        """Move the joint target by `action` and see where the true tool goes.
+
+        Raises:
+            InputError: If the action has another shape or numbers beyond -1 to 1, or before the first reset.
+        """
+        values = as_numbers("action", action)
+        if values.shape != (self.task.joints,) or not all(abs(value) <= MOST_ACTION for value in values.tolist()):
+            raise InputError(f"action {values} is not {self.task.joints} finite numbers between -1 and 1")
+        if self._state is None:
+            raise InputError("step was called before reset; call reset first")
+        target = move(self._x, self.task, self._state.target, self._numbers(values.tolist()))
+        self._state = self._state._replace(target=target)
+        self._step += 1
+        observation, reward, information = self._look(CONTROL_PERIOD)
+        if self.render_mode == "human":
+            self.render()
+        return observation, reward, self.task.end_on_success and information["is_success"], False, information
+
+    def render(self) -> Any:
+        """Draw the nominal ghost, the true arm and the fruit: an RGB array, or a window for "human"."""
+        if self.render_mode is None:
+            gym.logger.warn(
+                "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
+            )
+            return None
+        from pickenv.envs.shared.drawing import Window, reach_pixels
+
+        if self._scene is None:
+            raise InputError("render was called before reset; call reset first")
+        plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
+        parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
+        scene = Look(*parts)  # type: ignore[arg-type]
+        picture = reach_pixels(plant, self.joint_target, scene, self.task.tolerance_mm)
+        if self.render_mode == "rgb_array":
+            return picture
+        self._window = self._window or Window(self.metadata["render_fps"])
+        self._window.show(picture)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    @property
+    def joint_target(self) -> Array:
+        """The nominal joint target that the actions have built up, rad or m."""
+        return np.array([] if self._state is None else self._plain(self._state.target))
+
+    @property
+    def increment(self) -> Array:
+        """Largest increment of each joint in one action, rad or m."""
+        return np.array(self.task.increment)
+
+    @property
+    def arm(self) -> int:
+        """Number of the true arm in its population; 0 for a fixed one."""
+        return self._arm
+
+    def _observe(self, scene: Look) -> tuple[Any, float]:
+        """Observation and reward; variants with other observations override it."""
+        reward: Scalar = true_reward(self._x, self.task, scene)
+        return np.array(self._plain(flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
+
+    def _look(self, dt: float) -> tuple[Any, float, Information]:
+        """Let time pass at the present joint target, then observation, reward and information."""
+        state, plain = self._state, self._plain
+        assert state is not None
+        command = self._command(state.target)
+        moment = self._word(self._step)
+        plant, scene = look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
+        self._state, self._scene = state._replace(plant=plant), scene
+        observation, reward = self._observe(scene)
+        distance, angle, lost, kept = plain((scene.distance_mm, scene.angle_deg, scene.lost_deg, scene.kept_deg))
+        information = {
+            "position_error_mm": distance,
+            "attitude_error_deg": angle,
+            "noncompensable_deg": lost,
+            "compensable_deg": kept,
+            "is_success": bool(scene.success),
+            "pose_error": np.array(plain(scene.error)),
+            "joint_command": np.array(plain(scene.command)),
+            "tool_position": np.array(plain(scene.tool)),
+            "fruit_position": np.array(plain(scene.fruit)),
+        }
+        return observation, reward, information
+
+    def _command(self, target: Sequence[Scalar]) -> Sequence[Scalar]:
+        """What the drives get for a joint target."""
+        if self.compensator is None:
+            return target
+        command: list[float] = self.compensator(np.array(self._plain(target))).tolist()
+        return self._numbers(command)
+
+    def _take_arm(self, asked: int | None) -> None:
+        """Choose the true arm of this episode."""
+        x, task = self._x, self.task
+        if task.arms == "fixed":
+            if asked is not None:
+                raise InputError("option arm needs a population; make the environment with arms='per_episode'")
+            return
+        if asked is None:
+            assert self._stream is not None
+            key = self._key
+            if task.arms == "per_env":
+                key = episode_key(x, self._word(self._stream), self._word(0))
+            asked = int(self._plain((choose_arm(x, key),))[0] * population_size(task))
+        self._arm = number = task.given_arm(asked)
+        if x is FLOATS:
+            self.plant = plant_at(task.plant, number)
+        else:
+            self.plant = exact_plant(changed_plant(task.plant, lambda values: values[number : number + 1]))
+
+    def _draw_goal(self) -> Frame:
+        """Frame of the first pose drawn whose tool points upwards."""
+        x, task = self._x, self.task
+        stream = stream_key(x, self._key, GOAL)
+        for attempt in range(GOAL_ATTEMPTS):
+            joints, upright = goal_attempt(x, task, stream, attempt)
+            if upright:
+                return nominal_frames(x, task, joints)[1]
+        raise task.no_goal()
+
+    def _given(self, options: dict[str, Any], key: str) -> Sequence[Scalar] | None:
+        if options.get(key) is None:
+            return None
+        return self._numbers(self.task.given_joints(key, options[key]).tolist())
+
+    def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:
+        """Floats as the executor wants them."""
+        return values if self._x is FLOATS else [np.array([value]) for value in values]
+
+    def _plain(self, values: Sequence[Scalar]) -> list[float]:
+        """The executor's numbers as floats."""
+        if self._x is FLOATS:
+            return list(values)
+        return [float(value[0]) if isinstance(value, np.ndarray) else float(value) for value in values]
+
+    def _word(self, number: int) -> Scalar:
+        return number if self._x is FLOATS else np.array([number], dtype=np.uint64)

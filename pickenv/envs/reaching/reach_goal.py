@@ -1,0 +1,116 @@
+"""`pickenv/ReachGoal-v0`: the reach task with a goal dictionary, for hindsight experience replay (HER)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.envs.reaching.reach import ReachEnv
+from pickenv.envs.shared.simulation import Look, goal_observation
+from pickenv.envs.shared.spaces import goal_space
+from pickenv.envs.shared.task import Task
+
+GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
+
+
+class ReachGoalEnv(ReachEnv):
+    """Bring the tool to a fruit, and learn from the fruit that it would have reached.
+
+    ## Description
+
+    The arm, the fruit and the plant are those of `pickenv/Reach-v0`; observation and reward differ. The reward is made
+    of what a controller can measure, so that a goal can be exchanged afterwards: the tool as the chosen feedback
+    measures it, against the fruit as the camera saw it. The truth stays in `info`.
+
+    ## Action Space
+
+    `Box(-1, 1, (6,), float32)`: joint increments, as in `pickenv/Reach-v0`.
+
+    ## Observation Space
+
+    `Dict` of three float32 boxes; positions in the base frame, R as in `pickenv/Reach-v0`.
+
+    `observation`:
+
+    | Num  | Observation                                                           | Min | Max | Unit |
+    |------|-----------------------------------------------------------------------|-----|-----|------|
+    | 0-5  | joint readings (motor side, as nominal joints), scaled to the limits  | -1  | 1   | 1    |
+    | 6-8  | believed tool position (nominal forward kinematics of the readings)   | -R  | R   | m    |
+    | 9-11 | wanted against believed attitude, rotation vector                     | -pi | pi  | rad  |
+
+    `achieved_goal`:
+
+    | Num  | Observation                                                           | Min | Max | Unit |
+    |------|-----------------------------------------------------------------------|-----|-----|------|
+    | 0-2  | tool position as measured by the chosen feedback                      | -R  | R   | m    |
+
+    With `feedback="encoders"` that is the believed tool position; with "camera" it is the fruit as seen, less the
+    tool-to-fruit offset that the camera measures (bounds 3R).
+
+    `desired_goal`:
+
+    | Num  | Observation                                                           | Min | Max | Unit |
+    |------|-----------------------------------------------------------------------|-----|-----|------|
+    | 0-2  | fruit position as the camera saw it                                   | -R  | R   | m    |
+
+    ## Rewards
+
+    With e the distance between achieved and desired goal in mm, by `compute_reward(achieved_goal, desired_goal, info)`,
+    which takes single goals or batches and does not look at `info`:
+
+    - sparse (default): 0 while e is within `tolerance_mm`, else -1.
+    - dense: -log10(1 + e).
+
+    ## Starting State
+
+    As in `pickenv/Reach-v0`; the same seed gives the same fruit.
+
+    ## Episode End
+
+    As in `pickenv/Reach-v0`: truncation after 60 steps. `info["is_success"]` judges true tool and true attitude.
+
+    ## Arguments
+
+    ```python
+    >>> import gymnasium as gym
+    >>> import pickenv
+    >>> env = gym.make("pickenv/ReachGoal-v0", feedback="camera", tolerance_mm=20.0)
+    >>> observation, info = env.reset(seed=1)
+    >>> sorted(observation)
+    ['achieved_goal', 'desired_goal', 'observation']
+    >>> float(env.unwrapped.compute_reward(observation["achieved_goal"], observation["desired_goal"], info))
+    -1.0
+
+    ```
+
+    Those of `pickenv/Reach-v0`; `reward` is "sparse" by default.
+
+    ## Version History
+
+    * v0: First version.
+    """
+
+    def __init__(self, *, reward: str = "sparse", **arguments: Any) -> None:
+        """See the class for the arguments; raises `InputError` for impossible ones."""
+        super().__init__(reward=reward, **arguments)
+        self.observation_space = goal_space(self.task)
+
+    def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
+        """Reward of achieved against desired goals, ``(3,)`` or ``(N, 3)``; a number, or an array ``(N,)``."""
+        reward = goal_reward(self.task, np.asarray(achieved_goal), np.asarray(desired_goal))
+        return reward if reward.ndim else float(reward)
+
+    def _observe(self, scene: Look) -> tuple[Any, float]:
+        parts = (np.array(self._plain(part), dtype=np.float32) for part in goal_observation(scene))
+        observation = dict(zip(GOAL_KEYS, parts, strict=True))
+        return observation, self.compute_reward(observation["achieved_goal"], observation["desired_goal"], {})
+
+
+def goal_reward(task: Task, achieved: NDArray[Any], desired: NDArray[Any]) -> NDArray[np.float64]:
+    """Reward of goals ``(..., 3)`` as they were returned, in float64; every batch gives each row the same bits."""
+    step = (achieved.astype(np.float64) - desired.astype(np.float64)).reshape(-1, 3).T.copy()
+    distance_mm = 1e3 * np.sqrt(step[0] * step[0] + step[1] * step[1] + step[2] * step[2])
+    reward = np.where(distance_mm <= task.tolerance_mm, 0.0, -1.0) if task.sparse else -np.log10(1.0 + distance_mm)
+    return np.asarray(reward.reshape(np.broadcast_shapes(achieved.shape, desired.shape)[:-1]))

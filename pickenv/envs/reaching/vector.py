@@ -1,0 +1,337 @@
+"""Native vector environments of the reach tasks: `gym.make_vec` makes them, for any number of environments at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.envs.reaching.batch import Batch, Outcome, Start
+from pickenv.envs.reaching.reach_goal import GOAL_KEYS, goal_reward
+from pickenv.envs.shared.simulation import Look
+from pickenv.envs.shared.spaces import OPTIONS, action_space, flat_space, given_options, goal_space
+from pickenv.envs.shared.streams import fresh_seed, seed_word
+from pickenv.envs.shared.task import IDEAL, Task, check_choice, check_count, make_task
+from pickenv.errors import InputError
+
+EXECUTORS = ("numpy", "torch")
+NUMBER_KEYS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
+
+Mask = NDArray[np.bool_]
+
+
+class ReachVectorEnv(VectorEnv[Any, Any, Any]):
+    """N environments `pickenv/Reach-v0` in one.
+
+    Environment i is the same, number by number, as a single `pickenv/Reach-v0` with seed ``seed + i``, whatever N is:
+    to the bit with ``executor="numpy"`` in both, within 1e-9 between executors in float64.
+
+    | `autoreset_mode`       | step after the end of an episode          | last observation of the episode             |
+    |------------------------|-------------------------------------------|---------------------------------------------|
+    | "NextStep" (default)   | ignores the action, begins the next one   | returned by the step that ended it          |
+    | "SameStep"             | the step that ends it begins the next one | `infos["final_obs"]`, `infos["final_info"]` |
+    | "Disabled"             | refused until `reset` has been called     | returned by the step that ended it          |
+
+    `reset(options={"reset_mask": mask})` begins episodes where the mask is True and leaves the others alone;
+    "start_joints", "goal_joints" ``(6,)`` or ``(N, 6)`` and "arm" (one number or N) are as in `pickenv/Reach-v0`. Infos
+    are dicts of arrays with a mask ``_key`` for every key.
+
+    Args:
+        num_envs: N.
+        max_episode_steps: Steps after which an episode is truncated, or None for never.
+        autoreset_mode: An `AutoresetMode` or its name, see the table.
+        executor: "numpy", or "torch" for tensors in and out.
+        compiled: torch only: whether the step is compiled (half a minute, once) or run eagerly.
+        device: torch only: "cpu", "cuda", "cuda:1".
+        dtype: torch only: "float64" or "float32" (positions then hold to 1 um).
+        pose_infos: Whether infos hold `pose_error`, `joint_command`, `tool_position` and `fruit_position`: at a hundred
+            thousand environments writing them down takes as long as a third of the step.
+        render_mode: None or "rgb_array".
+        arguments: Those of `pickenv/Reach-v0`.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import pickenv
+        >>> envs = gym.make_vec("pickenv/Reach-v0", num_envs=3, autoreset_mode="SameStep")
+        >>> observations, infos = envs.reset(seed=1)
+        >>> observations.shape
+        (3, 18)
+        >>> observations, rewards, terminations, truncations, infos = envs.step(envs.action_space.sample())
+        >>> infos["pose_error"].shape, infos["_pose_error"].tolist()
+        ((3, 6), [True, True, True])
+
+    Raises:
+        InputError: If an argument is impossible.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+    goal_dict = False
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = 60,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        executor: str = "numpy",
+        compiled: bool = True,
+        device: str = "cpu",
+        dtype: str = "float64",
+        pose_infos: bool = True,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        check_count("num_envs", num_envs)
+        if max_episode_steps is not None:
+            check_count("max_episode_steps", max_episode_steps)
+        mode = str(getattr(autoreset_mode, "value", autoreset_mode))
+        check_choice("autoreset_mode", mode, tuple(mode.value for mode in AutoresetMode))
+        check_choice("executor", executor, EXECUTORS)
+        if render_mode is not None:
+            check_choice("render_mode", render_mode, ("rgb_array",))
+        self.task: Task = make_task(**arguments)
+        self.num_envs, self.max_episode_steps, self.render_mode = int(num_envs), max_episode_steps, render_mode
+        self.autoreset_mode = AutoresetMode(mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode, "torch": executor == "torch"}
+        self.single_observation_space = goal_space(self.task) if self.goal_dict else flat_space(self.task)
+        self.single_action_space = action_space(self.task)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._poses = bool(pose_infos)
+        self.compensator: Callable[[Array], Array] | None = None
+        self.batch: Any
+        if executor == "numpy":
+            self.batch = Batch(self.task, self.num_envs, self.goal_dict, pose_infos)
+        else:
+            from pickenv.envs.reaching.torch_batch import TorchBatch
+
+            self.batch = TorchBatch(self.task, self.num_envs, self.goal_dict, pose_infos, device, dtype, compiled)
+        self._seeds = np.zeros(self.num_envs, dtype=np.uint64)
+        self._episodes = np.zeros(self.num_envs, dtype=np.uint64)
+        self._elapsed = np.zeros(self.num_envs, dtype=np.uint64)
+        self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
+        self._ended = np.zeros(self.num_envs, dtype=np.bool_)
+        self._last: Outcome | None = None
+
+    @property
+    def plant(self) -> Any:
+        """The true arm, or arms."""
+        return self.batch.plant
+
+    @property
+    def increment(self) -> Array:
+        """Largest increment of each joint in one action, rad or m."""
+        return np.array(self.task.increment)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes in all environments, or in those of `options["reset_mask"]`; see the class.
+
+        Args:
+            seed: Environment i gets ``seed + i``, or entry i of a sequence; None goes on with its stream.
+            options: See the class.
+        """
+        super().reset(seed=int(seed) if isinstance(seed, int | np.integer) else None)
+        options = given_options(options, (*OPTIONS, "reset_mask"))
+        mask = self._mask(options.pop("reset_mask", None))
+        self._take_seeds(seed, mask)
+        rows = np.flatnonzero(mask)
+        self._begin(rows, self._chosen(options, rows))
+        shown = self.batch.show(rows, self.compensator)
+        if len(rows) == self.num_envs:
+            out = shown
+        else:
+            if self._last is None:
+                raise InputError("reset_mask leaves out environments that were never reset; reset all of them first")
+            out = self.batch.merged(self._last, rows, shown)
+        self._last = self.batch.copied(out) if self.autoreset_mode is AutoresetMode.DISABLED else None
+        return self._observations(out), self._infos(out, mask)
+
+    def step(self, actions: ArrayLike) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Act in all environments.
+
+        Raises:
+            InputError: If actions have another shape or numbers beyond -1 to 1, or an ended episode was not reset.
+        """
+        if not self._seeded.all():
+            raise InputError("step was called before reset; call reset first")
+        numbers = self.batch.numbers_of_actions(actions)
+        mode = self.autoreset_mode
+        live: Mask | None = None  # where time passes; None: everywhere
+        if self._ended.any():
+            live = ~self._ended
+            if mode is not AutoresetMode.NEXT_STEP:
+                first = int(np.argmax(self._ended))
+                raise InputError(f"environment {first} has ended its episode; call reset with a reset_mask first")
+            self._episodes[self._ended] += np.uint64(1)
+            self._begin(np.flatnonzero(self._ended), {})
+            self._elapsed += live
+        else:
+            self._elapsed += np.uint64(1)
+        out = self.batch.advance(numbers, self._elapsed, live, self.compensator)
+        rewards = out.reward if live is None else self.batch.masked_rewards(out.reward, live)
+        truncations, terminations = (np.zeros(self.num_envs, dtype=np.bool_) for _ in range(2))
+        if self.max_episode_steps is not None:
+            truncations = self._elapsed >= self.max_episode_steps
+        if self.task.end_on_success:
+            terminations = self.batch.on_host(out.success)
+        if live is not None:
+            truncations, terminations = truncations & live, terminations & live
+        ended = terminations | truncations
+        final: dict[str, Any] = {}
+        if mode is AutoresetMode.SAME_STEP and ended.any():
+            rows = np.flatnonzero(ended)
+            final = self._final(out, rows, ended)
+            self._episodes[rows] += np.uint64(1)
+            self._begin(rows, {})
+            out = self.batch.merged(out, rows, self.batch.show(rows, self.compensator))
+        else:
+            self._ended = ended
+        if mode is AutoresetMode.DISABLED:
+            self._last = self.batch.copied(out)
+        infos = final | self._infos(out, np.ones(self.num_envs, dtype=np.bool_))
+        flags = (self.batch.on_device(flag) for flag in (terminations, truncations))
+        return self._observations(out), rewards, *flags, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One picture per environment, as in `pickenv/Reach-v0`."""
+        if self.render_mode is None:
+            return None
+        from pickenv.envs.shared.drawing import reach_pixels
+
+        if not self._seeded.all():
+            raise InputError("render was called before reset; call reset first")
+        pictures = []
+        for i in range(self.num_envs):
+            plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, int(self.batch.arm[i]))
+            target, scene = self.batch.scene(i, self.compensator)
+            pictures.append(reach_pixels(plant, target, Look(*scene), self.task.tolerance_mm))
+        return tuple(pictures)
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything that the next step depends on, for a checkpoint; on NumPy and not in mode "Disabled"."""
+        own: dict[str, NDArray[Any]] = {"seeds": self._seeds, "episodes": self._episodes, "elapsed": self._elapsed}
+        own |= {"seeded": self._seeded, "ended": self._ended}
+        return {key: np.array(value) for key, value in (own | self.batch.state_arrays()).items()}
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """The inverse of `state_arrays`, in an environment made with the same arguments."""
+        self._seeds, self._episodes, self._elapsed = (state[key].copy() for key in ("seeds", "episodes", "elapsed"))
+        self._seeded, self._ended = state["seeded"].copy(), state["ended"].copy()
+        self.batch.take_state_arrays(state)
+
+    def _begin(self, rows: NDArray[np.intp], chosen: dict[str, Any]) -> None:
+        self._elapsed[rows], self._ended[rows] = 0, False
+        self.batch.restart(rows, Start(self._seeds[rows], self._episodes[rows], **chosen), self.compensator)
+
+    def _mask(self, mask: Any) -> Mask:
+        """Which environments `reset` is about."""
+        if mask is None:
+            return np.ones(self.num_envs, dtype=np.bool_)
+        mask = np.asarray(mask)
+        if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
+            raise InputError(
+                f"reset_mask has shape {mask.shape} and type {mask.dtype}; give {self.num_envs} truth values, at least "
+                "one of them True"
+            )
+        return np.array(mask)
+
+    def _take_seeds(self, seed: int | Sequence[int | None] | None, mask: Mask) -> None:
+        """New seeds where they are given, the next episode elsewhere."""
+        if seed is None or isinstance(seed, int | np.integer):
+            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+            if len(seeds) != self.num_envs:
+                raise InputError(f"{len(seeds)} seeds were given for {self.num_envs} environments; give one for each")
+        if seed is None and self._seeded.all():
+            self._episodes[mask] += np.uint64(1)
+            return
+        for i in np.flatnonzero(mask):
+            given = seeds[i]
+            if given is None and self._seeded[i]:
+                self._episodes[i] += np.uint64(1)
+            else:
+                if given is not None and given < 0:
+                    raise InputError(f"seed {given} is negative; give a whole number not below zero")
+                self._seeds[i] = seed_word(fresh_seed(self.np_random) if given is None else int(given))
+                self._episodes[i], self._seeded[i] = 0, True
+
+    def _chosen(self, options: dict[str, Any], rows: NDArray[np.intp]) -> dict[str, Any]:
+        """Options of `reset` for the environments ``rows``."""
+        chosen: dict[str, Any] = {}
+        for key in ("start_joints", "goal_joints"):
+            if options.get(key) is not None:
+                chosen[key.split("_")[0]] = self.task.given_joints(key, options[key], self.num_envs)[rows]
+        if options.get("arm") is not None:
+            if self.task.arms == "fixed":
+                raise InputError("option arm needs a population; make the environment with arms='per_episode'")
+            arms = np.asarray(options["arm"])
+            if arms.shape not in ((), (self.num_envs,)):
+                raise InputError(f"option arm has shape {arms.shape}; give one number, or {self.num_envs}")
+            each = np.broadcast_to(arms, (self.num_envs,))[rows]
+            chosen["arm"] = np.array([self.task.given_arm(arm) for arm in each.tolist()], dtype=np.intp)
+        return chosen
+
+    def _observations(self, out: Outcome) -> Any:
+        parts = [part.T for part in out.observation]
+        return dict(zip(GOAL_KEYS, parts, strict=True)) if self.goal_dict else parts[0]
+
+    def _infos(self, out: Outcome, mask: Mask) -> dict[str, Any]:
+        """Infos as a dict of arrays with masks; what is outside the mask is zero."""
+        n = self.task.joints
+        numbers, vectors, success = out.numbers, out.vectors, out.success
+        given = self.batch.on_device(mask)
+        if not mask.all():
+            numbers, success = [row * given for row in numbers], success & given
+            vectors = vectors * given if self._poses else vectors
+        infos: dict[str, Any] = dict(zip(NUMBER_KEYS, numbers, strict=True))
+        infos["is_success"] = success
+        cuts = (("pose_error", 0, 6), ("joint_command", 6, 6 + n), ("tool_position", 6 + n, 9 + n))
+        for key, a, b in (*cuts, ("fruit_position", 9 + n, 12 + n)) if self._poses else ():
+            infos[key] = vectors[a:b].T
+        return infos | {f"_{key}": given for key in infos}
+
+    def _final(self, out: Outcome, rows: NDArray[np.intp], ended: Mask) -> dict[str, Any]:
+        """Last observation and info of the episodes that ended, before they are overwritten."""
+        last = self.batch.copied(out)
+        infos = self._infos(last, ended)
+        mask = self.batch.on_device(ended)
+        return {
+            "final_obs": self.batch.final_observations(self._observations(last), rows),
+            "_final_obs": mask,
+            "final_info": infos,
+            "_final_info": mask,
+        }
+
+
+class ReachGoalVectorEnv(ReachVectorEnv):
+    """N environments `pickenv/ReachGoal-v0` in one; see `ReachVectorEnv`."""
+
+    goal_dict = True
+
+    def __init__(self, num_envs: int = 1, *, reward: str = "sparse", **arguments: Any) -> None:
+        super().__init__(num_envs, reward=reward, **arguments)
+
+    def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
+        """Reward of achieved against desired goals, as in `pickenv/ReachGoal-v0`."""
+        reward = goal_reward(self.task, np.asarray(achieved_goal), np.asarray(desired_goal))
+        return reward if reward.ndim else float(reward)
+
+
+class ReachIdealVectorEnv(ReachVectorEnv):
+    """N environments `pickenv/ReachIdeal-v0` in one; see `ReachVectorEnv`."""
+
+    def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
+        super().__init__(num_envs, **{"plant": IDEAL, **arguments})

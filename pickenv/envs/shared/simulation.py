@@ -1,0 +1,271 @@
+"""The reach task as pure functions on components: increments, joint target, plant, errors, observation and reward.
+
+Written once and run on Python floats (one environment), NumPy arrays or torch tensors (many): see
+`pickenv.envs.shared.backends`. Between `move` and `look` stands the one seam where a compensator turns joint targets into
+joint commands. Units: m, rad, s; millimetres and degrees only in what a name says carries them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from pickenv.arm.kinematics.forward import Frame, Scalar, attach, frames
+from pickenv.arm.plant.dynamics import PlantState
+from pickenv.arm.plant.plant import Plant
+from pickenv.envs.shared.backends import Executor
+from pickenv.envs.shared.exact import inexact
+from pickenv.envs.shared.streams import CAMERA, FRUIT, normal, stream_key, uniform
+from pickenv.envs.shared.task import GOAL_MARGIN, Task
+
+DEGREES = 57.29577951308232
+"""Degrees in one radian."""
+
+Components = tuple[Scalar, ...]
+
+
+class ReachState(NamedTuple):
+    """What a reach environment remembers between two actions.
+
+    Attributes:
+        target: Nominal joint target that the actions have built up, n.
+        goal: Frame of the fruit with the wanted attitude.
+        seen: Fruit position as the camera saw it, 3.
+        plant: What the true arm remembers.
+    """
+
+    target: Components
+    goal: Frame
+    seen: Components
+    plant: PlantState
+
+
+class Look(NamedTuple):
+    """All that can be seen, from outside, of a moment: the observation takes a part of it, the information another.
+
+    Attributes:
+        readings: Joint readings scaled to the joint limits, n.
+        believed: Believed tool position, 3.
+        seen: Fruit position as the camera saw it, 3.
+        offset: Fruit as seen, with the wanted attitude, against the believed tool: m and rotation vector, 6.
+        camera: Fruit minus true tool position as the camera measures it, 3; empty without camera feedback.
+        command: What the drives got, n.
+        tool: True tool position, 3.
+        fruit: True fruit position, 3.
+        error: True tool against fruit: m and rotation vector, 6.
+        distance_mm: Its length.
+        angle_deg: Its angle.
+        lost_deg: The part of the angle that no joint motion removes.
+        kept_deg: The rest of it.
+        success: Whether the fruit is inside the capture region.
+    """
+
+    readings: Components
+    believed: Components
+    seen: Components
+    offset: Components
+    camera: Components
+    command: Components
+    tool: Components
+    fruit: Components
+    error: Components
+    distance_mm: Scalar
+    angle_deg: Scalar
+    lost_deg: Scalar
+    kept_deg: Scalar
+    success: Scalar
+
+
+def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[Frame], Frame]:
+    """Frames of the nominal arm's links (base first), and of its tool, at joints ``q``."""
+    chain = task.exact if x.spares_constants else task.nominal
+    links = frames(x.m, chain, q)
+    tool = attach(links[-1], chain.tool)
+    return links, inexact(tool) if x.spares_constants else tool
+
+
+def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[list[Scalar], Scalar]:
+    """Joints drawn for a wanted pose, and whether its tool points upwards within the largest tilt.
+
+    Args:
+        x: The executor.
+        task: The task.
+        key: Key of the episode's goal stream.
+        attempt: Number of the attempt, from 0; the first upright one is the goal.
+    """
+    joints = []
+    for i, (low, high) in enumerate(zip(task.lower, task.upper, strict=True)):
+        margin = GOAL_MARGIN * (high - low)
+        share = uniform(x, key, attempt * task.joints + i)
+        joints.append((low + margin) + share * (high - low - 2.0 * margin))
+    return joints, nominal_frames(x, task, joints)[1][8] >= task.min_upright
+
+
+def begin(
+    x: Executor, task: Task, plant: Plant, key: Scalar, start: Sequence[Scalar], goal: Frame, command: Sequence[Scalar]
+) -> ReachState:
+    """State at the start of an episode.
+
+    Args:
+        x: The executor.
+        task: The task.
+        plant: The true arm, or arms.
+        key: Key of the episode.
+        start: Joint target to start from.
+        goal: Frame of the fruit with the wanted attitude.
+        command: What the drives get for ``start``.
+    """
+    seen = goal[9:12]
+    if task.fruit_noise:
+        fruit = stream_key(x, key, FRUIT)
+        seen = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(seen))
+    return ReachState(tuple(start), goal, seen, plant.initial_state(x.m, command))
+
+
+def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> Components:
+    """The nominal joint target after an action: clipped shares of the largest increments, kept in the joint limits."""
+    return tuple(
+        x.clip(value + x.clip(share, -1.0, 1.0) * most, low, high)
+        for value, share, most, low, high in zip(target, action, task.increment, task.lower, task.upper, strict=True)
+    )
+
+
+def look(
+    x: Executor,
+    task: Task,
+    plant: Plant,
+    state: ReachState,
+    command: Sequence[Scalar],
+    key: Scalar,
+    moment: Scalar,
+    dt: Scalar,
+) -> tuple[PlantState, Look]:
+    """Hold the joint command for ``dt`` seconds and see where the true tool is.
+
+    Args:
+        x: The executor.
+        task: The task.
+        plant: The true arm, or arms.
+        state: The state, with its new joint target.
+        command: What the drives get for that target.
+        key: Key of the episode.
+        moment: Number of the step in its episode, a 64-bit word; used for the camera's noise only.
+        dt: s, one number or one per environment; 0 at the start of an episode.
+
+    Returns:
+        What the plant remembers, and everything that can be seen.
+    """
+    m, target, goal, seen = x.m, state.target, state.goal, state.seen
+    shown: Sequence[Scalar] = target
+    if plant.has_state or plant.encoder is not None:
+        plant_state, true = plant.advance(m, state.plant, command, dt)
+        # Readings are mapped back to nominal joints, so that a compensator stays invisible to the policy.
+        readings = plant.readings(m, plant_state, command)
+        shown = [q + (reading - sent) for q, reading, sent in zip(target, readings, command, strict=True)]
+    else:
+        plant_state, true = state.plant, plant.tool_frame(m, command)
+    true = inexact(true) if x.spares_constants else true
+    links, believed = nominal_frames(x, task, shown)
+    lag = attitude_difference(x, believed, goal)
+    turn = attitude_difference(x, goal, true)
+    dx, dy, dz = true[9] - goal[9], true[10] - goal[10], true[11] - goal[11]
+    distance_mm = 1e3 * m.sqrt(dx * dx + dy * dy + dz * dz)
+    angle_deg = DEGREES * m.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
+    lost_deg = DEGREES * _lost_angle(x, task, links, turn)
+    rest = angle_deg * angle_deg - lost_deg * lost_deg
+    camera: Components = ()
+    if task.camera:
+        camera = (-dx, -dy, -dz)
+        if task.camera_noise:
+            stream = stream_key(x, key, CAMERA)
+            first = x.times(moment, 3)
+            noise = (normal(x, stream, x.plus(first, x.word(i))) for i in range(3))
+            camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
+    return plant_state, Look(
+        readings=tuple(
+            x.clip((2.0 * q - (low + high)) / (high - low), -1.0, 1.0)
+            for q, low, high in zip(shown, task.lower, task.upper, strict=True)
+        ),
+        believed=believed[9:12],
+        seen=seen,
+        offset=(seen[0] - believed[9], seen[1] - believed[10], seen[2] - believed[11], *lag),
+        camera=camera,
+        command=tuple(command),
+        tool=true[9:12],
+        fruit=goal[9:12],
+        error=(dx, dy, dz, *turn),
+        distance_mm=distance_mm,
+        angle_deg=angle_deg,
+        lost_deg=lost_deg,
+        kept_deg=m.sqrt(x.where(rest > 0.0, rest, 0.0 * rest)),
+        success=(distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg),
+    )
+
+
+def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Components) -> Scalar:
+    """Size of the part of a small turn that lies across all revolute axes: no joint motion removes it."""
+    if task.lost_axes is None:
+        return 0.0 * turn[0]
+    ax, ay, az = inexact(links[task.lost_axes[0] + 1][6:9])
+    bx, by, bz = inexact(links[task.lost_axes[1] + 1][6:9])
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    along = turn[0] * nx + turn[1] * ny + turn[2] * nz
+    return x.m.sqrt(along * along / (nx * nx + ny * ny + nz * nz + 1e-30))
+
+
+def attitude_difference(x: Executor, reference: Frame, actual: Frame) -> Components:
+    """Rotation vector of R_actual R_reference^T in world axes, rad: `pickenv.arm.kinematics.pose_error` for components."""
+    axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
+    bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
+    # Half the sum of the cross products of corresponding axes is sin(angle) times the axis of R_actual R_reference^T.
+    sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
+    sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
+    sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
+    xx = axx * bxx + ayx * byx + azx * bzx
+    yy = axy * bxy + ayy * byy + azy * bzy
+    zz = axz * bxz + ayz * byz + azz * bzz
+    cosine = 0.5 * (xx + yy + zz - 1.0)
+    sine = x.m.sqrt(sx * sx + sy * sy + sz * sz)
+    tiny = sine <= 1e-7
+    scale = x.where(tiny, 1.0, x.arctan2(sine, cosine) / (sine + 1e-300))
+    rx, ry, rz = scale * sx, scale * sy, scale * sz
+    flipped = tiny & (cosine < 0.0)
+    if x.any(flipped):  # half a turn: R + 1 is 2 a a^T, and its largest column gives the axis a
+        xy, xz, yz = (
+            0.5 * (axx * bxy + ayx * byy + azx * bzy + axy * bxx + ayy * byx + azy * bzx),
+            0.5 * (axx * bxz + ayx * byz + azx * bzz + axz * bxx + ayz * byx + azz * bzx),
+            0.5 * (axy * bxz + ayy * byz + azy * bzz + axz * bxy + ayz * byy + azz * bzy),
+        )
+        x_largest, y_largest = (xx >= yy) & (xx >= zz), yy >= zz
+        ux = x.where(x_largest, xx + 1.0, x.where(y_largest, xy, xz))
+        uy = x.where(x_largest, xy, x.where(y_largest, yy + 1.0, yz))
+        uz = x.where(x_largest, xz, x.where(y_largest, yz, zz + 1.0))
+        half_turn = 3.141592653589793 / x.m.sqrt(ux * ux + uy * uy + uz * uz + 1e-300)
+        rx = x.where(flipped, half_turn * ux, rx)
+        ry = x.where(flipped, half_turn * uy, ry)
+        rz = x.where(flipped, half_turn * uz, rz)
+    return rx, ry, rz
+
+
+def flat_observation(scene: Look) -> Components:
+    """The numbers of the flat observation."""
+    return (*scene.readings, *scene.believed, *scene.seen, *scene.offset, *scene.camera)
+
+
+def goal_observation(scene: Look) -> tuple[Components, Components, Components]:
+    """The numbers of observation, achieved goal and desired goal.
+
+    The achieved goal is the tool as the chosen feedback measures it: the believed one, or the fruit as seen less the
+    camera's offset. The desired goal is the fruit as the camera saw it.
+    """
+    achieved = scene.believed
+    if scene.camera:
+        achieved = tuple(fruit - offset for fruit, offset in zip(scene.seen, scene.camera, strict=True))
+    return (*scene.readings, *scene.believed, *scene.offset[3:]), achieved, scene.seen
+
+
+def true_reward(x: Executor, task: Task, scene: Look) -> Scalar:
+    """Reward from the truth: see `pickenv/Reach-v0`."""
+    if task.sparse:
+        return x.where(scene.success, 0.0, scene.distance_mm * 0.0 - 1.0)
+    return -x.m.log10(1.0 + scene.distance_mm) - 0.5 * x.m.log10(1.0 + scene.angle_deg)

@@ -1,0 +1,290 @@
+"""What a reach environment simulates: arm, goal, camera, capture region and reward, as validated constants.
+
+SI units, except where a name says otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm import load_arm, load_plant
+from pickenv.arm.files.arm_file import Arm
+from pickenv.arm.kinematics.forward import Chain, chain_of, frames
+from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant_batch import plant_count
+from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
+from pickenv.envs.shared.exact import exact_chain
+from pickenv.errors import InputError
+from pickenv.limits import check_limit, shown
+
+CONTROL_PERIOD = 0.1
+"""Time between two actions, s: with the arm file's joint speeds it bounds one action's increment."""
+
+MOST_ACTION = 1.0 + 1e-6
+"""Largest size of an action's numbers: 1, and what rounding to single precision may add."""
+
+MOST_CAMERA_NOISE_MM = 100.0
+"""Ten standard deviations of the camera then stay within the metre that the observation's bounds leave for errors."""
+
+MOST_NUMBER = 1e6
+"""No millimetres, degrees or counts that an environment is made with are larger."""
+
+FEEDBACK = ("encoders", "camera")
+REWARDS = ("dense", "sparse")
+ARMS = ("fixed", "per_env", "per_episode")
+IDEAL = "ideal"
+"""Name of the plant without any error: the true arm is the nominal one."""
+
+GOAL_MARGIN = 0.05
+"""Goals keep this share of each joint's range away from its limits."""
+
+GOAL_ATTEMPTS = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Constants of a reach task; the same for single and vector environments.
+
+    Attributes:
+        plant: The true arm, or the population that true arms are taken from.
+        arms: How they are taken from it: one of `ARMS`.
+        nominal: The nominal arm's chain.
+        lower: Lower joint limits, rad or m.
+        upper: Upper joint limits.
+        increment: Largest joint increment of one action.
+        camera: Whether the camera's tool-to-fruit offset is fed back.
+        camera_noise: Standard deviation per axis of what the camera sees, m.
+        fruit_noise: Standard deviation per axis of the fruit's position as it was seen, m.
+        tolerance_mm: Radius of the capture region.
+        angle_tolerance_deg: Its attitude tolerance.
+        sparse: Whether the reward is sparse.
+        end_on_success: Whether reaching the fruit ends the episode.
+        min_upright: Smallest z component of the wanted tool axis.
+        lost_axes: Links whose z axes span the plane in which the tool cannot be turned freely, or None.
+    """
+
+    plant: Plant
+    arms: str
+    nominal: Chain
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    increment: tuple[float, ...]
+    camera: bool
+    camera_noise: float
+    fruit_noise: float
+    tolerance_mm: float
+    angle_tolerance_deg: float
+    sparse: bool
+    end_on_success: bool
+    min_upright: float
+    lost_axes: tuple[int, int] | None
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return len(self.lower)
+
+    @cached_property
+    def exact(self) -> Chain:
+        """The nominal chain with zeros and ones that cost nothing."""
+        return exact_chain(self.nominal)
+
+    @cached_property
+    def middle(self) -> tuple[float, ...]:
+        """Joints at mid-range."""
+        return tuple((low + high) / 2 for low, high in zip(self.lower, self.upper, strict=True))
+
+    @cached_property
+    def reach(self) -> float:
+        """A radius that no tool position leaves, m: the sum of all lengths, plus 1 m for errors and camera noise."""
+        g = self.plant.arm.nominal
+        slides = np.array(g.prismatic) * np.maximum(np.abs(g.lower), np.abs(g.upper))
+        lengths = np.abs(g.a).sum() + np.abs(g.d).sum() + slides.sum()
+        return float(lengths + np.linalg.norm(g.base.position) + np.linalg.norm(g.tool.position) + 1.0)
+
+    def given_joints(self, name: str, joints: Sequence[float] | Array, count: int | None = None) -> Array:
+        """Joints that a reset option asks for, ``(n,)`` or, where ``count`` is given, ``(count, n)``.
+
+        Raises:
+            InputError: If their number is wrong or they lie outside the joint limits.
+        """
+        given, lower, upper = as_numbers(name, joints), np.array(self.lower), np.array(self.upper)
+        shapes = [(self.joints,)] if count is None else [(self.joints,), (count, self.joints)]
+        if given.shape not in shapes or not np.all((given >= lower) & (given <= upper)):
+            raise InputError(
+                f"{name} must be {' or '.join(map(str, shapes))} joints (rad, m) inside the arm's workspace, the joint "
+                f"limits {np.round(lower, 4).tolist()} to {np.round(upper, 4).tolist()}"
+            )
+        return given if count is None else np.broadcast_to(given, (count, self.joints))
+
+    def given_arm(self, number: int) -> int:
+        """Number of an arm of the population.
+
+        Raises:
+            InputError: If there is no such arm.
+        """
+        size = plant_count(self.plant) or 1
+        if not isinstance(number, int | np.integer) or not 0 <= number < size:
+            raise InputError(f"arm is {number!r}; the population has arms 0 to {size - 1}")
+        return int(number)
+
+    def no_goal(self) -> InputError:
+        """Said when no pose is found that meets `min_upright`."""
+        tilt = math.degrees(math.acos(self.min_upright))
+        return InputError(
+            f"arm '{self.plant.arm.name}' found no pose with its tool within {tilt:.0f} deg of the vertical; raise "
+            "max_tilt_deg"
+        )
+
+
+def make_task(
+    plant: str = "qiao2026",
+    without: Sequence[str] = (),
+    feedback: str = "encoders",
+    camera_noise_mm: float = 0.0,
+    tolerance_mm: float = 5.0,
+    angle_tolerance_deg: float = 10.0,
+    reward: str = "dense",
+    max_tilt_deg: float = 30.0,
+    end_on_success: bool = False,
+    arms: str = "fixed",
+    tolerances: str = "medium",
+    population: int = 256,
+    population_seed: int = 0,
+    fruit_noise_mm: float | None = None,
+) -> Task:
+    """Check an environment's arguments (`pickenv/Reach-v0` explains them) and gather its constants.
+
+    Raises:
+        InputError: If an argument is impossible; one sentence says which.
+    """
+    check_choice("feedback", feedback, FEEDBACK)
+    check_choice("reward", reward, REWARDS)
+    check_number("tolerance_mm", tolerance_mm, positive=True)
+    check_number("angle_tolerance_deg", angle_tolerance_deg, positive=True)
+    fruit_noise_mm = camera_noise_mm if fruit_noise_mm is None else fruit_noise_mm
+    for name, noise in (("camera_noise_mm", camera_noise_mm), ("fruit_noise_mm", fruit_noise_mm)):
+        check_number(name, noise)
+        if noise > MOST_CAMERA_NOISE_MM:
+            raise InputError(f"{name} is {noise}; give at most {MOST_CAMERA_NOISE_MM:.0f}")
+    check_number("max_tilt_deg", max_tilt_deg, positive=True)
+    check_choice("arms", arms, ARMS)
+    true_arm = load_true_arm(plant, without)
+    if arms != "fixed":
+        check_count("population", population)
+        check_limit("population", int(population), "population")
+        check_seed("population_seed", population_seed)
+        check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
+        design = load_tolerances(tolerances)
+        true_arm = draw_plants(true_arm, design, population, np.random.default_rng(population_seed))
+    geometry = true_arm.arm.nominal
+    return Task(
+        plant=true_arm,
+        arms=arms,
+        nominal=chain_of(geometry),
+        lower=tuple(geometry.lower.tolist()),
+        upper=tuple(geometry.upper.tolist()),
+        increment=tuple((true_arm.arm.speed * CONTROL_PERIOD).tolist()),
+        camera=feedback == "camera",
+        camera_noise=camera_noise_mm * 1e-3,
+        fruit_noise=fruit_noise_mm * 1e-3,
+        tolerance_mm=float(tolerance_mm),
+        angle_tolerance_deg=float(angle_tolerance_deg),
+        sparse=reward == "sparse",
+        end_on_success=bool(end_on_success),
+        min_upright=math.cos(math.radians(min(max_tilt_deg, 180.0))),
+        lost_axes=lost_axes(geometry),
+    )
+
+
+def load_true_arm(plant: str, without: Sequence[str] = ()) -> Plant:
+    """`pickenv.arm.load_plant`, and "ideal" or "ideal:ARM" for an arm without error (qiao2026 by default)."""
+    check_name("plant", plant, 'a plant preset or a path to a plant file (.toml), or "ideal"')
+    name, _, arm_name = str(plant).partition(":")
+    if isinstance(without, str) or not isinstance(without, Sequence) or not all(isinstance(e, str) for e in without):
+        raise InputError(f"without is {without!r}; give a list of names of effects")
+    if name != IDEAL:
+        return load_plant(plant, without=without)
+    arm: Arm = load_arm(arm_name or "qiao2026")
+    return Plant(name=IDEAL, arm=arm, geometry=arm.nominal)
+
+
+def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    """Refuse a value that is not among those allowed."""
+    if value not in allowed:
+        raise InputError(f"{name} is {value!r}; give one of {', '.join(allowed)}")
+
+
+def check_number(name: str, value: float, *, positive: bool = False) -> None:
+    """Refuse what is no finite number, or negative, above `MOST_NUMBER`, or zero where it must be positive."""
+    given: Any = value
+    number = isinstance(given, Real) and not isinstance(given, bool)
+    if not number or not 0 <= value <= MOST_NUMBER or (positive and value == 0):
+        raise InputError(
+            f"{name} is {shown(value)}; give a finite number {'above' if positive else 'not below'} zero, at most "
+            f"{MOST_NUMBER:.0f}"
+        )
+
+
+def check_count(name: str, value: int) -> None:
+    """Refuse what is not a whole number of at least 1."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise InputError(f"{name} is {value!r}; give a whole number of at least 1")
+
+
+def check_seed(name: str, value: int) -> None:
+    """Refuse what is no whole number, or negative."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise InputError(f"{name} is {value!r}; give a whole number not below zero")
+
+
+def check_name(name: str, value: str | Path, wanted: str) -> None:
+    """Refuse what is no name or path."""
+    if not isinstance(value, str | Path):
+        raise InputError(f"{name} is {value!r}; give the name of {wanted}")
+
+
+def as_numbers(name: str, given: Any) -> Array:
+    """What was given as an array of numbers.
+
+    Raises:
+        InputError: If it is something else, such as text, or rows of different lengths.
+    """
+    try:
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name} is {shown(given)}; give numbers") from error
+
+
+def lost_axes(geometry: Geometry) -> tuple[int, int] | None:
+    """Two links (counted from 0) such that no joint turns the tool about the normal to both their z axes, or None.
+
+    It exists where all revolute axes have one of two directions, as on the picking arm: J1, J2 and J4 are parallel, and
+    so are J5 and J6 (Qiao 2026 digest, fact 4).
+    """
+    poses = np.random.default_rng(0).uniform(geometry.lower, geometry.upper, (16, geometry.joints))
+    columns = [np.ascontiguousarray(column) for column in poses.T]
+    links = frames(np, chain_of(geometry), columns)[1:]
+    axes = {
+        i: np.stack(np.broadcast_arrays(*link[6:9], poses[:, 0])[:3], axis=-1)
+        for i, link in enumerate(links)
+        if not geometry.prismatic[i]
+    }
+    first: list[int] = []
+    for i in axes:
+        if not any(_parallel(axes[i], axes[j]) for j in first):
+            first.append(i)
+    return (first[0], first[1]) if len(first) == 2 else None
+
+
+def _parallel(one: Array, other: Array) -> bool:
+    return bool(np.linalg.norm(np.cross(one, other), axis=-1).max() < 1e-9)

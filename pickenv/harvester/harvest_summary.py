@@ -1,0 +1,137 @@
+"""What a harvest was worth: rates, picks per hour, makespans, idle share and distances, each with a 95 % interval.
+
+Intervals come from resampling whole trees (bootstrap), since fruit of one tree share their machine stops. Units: s, m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.errors import InputError
+from pickenv.harvester.harvest import Harvest, Round
+from pickenv.harvester.machine import Machine
+
+STAGES = ("present", "visible", "reachable", "attempted", "attached", "detached", "collected")
+RESAMPLES = 1000
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+
+
+def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
+    """Fruit at each stage, over all harvests."""
+    names = {"present": None, "visible": "seen"}
+    total = {}
+    for stage in STAGES:
+        name = names.get(stage, stage)
+        total[stage] = sum(len(h.tree) if name is None else int(getattr(h, name).sum()) for h in harvests)
+    return total
+
+
+def funnel_by_arm(harvests: Sequence[Harvest], arms: int) -> dict[str, list[int]]:
+    """Fruit at each stage from the attempt on, by the arm that tried last."""
+    return {
+        stage: [sum(int((getattr(h, stage) & (h.by_arm == arm)).sum()) for h in harvests) for arm in range(arms)]
+        for stage in ("attempted", "attached", "detached", "collected")
+    }
+
+
+def summary(machine: Machine, harvests: Sequence[Harvest], rng: np.random.Generator) -> dict[str, Measure]:
+    """Measures over trees, each with its interval.
+
+    ``recovery`` is collected over reachable fruit, ``harvested`` collected over present; ``collisions`` are rounds
+    whose arms came nearer than two radii.
+
+    Raises:
+        InputError: If there are no harvests.
+    """
+    if not harvests:
+        raise InputError("there is no harvest to sum up; work at least one tree")
+    rounds = [[_round_numbers(machine, r) for r in h.rounds] for h in harvests]
+    columns = {
+        "collected": [float(h.collected.sum()) for h in harvests],
+        "reachable": [float(h.reachable.sum()) for h in harvests],
+        "present": [float(len(h.tree)) for h in harvests],
+        "seconds": [h.seconds for h in harvests],
+        "repicks": [float(h.repicks) for h in harvests],
+        "zones": [float(len(r)) for r in rounds],
+        "makespan": [sum(x["makespan"] for x in r) for r in rounds],
+        "busy": [sum(x["busy"] for x in r) for r in rounds],
+        "held": [sum(x["held"] for x in r) for r in rounds],
+        "waits": [sum(x["waits"] for x in r) for r in rounds],
+        "parallel": [sum(x["parallel"] for x in r) for r in rounds],
+        "travel": [sum(x["travel"] for x in r) for r in rounds],
+        "picks": [sum(x["picks"] for x in r) for r in rounds],
+        "collisions": [sum(x["collision"] for x in r) for r in rounds],
+        "closest": [min((x["closest"] for x in r), default=np.inf) for r in rounds],
+    }
+    table = {name: np.array(values) for name, values in columns.items()}
+    n, arms = len(harvests), machine.arms
+    draws = rng.integers(n, size=(RESAMPLES, n))
+
+    def measure(make: Callable[[dict[str, Array]], Array]) -> Measure:
+        value = float(make({name: column.sum() for name, column in table.items()}))
+        spread = make({name: column[draws].sum(axis=1) for name, column in table.items()})
+        low, high = np.nanquantile(np.broadcast_to(spread, RESAMPLES), [0.025, 0.975])
+        return Measure(value, float(low), float(high))
+
+    closest = float(table["closest"].min())
+    nearest = Measure(closest, closest, float(table["closest"].max())) if np.isfinite(closest) else None
+    found = {
+        "recovery": measure(lambda t: _share(t["collected"], t["reachable"])),
+        "harvested": measure(lambda t: _share(t["collected"], t["present"])),
+        "picks_per_hour": measure(lambda t: 3600 * _share(t["collected"], t["seconds"])),
+        "seconds_per_tree": measure(lambda t: t["seconds"] / n),
+        "makespan": measure(lambda t: _share(t["makespan"], t["zones"])),
+        "idle_share": measure(lambda t: 1 - _share(t["busy"], arms * t["makespan"])),
+        "parallel_ratio": measure(lambda t: _share(t["parallel"], t["makespan"])),
+        "held_per_pick": measure(lambda t: _share(t["held"], t["picks"])),
+        "wait_events": measure(lambda t: _share(t["waits"], t["picks"])),
+        "travel_per_pick": measure(lambda t: _share(t["travel"], t["picks"])),
+        "repicks_per_tree": measure(lambda t: t["repicks"] / n),
+        "collisions": measure(lambda t: t["collisions"] + 0.0),
+    }
+    if nearest is not None:
+        found["closest"] = nearest
+    return found
+
+
+def _share(part: Array, whole: Array) -> Array:
+    return np.asarray(part / np.maximum(whole, 1e-12))
+
+
+def _round_numbers(machine: Machine, r: Round) -> dict[str, float]:
+    """Sums of one round."""
+    times = r.times
+    edges = np.sort(np.concatenate([times.start, times.end]))
+    middle, lengths = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    out = ((times.start[:, None] <= middle) & (middle < times.end[:, None])).sum(axis=0)
+    reach = np.hypot(*(r.aimed[:, 1] * r.aimed[:, 2], r.aimed[:, 2] - machine.slave_home[2]))
+    climbs = 0.0
+    for arm in range(machine.arms):
+        heights = [float(machine.slave_home[0]), *r.aimed[times.arm == arm, 0].tolist()]
+        climbs += float(np.abs(np.diff(heights)).sum())
+    return {
+        "makespan": times.makespan,
+        "busy": float((times.end - times.start).sum()),
+        "held": float(times.held.sum()),
+        "waits": float((times.held > 1e-6).sum()),
+        "parallel": float(lengths[out > 1].sum()),
+        "travel": 2 * float(reach.sum()) + climbs,
+        "picks": float(len(times.fruit)),
+        "collision": float(r.closest < 2 * machine.body.radius),
+        "closest": r.closest,
+    }

@@ -1,0 +1,184 @@
+"""Figures of an identification: convergence, what the poses can tell, how they fill the joint ranges.
+
+Each function takes plain arrays and returns a matplotlib figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.arm.kinematics.geometry import Geometry
+from pickenv.errors import InputError
+from pickenv.inspect.colours import OTHERS, RED, policy_colours
+from pickenv.inspect.figures.style import COLUMN, INK, SOFT, WIDTH, finite_series, new_figure, plain_decades, rgb, style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
+    """Residual after each iteration of the least squares, starting with the nominal arm, on a logarithmic axis.
+
+    Args:
+        residual_rms_mm: Position residual RMS ``(I + 1,)``, mm.
+        attitude_rms_deg: Attitude residual RMS ``(I + 1,)``, degrees, in a panel of its own.
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    curves = {"position residual, RMS (mm)": residual_rms_mm}
+    if attitude_rms_deg is not None:
+        curves["attitude residual, RMS (deg)"] = attitude_rms_deg
+    series, (blue,) = finite_series(curves), rgb(policy_colours(["ls"]))
+    with style():
+        figure = new_figure(COLUMN if len(series) == 1 else WIDTH, 2.6)
+        panels: Any = figure.subplots(1, len(series), squeeze=False)[0]
+        for axes, (label, values) in zip(panels, series.items(), strict=True):
+            axes.semilogy(values, "o-", color=blue, markersize=4.0)
+            for i in sorted({0, len(values) - 1}):
+                text = f"{values[i]:.3g}"
+                axes.annotate(
+                    text, (i, values[i]), (5, 6), textcoords="offset points", ha="left" if i == 0 else "right"
+                )
+            axes.set(xlabel="iteration (number)", ylabel=label)
+            axes.margins(y=0.12)
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+            plain_decades(axes.yaxis)
+        panels[0].set_title("Convergence of least squares")
+    return figure
+
+
+def network_convergence(
+    training_loss: ArrayLike, validation_loss: ArrayLike | None = None, *, best_epoch: int | None = None
+) -> Figure:
+    """Loss of a residual network per epoch, on a logarithmic axis.
+
+    Args:
+        training_loss: Mean squared error ``(E,)`` on normalised targets, without unit.
+        validation_loss: The same on held-out poses.
+        best_epoch: Epoch (from 0) whose weights were kept; marked when given.
+    """
+    losses = {"training": training_loss} | ({} if validation_loss is None else {"validation": validation_loss})
+    series, colours = finite_series(losses), rgb([*policy_colours(["ls_bpnn"]), OTHERS[0]])
+    with style():
+        figure = new_figure(COLUMN, 2.9)
+        axes = figure.add_subplot(xlabel="epoch (number)", ylabel="loss, MSE of normalised targets (–)")
+        axes.set_title("Convergence of the residual network")
+        for (label, values), colour in zip(series.items(), colours, strict=False):
+            axes.semilogy(values, color=colour, label=label)
+        if best_epoch is not None:
+            axes.axvline(best_epoch, color=SOFT, linestyle=":", linewidth=1.2, label=f"kept: epoch {best_epoch}")
+        plain_decades(axes.yaxis)
+        axes.legend()
+    return figure
+
+
+def parameter_spectrum(
+    magnitudes: ArrayLike,
+    kept: ArrayLike,
+    *,
+    names: Sequence[str] | None = None,
+    threshold: float | None = None,
+    quantity: str | None = None,
+) -> Figure:
+    """What the poses can tell about each parameter: the diagonal of R of a pivoted QR, or singular values.
+
+    Args:
+        magnitudes: |R_ii| of a pivoted QR, or singular values ``(P,)``, all in one (scaled) unit.
+        kept: Whether each one was kept ``(P,)``.
+        names: Parameter names in the same order, for a diagonal of R; none for singular values.
+        threshold: Value below which one is dropped; drawn when given.
+        quantity: Name and unit for the axis; chosen by whether there are names when left out.
+    """
+    values, kept = finite_series({"magnitudes": magnitudes})["magnitudes"], np.asarray(kept, dtype=bool)
+    if kept.shape != values.shape or (names is not None and len(names) != len(values)):
+        raise InputError(f"there are {len(values)} magnitudes; give as many kept flags and names")
+    floor = max(float(values.max()), 1e-300) * 1e-18
+    drawn, place = np.maximum(values, floor), np.arange(len(values))
+    blue, red = rgb([*policy_colours(["ls"]), RED])
+    diagonal = names is not None
+    with style():
+        figure = new_figure(WIDTH, 3.1)
+        axes = figure.add_subplot(ylabel=quantity or f"{'|R$_{ii}$|' if diagonal else 'singular value'} (scaled, –)")
+        axes.set_xlabel("parameter" if diagonal else "singular value (number)")
+        condition = float(values[kept].max() / values[kept].min()) if kept.any() else np.inf
+        told = (
+            f"{int(kept.sum())} of {len(values)} parameters kept" if diagonal else f"condition number {condition:.3g}"
+        )
+        axes.set_title(f"Identifiability: {told}")
+        for chosen, colour, marker, label in ((kept, blue, "o", "kept"), (~kept, red, "x", "dropped")):
+            if not chosen.any():
+                continue
+            axes.vlines(place[chosen], drawn.min() / 3.0, drawn[chosen], color=colour, linewidth=1.0, alpha=0.5)
+            axes.plot(
+                place[chosen], drawn[chosen], marker, color=colour, label=f"{label} ({int(chosen.sum())})", markersize=5
+            )
+        if threshold is not None:
+            axes.axhline(threshold, color=SOFT, linestyle="--", linewidth=1.2, label=f"threshold {threshold:.2g}")
+        axes.set(yscale="log", xlim=(-0.7, len(values) - 0.3), ylim=(drawn.min() / 3.0, drawn.max() * 3.0))
+        axes.grid(axis="x", visible=False)
+        if names is not None:
+            axes.set_xticks(place, list(names), rotation=90, fontsize=8)
+            for tick, chosen in zip(axes.get_xticklabels(), kept, strict=True):
+                tick.set_color(INK if chosen else red)
+        else:
+            axes.set_xticks(place, [str(i + 1) for i in place], fontsize=8)
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=3, borderaxespad=0.2)
+    return figure
+
+
+def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
+    """How pose sets fill the joint ranges: each joint's distribution, and each pair of joints.
+
+    Args:
+        geometry: Gives the joints' names, kinds and limits, which frame the plots.
+        sets: For each set, by label (identification, training, test), its joints ``(N, n)``, rad or m.
+    """
+    from matplotlib.lines import Line2D
+
+    n = geometry.joints
+    scale = np.where(geometry.prismatic, 1e3, 180.0 / np.pi)
+    units = ["mm" if slides else "deg" for slides in geometry.prismatic]
+    shown = {label: np.asarray(q, dtype=float).reshape(-1, n) * scale for label, q in sets.items()}
+    lower, upper = geometry.lower * scale, geometry.upper * scale
+    colours = rgb([OTHERS[0], OTHERS[1], (70, 70, 78), *OTHERS[2:]])  # sets are not policies
+    with style(**{"font.size": 7.5, "axes.grid": False}):
+        figure = new_figure(WIDTH, WIDTH * 0.95)
+        grid: Any = figure.subplots(n, n, squeeze=False)
+        for row, column in np.ndindex(n, n):
+            axes = grid[row, column]
+            if column > row:
+                axes.set_axis_off()
+                continue
+            axes.set_xlim(lower[column], upper[column])
+            for q, colour in zip(shown.values(), colours, strict=False):
+                if row == column:
+                    bins = np.linspace(lower[row], upper[row], 13)
+                    axes.hist(q[:, row], bins, density=True, histtype="step", color=colour, linewidth=1.2)
+                else:
+                    axes.scatter(
+                        q[:, column], q[:, row], s=3.0, color=colour, alpha=0.6, linewidths=0.0, rasterized=True
+                    )
+            if row == column:
+                axes.set_yticks([])
+                axes.spines["left"].set_visible(False)
+                axes.set_title(geometry.joint_names[row], fontsize=7.5, loc="center")
+            else:
+                axes.set_ylim(lower[row], upper[row])
+            axes.tick_params(length=2.0, labelbottom=row == n - 1, labelleft=column == 0 and row > 0)
+            if row == n - 1:
+                axes.set_xlabel(f"q{column + 1} ({units[column]})")
+            if column == 0 and row > 0:
+                axes.set_ylabel(f"q{row + 1}\n({units[row]})")
+        grid[0, 0].set_ylabel("density\n(relative)")
+        figure.align_ylabels(grid[:, 0])
+        figure.suptitle("Joint configurations within the joint limits", fontweight="bold")
+        handles = [
+            Line2D([], [], color=colour, marker="o", markersize=4, label=f"{label} ({len(q)})")
+            for (label, q), colour in zip(shown.items(), colours, strict=False)
+        ]
+        figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.97, 0.93), fontsize=9.5)
+    return figure

@@ -1,0 +1,225 @@
+"""Figures of errors: at each pose, by method, distributed, and against what they may depend on.
+
+Each function takes plain arrays and returns a matplotlib figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.errors import InputError
+from pickenv.inspect.colours import RED, policy_colours
+from pickenv.inspect.figures.style import (
+    COLUMN,
+    INK,
+    PAPER,
+    SOFT,
+    WIDTH,
+    finite_series,
+    new_figure,
+    plain_decades,
+    rgb,
+    style,
+)
+from pickenv.inspect.runs.comparison_summary import round_step
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def error_per_pose(errors_mm: Mapping[str, ArrayLike], *, tolerance_mm: float | None = None) -> Figure:
+    """Position error at each test pose, one curve per method: before and after calibration.
+
+    Args:
+        errors_mm: For each method, by label, its errors ``(N,)``, mm.
+        tolerance_mm: Drawn as a line when given.
+    """
+    series = finite_series(errors_mm)
+    with style():
+        figure = new_figure(WIDTH, 2.9)
+        axes = figure.add_subplot(xlabel="test pose (number)", ylabel="position error (mm)")
+        axes.set_title("Position error at each test pose")
+        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+            number = np.arange(1, len(values) + 1)
+            name = f"{label}: mean {values.mean():.2f} mm, max {values.max():.2f} mm"
+            axes.plot(number, values, "o-", color=colour, label=name, markersize=3.0, linewidth=1.1)
+        _tolerance(axes.axhline, tolerance_mm)
+        longest = max(len(values) for values in series.values())
+        axes.set(xlim=(0.5, longest + 0.5), ylim=(0.0, None))
+        figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def error_by_method(
+    errors: Mapping[str, ArrayLike],
+    *,
+    quantity: str = "position error",
+    unit: str = "mm",
+    logarithmic: bool = False,
+    counted: str = "poses",
+) -> Figure:
+    """Box plot of errors by method: quartiles, whiskers to 1.5 times their distance, outliers and mean.
+
+    Args:
+        errors: For each method, by label, its errors ``(N,)`` in ``unit``.
+        quantity: What the errors are, for the axis.
+        unit: Their unit.
+        logarithmic: Logarithmic error axis, for methods that are decades apart.
+        counted: What the numbers under the labels count.
+    """
+    series = finite_series(errors)
+    colours = rgb(policy_colours(list(series)))
+    with style():
+        figure = new_figure(max(COLUMN, 1.2 + 0.9 * len(series)), 2.9)
+        axes = figure.add_subplot(ylabel=f"{quantity} ({unit})", xlabel=f"method (number of {counted})")
+        axes.set_title(f"{quantity[:1].upper()}{quantity[1:]} by method", pad=16.0)
+        boxes = axes.boxplot(
+            list(series.values()),
+            widths=0.55,
+            patch_artist=True,
+            showmeans=True,
+            medianprops={"color": INK, "linewidth": 1.4},
+            meanprops={"marker": "D", "markerfacecolor": PAPER, "markeredgecolor": INK, "markersize": 4.0},
+            flierprops={"marker": "o", "markersize": 2.5, "markeredgecolor": SOFT, "alpha": 0.7},
+            whiskerprops={"color": SOFT},
+            capprops={"color": SOFT},
+        )
+        for box, colour in zip(boxes["boxes"], colours, strict=True):
+            box.set(facecolor=(*colour, 0.75), edgecolor=SOFT)
+        for i, values in enumerate(series.values(), start=1):
+            axes.annotate(f"{values.mean():.3g}", (i + 0.3, values.mean()), va="center", fontsize=7.5)
+        axes.set_xticks(range(1, len(series) + 1), [f"{label}\n({len(values)})" for label, values in series.items()])
+        axes.grid(axis="x", visible=False)
+        if logarithmic:
+            axes.set_yscale("log")
+            plain_decades(axes.yaxis)
+        else:
+            axes.set_ylim(bottom=0.0)
+        axes.annotate("◇ mean (number), ─ median", (0.0, 1.02), xycoords="axes fraction", va="bottom", fontsize=7.5)
+    return figure
+
+
+def error_histogram(
+    errors: Mapping[str, ArrayLike],
+    *,
+    quantity: str = "position error",
+    unit: str = "mm",
+    tolerance: float | None = None,
+) -> Figure:
+    """Histogram of errors, one outline per method over the same bins of round width.
+
+    Args:
+        errors: For each method, by label, its errors ``(N,)`` in ``unit``.
+        quantity: What the errors are, for the axis.
+        unit: Their unit.
+        tolerance: Drawn as a line when given.
+    """
+    series = finite_series(errors)
+    width = round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
+    with style():
+        figure = new_figure(COLUMN, 2.9)
+        axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"share of poses in {width:g} {unit} (%)")
+        axes.set_title("Distribution")
+        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+            edges = width * np.arange(int(values.max() / width) + 2)
+            share = np.full(len(values), 100.0 / len(values))
+            axes.hist(
+                values, edges.tolist(), weights=share, color=(*colour, 0.35), edgecolor=colour, histtype="stepfilled"
+            )
+            axes.plot([], [], color=colour, linewidth=5.0, alpha=0.7, label=label)
+        _tolerance(axes.axvline, tolerance, unit)
+        axes.set_xlim(left=0.0)
+        figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def error_cumulative(
+    errors: Mapping[str, ArrayLike],
+    *,
+    quantity: str = "position error",
+    unit: str = "mm",
+    tolerance: float | None = None,
+    counted: str = "poses",
+) -> Figure:
+    """Empirical distribution function: the share of poses whose error is at most x, on a logarithmic axis.
+
+    Args:
+        errors: For each method, by label, its errors ``(N,)`` in ``unit``.
+        quantity: What the errors are, for the axis.
+        unit: Their unit.
+        tolerance: Drawn as a line when given.
+        counted: What the shares are of.
+    """
+    series = finite_series(errors)
+    with style():
+        figure = new_figure(COLUMN, 2.9)
+        axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"{counted} within it (%)")
+        axes.set_title("Cumulative distribution")
+        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+            axes.ecdf(values, color=colour, label=label)
+        axes.set_xscale("log")
+        axes.set_yticks(np.linspace(0.0, 1.0, 6), ["0", "20", "40", "60", "80", "100"])
+        plain_decades(axes.xaxis)
+        _tolerance(axes.axvline, tolerance, unit)
+        figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def error_against(
+    cause: ArrayLike,
+    errors_mm: Mapping[str, ArrayLike],
+    *,
+    name: str,
+    unit: str,
+    groups: int = 8,
+) -> Figure:
+    """Position error against what it may depend on: extension, payload, temperature; a mark per pose, and their mean.
+
+    Args:
+        cause: The quantity at each pose ``(N,)``, in ``unit``.
+        errors_mm: For each method, by label, its errors ``(N,)``, mm.
+        name: What the quantity is, for the axis.
+        unit: Its unit.
+        groups: Means are taken over so many groups of equal size, or over each value where there are fewer values.
+
+    Raises:
+        InputError: If a series has another length than ``cause``.
+    """
+    series = finite_series(errors_mm)
+    (x,) = finite_series({name: cause}).values()
+    for label, values in series.items():
+        if len(values) != len(x):
+            raise InputError(f"series '{label}' has {len(values)} errors for {len(x)} values of {name}; give as many")
+    parts = _groups(x, groups)
+    with style():
+        figure = new_figure(COLUMN, 2.9)
+        axes = figure.add_subplot(xlabel=f"{name} ({unit})", ylabel="position error (mm)")
+        axes.set_title(f"Error against {name}", pad=16.0)
+        axes.annotate("dots: poses, line: means of groups", (0.0, 1.02), xycoords="axes fraction", fontsize=7.5)
+        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+            axes.plot(x, values, ".", color=colour, markersize=3.0, alpha=0.45)
+            means = np.array([[x[part].mean(), values[part].mean()] for part in parts])
+            axes.plot(*means.T, "o-", color=colour, markersize=4.0, label=label)
+        axes.set_ylim(bottom=0.0)
+        figure.legend(loc="outside lower center", ncols=len(series))
+    return figure
+
+
+def _groups(x: Array, most: int) -> list[NDArray[np.intp]]:
+    """Rows that lie together in ``x``: one group per value, or ``most`` of equal size where there are more values."""
+    values = np.unique(x)
+    if len(values) <= most:
+        return [np.flatnonzero(x == value) for value in values]
+    return np.array_split(np.argsort(x, kind="stable"), most)
+
+
+def _tolerance(line: Callable[..., Any], tolerance: float | None, unit: str = "mm") -> None:
+    """The tolerance as a red line, where there is one."""
+    if tolerance is not None:
+        label = f"tolerance {tolerance:g} {unit}"
+        line(tolerance, color=rgb([RED])[0], linestyle="--", linewidth=1.2, label=label)

@@ -1,0 +1,183 @@
+"""Figures of a harvester: Gantt of the arms, pick map, funnel, throughput, workspace cloud, joint curves.
+
+Each function takes plain arrays and returns a matplotlib figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.errors import InputError
+from pickenv.harvester.harvest_summary import Measure
+from pickenv.inspect.colours import BLUE, GREEN, ORANGE, OTHERS, RED
+from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, new_figure, rgb, style
+from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ARMS = rgb([BLUE, ORANGE, GREEN, *OTHERS])
+"""A colour per arm, in turn."""
+
+
+def arm_colour(arm: int) -> tuple[float, float, float]:
+    """The colour of an arm, by its number from 0."""
+    return ARMS[arm % len(ARMS)]
+
+
+def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
+    """A lane per arm over the clock of one tree, a panel per strategy; hollow bars are empty cups.
+
+    Args:
+        trees: One tree of each strategy, by name.
+        arms: Number of arms.
+    """
+    _something(trees)
+    (red,) = rgb([RED])
+    with style():
+        figure = new_figure(WIDTH, 0.6 + (0.55 + 0.22 * (arms + 1)) * len(trees))
+        panels: Any = figure.subplots(len(trees), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (name, tree) in zip(panels, trees.items(), strict=True):
+            axes.barh([arms] * len(tree.stands), np.diff(tree.stands)[:, 0], 0.7, tree.stands[:, 0], color=SOFT)
+            for arm in range(arms):
+                for got in (True, False):
+                    mine = (tree.arm == arm) & (tree.got == got)
+                    length = (tree.end - tree.start)[mine]
+                    face = arm_colour(arm) if got else "none"
+                    axes.barh([arm] * len(length), length, 0.7, tree.start[mine], color=face, edgecolor=arm_colour(arm))
+            waited = tree.held > 0.0
+            begin = (tree.start - tree.held)[waited]
+            axes.barh(tree.arm[waited], tree.held[waited], 0.18, begin, color=red)
+            axes.set_yticks(range(arms + 1), [*(f"arm {i + 1}" for i in range(arms)), "master stands"])
+            axes.set_title(f"{name}: {int(tree.collected.sum())} of {len(tree.fruit)} fruit in {tree.seconds:.0f} s")
+            axes.grid(axis="y", visible=False)
+        panels[-1].set_xlim(left=0.0)
+        panels[-1].set_xlabel("time on one tree (s); hollow: the cup came back empty, red: held back by a neighbour")
+    return figure
+
+
+def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
+    """The tree's side with its fruit by the arm that collected it, and the zones; a panel per strategy."""
+    _something(trees)
+    with style(**{"axes.grid": False}):
+        figure = new_figure(WIDTH, 3.2)
+        panels: Any = figure.subplots(1, len(trees), sharey=True, squeeze=False)[0]
+        arms = max(int(tree.by_arm.max(initial=-1)) for tree in trees.values()) + 1
+        for axes, (name, tree) in zip(panels, trees.items(), strict=True):
+            for left, right, bottom, top in tree.zones:
+                across, up = [left, right, right, left, left], [bottom, bottom, top, top, bottom]
+                axes.plot(across, up, color=RULE, linewidth=0.8, zorder=0)
+            for arm in range(arms):
+                mine = tree.collected & (tree.by_arm == arm)
+                axes.scatter(*tree.fruit[mine][:, (0, 2)].T, s=18, color=arm_colour(arm))
+            left_over = ~tree.collected
+            axes.scatter(*tree.fruit[left_over][:, (0, 2)].T, s=16, marker="x", color=rgb([RED])[0], linewidths=1.0)
+            axes.set(title=name, xlabel="x along the row (m)", aspect="equal")
+            axes.invert_xaxis()
+        panels[0].set_ylabel("z above the base (m)")
+        handles = [panels[0].scatter([], [], color=arm_colour(i), label=f"arm {i + 1}") for i in range(arms)]
+        handles.append(panels[0].scatter([], [], marker="x", color=rgb([RED])[0], label="not collected"))
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    return figure
+
+
+def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
+    """Share of present fruit that gets to each stage, by strategy.
+
+    Args:
+        funnels: For each strategy, the number of fruit at each stage; the first stage is what all are shares of.
+    """
+    _something(funnels)
+    stages = list(next(iter(funnels.values())))
+    width = 0.84 / len(funnels)
+    with style():
+        figure = new_figure(WIDTH, 3.0)
+        axes = figure.add_subplot(ylabel="share of fruit present (%)")
+        axes.set_title("From fruit present to fruit collected")
+        for i, (name, counts) in enumerate(funnels.items()):
+            share = np.array([100.0 * counts[stage] / max(counts[stages[0]], 1) for stage in stages])
+            place = np.arange(len(stages)) + width * (i - (len(funnels) - 1) / 2.0)
+            axes.bar(place, share, 0.92 * width, color=arm_colour(i), label=f"{name}: {share[-1]:.1f} %")
+        axes.set_xticks(range(len(stages)), stages)
+        axes.set_ylim(0.0, 101.0)
+        axes.grid(axis="x", visible=False)
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figure:
+    """Picks per hour against the number of arms, with 95 % intervals, for each density of fruit."""
+    _something(throughput)
+    with style():
+        figure = new_figure(COLUMN, 2.9)
+        axes = figure.add_subplot(xlabel="arms (number)", ylabel="picks per hour (1/h)")
+        axes.set_title("Throughput against arms")
+        for i, (label, measures) in enumerate(throughput.items()):
+            arms = list(measures)
+            values = np.array([measures[n].value for n in arms])
+            ends = np.abs(np.array([[measures[n].low, measures[n].high] for n in arms]).T - values)
+            axes.errorbar(arms, values, ends, marker="o", markersize=4, capsize=2.5, color=arm_colour(i), label=label)
+        axes.set_xticks(arms)
+        axes.set_ylim(bottom=0.0)
+        figure.legend(loc="outside lower center")
+    return figure
+
+
+def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[tuple[float, float]]] = ()) -> Figure:
+    """Where the cups get to, from above and from the side.
+
+    Args:
+        cloud: Cups at joints drawn evenly within the limits ``(N, arms, 3)``, m.
+        boxes: Ranges of x, y and z, m, to be drawn dashed, such as a paper's.
+    """
+    cloud = np.asarray(cloud, dtype=float)
+    if cloud.ndim != 3 or not len(cloud):
+        raise InputError("a workspace cloud needs points (N, arms, 3); give at least one")
+    with style():
+        figure = new_figure(WIDTH, 3.4)
+        panels: Any = figure.subplots(1, 2)
+        for axes, (a, b) in zip(panels, ((0, 1), (0, 2)), strict=True):
+            for arm in range(cloud.shape[1]):
+                x, y = cloud[:, arm, a], cloud[:, arm, b]
+                axes.scatter(x, y, s=1.0, color=arm_colour(arm), linewidths=0.0, alpha=0.6, rasterized=True)
+            for box in boxes:
+                (left, right), (bottom, top) = box[a], box[b]
+                across, up = [left, right, right, left, left], [bottom, bottom, top, top, bottom]
+                axes.plot(across, up, color=rgb([RED])[0], linestyle="--", linewidth=1.2)
+            axes.set(xlabel=f"{'xyz'[a]} (m)", ylabel=f"{'xyz'[b]} (m)", aspect="equal")
+        panels[0].set_title("Workspace from above")
+        panels[1].set_title("from the side")
+        handles = [panels[0].scatter([], [], color=arm_colour(i), label=f"arm {i + 1}") for i in range(cloud.shape[1])]
+        if boxes:
+            handles += panels[0].plot([], [], color=rgb([RED])[0], linestyle="--", label="dense region of the paper")
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    return figure
+
+
+def joint_curves(curves: JointCurves) -> Figure:
+    """Displacement of each joint over time: sliding joints left, turning ones right; a pattern per joint of an arm."""
+    parts: dict[str, list[str]] = {}
+    for name in curves.moved:
+        parts.setdefault(name.rpartition(" ")[0], []).append(name)
+    colours = {part: INK if i == 0 else arm_colour(i - 1) for i, part in enumerate(parts)}
+    with style():
+        figure = new_figure(WIDTH, 3.2)
+        slides, turns = figure.subplots(1, 2)
+        for part, names in parts.items():
+            for name, line in zip(names, ("-", "--", ":", "-."), strict=False):
+                turning = name in curves.turning
+                axes, scale = (turns, np.degrees(1.0)) if turning else (slides, 1e3)
+                axes.plot(curves.time, curves.moved[name] * scale, color=colours[part], linestyle=line, label=name)
+        slides.set(xlabel="time (s)", ylabel="displacement (mm)", title="Sliding joints")
+        turns.set(xlabel="time (s)", ylabel="displacement (deg)", title="Turning joints")
+        figure.legend(loc="outside lower center", ncols=6, fontsize=7.0)
+    return figure
+
+
+def _something(given: Mapping[str, Any]) -> None:
+    if not given:
+        raise InputError("there is nothing to draw; give at least one strategy")

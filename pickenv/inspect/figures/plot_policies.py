@@ -1,0 +1,219 @@
+"""Figures of policies: aggregates with intervals, success against misalignment, accuracy against cycle time.
+
+Each function takes plain arrays and returns a matplotlib figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.errors import InputError
+from pickenv.inspect.colours import policy_colours
+from pickenv.inspect.figures.style import (
+    COLUMN,
+    INK,
+    RULE,
+    SOFT,
+    WIDTH,
+    finite_series,
+    new_figure,
+    plain_decades,
+    rgb,
+    style,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
+MARKS = ("o", "s", "^", "D")
+SMALLEST_MM = 1e-3
+"""Errors below a micrometre are drawn there."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class CycleCurve:
+    """How the error falls over a cycle.
+
+    Attributes:
+        policy: Gives the line's pattern.
+        compensation: Gives its colour.
+        error_mm: Mean error after each step ``(T,)``.
+    """
+
+    policy: str
+    compensation: str
+    error_mm: Array
+
+
+def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimate]]]]) -> Figure:
+    """Figures of errors with 95 % intervals, on a logarithmic axis.
+
+    Args:
+        panels: For each scene (a row of panels), for each statistic (a column), for each policy (a line), for each
+            compensation (a colour): the estimate, mm.
+
+    Raises:
+        InputError: If there is nothing to draw.
+    """
+    if not panels or not all(panels.values()):
+        raise InputError("there is nothing to draw; give at least one scene with one statistic")
+    statistics = list(next(iter(panels.values())))
+    names = list(dict.fromkeys(p for row in panels.values() for column in row.values() for p in column))
+    keys = list(
+        dict.fromkeys(k for row in panels.values() for column in row.values() for line in column.values() for k in line)
+    )
+    colours = dict(zip(keys, rgb(policy_colours(keys)), strict=True))
+    with style():
+        figure = new_figure(WIDTH, 0.6 + len(panels) * (0.5 + 0.4 * len(names)))
+        axes: Any = figure.subplots(len(panels), len(statistics), squeeze=False, sharex=True, sharey=True)
+        for row, (scene, columns) in enumerate(panels.items()):
+            for column, (title, policies) in enumerate(columns.items()):
+                axis = axes[row, column]
+                for y, policy in enumerate(names):
+                    for i, (key, found) in enumerate(policies.get(policy, {}).items()):
+                        place = y + 0.18 * (i - (len(policies[policy]) - 1) / 2.0)
+                        ends = np.maximum([found.low, found.high], SMALLEST_MM)
+                        axis.plot(ends, [place, place], color=colours[key], linewidth=3.0, alpha=0.55)
+                        axis.plot(
+                            [max(found.value, SMALLEST_MM)], [place], "|", color=colours[key], markersize=6, mew=1.6
+                        )
+                axis.set_xscale("log")
+                axis.set_title(f"{scene}: {title}" if column == 0 else title)
+                axis.set_yticks(range(len(names)), names)
+                axis.set_ylim(len(names) - 0.5, -0.5)
+                if row == len(panels) - 1:
+                    axis.set_xlabel("final position error (mm)")
+        plain_decades(axes[0, 0].xaxis)
+        handles = [axes[0, 0].plot([], [], color=colours[key], linewidth=3.0, label=key)[0] for key in keys]
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    return figure
+
+
+def success_against_misalignment(
+    curves: Mapping[str, tuple[ArrayLike, ArrayLike]], points: Mapping[str, Mapping[str, tuple[float, float]]]
+) -> Figure:
+    """Success of each gripper against lateral misalignment, and where policies lie on the curves.
+
+    Args:
+        curves: For each gripper, misalignment ``(N,)``, mm, and probability of success ``(N,)``.
+        points: For each policy, by gripper, its mean error, mm, and its share of successes.
+    """
+    colours = rgb(policy_colours(list(points)))
+    with style():
+        figure = new_figure(WIDTH, 2.8)
+        axes = figure.add_subplot(xlabel="lateral misalignment (mm)", ylabel="success (%)")
+        axes.set_title("Success against misalignment: what each gripper forgives")
+        marks = dict(zip(curves, MARKS * len(curves), strict=False))
+        for (gripper, (x, y)), line in zip(curves.items(), LINES * len(curves), strict=False):
+            axes.plot(x, 100.0 * np.asarray(y), linestyle=line, color=SOFT)
+            axes.plot([], [], linestyle=line, color=SOFT, marker=marks[gripper], markersize=5, label=gripper)
+        for (policy, places), colour in zip(points.items(), colours, strict=True):
+            for gripper, (error, share) in places.items():
+                axes.plot([error], [100.0 * share], marks[gripper], color=colour, markersize=6, markeredgecolor=INK)
+            axes.plot([], [], "o", color=colour, markersize=6, label=f"{policy}: mean error, success")
+        axes.set(ylim=(-3.0, 103.0), xlim=(0.0, None))
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+def accuracy_against_cycle_time(curves: Sequence[CycleCurve], period: float, *, title: str = "") -> Figure:
+    """Mean error if the pick were made after each step, and the best of all curves so far.
+
+    Args:
+        curves: One per policy and compensation, of equal length.
+        period: Time of a step, s.
+        title: Added to the title, such as the plant's name.
+
+    Raises:
+        InputError: If there is no curve, or one is empty or not finite.
+    """
+    shown = [
+        next(iter(finite_series({f"{c.policy}, {c.compensation}": c.error_mm}).values())).clip(SMALLEST_MM)
+        for c in curves
+    ]
+    if not shown:
+        raise InputError("there is no curve to draw; give at least one")
+    patterns = dict(zip(dict.fromkeys(c.policy for c in curves), LINES * len(curves), strict=False))
+    names = list(dict.fromkeys(c.compensation for c in curves))
+    colours = dict(zip(names, rgb(policy_colours(names)), strict=True))
+    shortest = min(len(error) for error in shown)
+    with style():
+        figure = new_figure(WIDTH, 3.2)
+        axes = figure.add_subplot(xlabel="cycle time (s)", ylabel="mean position error (mm)", yscale="log")
+        axes.set_title("Accuracy against cycle time" + (f", {title}" if title else ""))
+        for curve, error in zip(curves, shown, strict=True):
+            axes.plot(
+                period * np.arange(1, len(error) + 1),
+                error,
+                linestyle=patterns[curve.policy],
+                color=colours[curve.compensation],
+            )
+        front = np.minimum.accumulate(np.min([error[:shortest] for error in shown], axis=0))
+        axes.plot(period * np.arange(1, shortest + 1), front, color=RULE, linewidth=6, zorder=0, label="best so far")
+        for policy, pattern in patterns.items():
+            axes.plot([], [], linestyle=pattern, color=SOFT, label=policy)
+        for name, colour in colours.items():
+            axes.plot([], [], color=colour, linewidth=3.0, label=name)
+        plain_decades(axes.yaxis)
+        figure.legend(loc="outside right center")
+    return figure
+
+
+def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Mapping[str, ArrayLike]) -> Figure:
+    """Pose accuracy AP and repeatability RP of ISO 9283 at each test pose, by controller.
+
+    Args:
+        accuracy_mm: For each controller, AP at P1 to P5.
+        repeatability_mm: For each controller, RP at the same poses.
+    """
+    kinds = {"AP": finite_series(accuracy_mm), "RP": finite_series(repeatability_mm)}
+    colours = rgb(policy_colours(list(kinds["AP"])))
+    with style():
+        figure = new_figure(WIDTH, 2.6)
+        panels: Any = figure.subplots(1, 2)
+        for axes, (kind, series) in zip(panels, kinds.items(), strict=True):
+            for i, ((label, values), colour) in enumerate(zip(series.items(), colours, strict=True)):
+                place = np.arange(1, len(values) + 1) + 0.35 * (i - (len(series) - 1) / 2.0)
+                axes.bar(place, values, 0.33, color=colour, label=f"{label}: worst {values.max():.3f} mm")
+            axes.set(xlabel="test pose of ISO 9283 (number)", ylabel=f"{kind} (mm)")
+            axes.set_xticks(range(1, len(values) + 1), [f"P{k}" for k in range(1, len(values) + 1)])
+            axes.set_title({"AP": "Pose accuracy", "RP": "Pose repeatability"}[kind])
+            axes.legend(loc="upper left", bbox_to_anchor=(0.0, 1.0))
+            axes.set_ylim(top=1.35 * max(float(v.max()) for v in series.values()))
+            axes.grid(axis="x", visible=False)
+    return figure
+
+
+def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Figure:
+    """Pose accuracy at P1 over the hours after the cold arm was switched on.
+
+    Args:
+        hours: Times ``(T,)``, h.
+        accuracy_mm: For each controller, AP at those times ``(T,)``.
+    """
+    series = finite_series(accuracy_mm)
+    with style():
+        figure = new_figure(COLUMN, 2.6)
+        axes = figure.add_subplot(xlabel="time since switched on (h)", ylabel="AP at P1 (mm)")
+        axes.set_title("Drift of the pose accuracy")
+        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+            axes.plot(np.asarray(hours, dtype=float), values, color=colour, label=label)
+        axes.set_ylim(bottom=0.0)
+        axes.legend()
+    return figure

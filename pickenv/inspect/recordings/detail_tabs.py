@@ -1,0 +1,96 @@
+"""Tabs for the reasons behind the errors: arms, effects, attitude, uncertainty, a day in the field."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pickenv.inspect.recordings.blueprint_views import ghost, space, with_colour_bar
+from pickenv.inspect.recordings.details import FLOOR, Day, Details, attitude_length
+from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import (
+    attitude_scale_deg,
+    colour_scale_mm,
+    field_mm,
+    spread,
+    uncertainty_scale_mm,
+)
+
+
+def detail_tabs(comparison: Comparison, details: Details, gain: float) -> list[Any]:
+    """One tab for each part of ``details`` that there is."""
+    tabs = [_effects(comparison, details, gain)]
+    if details.attitude:
+        tabs.append(_attitude(comparison, details))
+    if comparison.field_uncertainty is not None:
+        tabs.append(_uncertainty(comparison))
+    if details.day is not None:
+        tabs.append(_day(comparison, details.day))
+    if len(comparison.fruit):
+        tabs.insert(0, _arms(comparison, gain))
+    return tabs
+
+
+def _arms(comparison: Comparison, gain: float) -> Any:
+    import rerun.blueprint as rrb
+
+    first = comparison.policies[0].label
+    exaggerated = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/fruit", "+ /world/miss/**"]
+    urdf = ["+ /urdf_nominal/**", "+ /urdf_true/**"]
+    return rrb.Horizontal(
+        space(comparison, f"Nominal arm (wire) and true arm under the {first} command, ×{gain:g}", exaggerated),
+        space(comparison, "Nominal and true arm as exported (URDF), true size", urdf, origin="/"),
+        name=f"True arm ×{gain:g}",
+    )
+
+
+def _effects(comparison: Comparison, details: Details, gain: float) -> Any:
+    views = []
+    for name, field in details.effects.items():
+        mean = spread(1e3 * np.linalg.norm(field, axis=-1)).mean
+        title = f"{name.replace('_', ' ')} | mean {mean:.2f} mm | ×{gain:g}"
+        views.append(space(comparison, title, [f"+ /world/effect/{name}", *ghost(comparison)]))
+    meaning = f"Colour: position error, 0 to {colour_scale_mm(comparison):.2f} mm"
+    return with_colour_bar(views, "position", meaning, "Effects, each alone")
+
+
+def _attitude(comparison: Comparison, details: Details) -> Any:
+    labels = {policy.key: f"{policy.label} attitude" for policy in comparison.policies}
+    labels[FLOOR] = "No joint motion removes"
+    top, length = attitude_scale_deg(details.attitude), attitude_length(comparison, details.attitude)
+    views = []
+    for key, field in details.attitude.items():
+        mean = spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
+        title = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree"
+        views.append(space(comparison, title, [f"+ /world/attitude/{key}", *ghost(comparison)]))
+    meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
+    return with_colour_bar(views, "attitude", meaning, "Attitude")
+
+
+def _uncertainty(comparison: Comparison) -> Any:
+    assert comparison.field_uncertainty is not None
+    last, predicted = comparison.policies[-1], 1e3 * comparison.field_uncertainty
+    actual, inside = field_mm(last), 100.0 * float(np.mean(field_mm(last) < 2.0 * predicted))
+    titles = {
+        "predicted": f"Predicted standard uncertainty u of the tool position | mean {predicted.mean():.2f} mm",
+        "actual": f"Actual error, {last.label} | mean {actual.mean():.2f} mm | below 2u at {inside:.0f} %",
+    }
+    views = [space(comparison, title, [f"+ /world/uncertainty/{key}"]) for key, title in titles.items()]
+    meaning = f"Colour: uncertainty and error, 0 to {uncertainty_scale_mm(comparison):.2f} mm"
+    return with_colour_bar(views, "uncertainty", meaning, "Predicted uncertainty")
+
+
+def _day(comparison: Comparison, day: Day) -> Any:
+    import rerun.blueprint as rrb
+
+    largest = max(float(np.percentile(errors, 95, axis=1).max()) for errors in day.errors_mm.values())
+    plot = rrb.TimeSeriesView(
+        origin="/day",
+        contents=["+ /day/**"],
+        name=f"Position error over {day.hours[-1]:g} h of warming up, tilting and sinking as in '{day.plant}', mm | "
+        f"commands as on firm ground | across: reaches, {60.0 * day.hours[0]:.0f} min apart; or choose 'hours'",
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),
+    )
+    return rrb.Horizontal(plot, name="A day in the field")

@@ -1,0 +1,206 @@
+"""A harvested zone as a Rerun recording: master and slaves moving, fruit and its fate, a lane per arm, distances.
+
+Time line: `sim_time`, seconds of the zone. Metres in space, mm on plots.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.errors import InputError
+from pickenv.harvester.harvest import Harvest, Round, slave_joints_at
+from pickenv.harvester.interference import arm_distances
+from pickenv.harvester.joint_motion import master_time, profile
+from pickenv.harvester.machine import Machine
+from pickenv.inspect.colours import BLUE, FRUIT, GREEN, GREY, ORANGE, OTHERS, RED, STEEL, Rgb
+from pickenv.inspect.recordings.blueprint_views import BACKGROUND
+from pickenv.inspect.recordings.scribe import Scribe, f32, write_recording
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+STEP = 0.05
+"""s, between two pictures."""
+ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
+FATES: dict[str, Rgb] = {"hanging": FRUIT, "collected": GREEN, "missed": RED}
+COLUMN_RADIUS, BOOM_RADIUS, FRUIT_RADIUS = 0.03, 0.02, 0.03
+"""m."""
+
+
+def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Path:
+    """Record the round with most picks of a harvested tree.
+
+    Args:
+        machine: The harvester.
+        harvest: What it did.
+        path: The file to write (.rrd).
+
+    Raises:
+        InputError: If the harvest has no round, or the file cannot be written.
+    """
+    if not harvest.rounds:
+        raise InputError("the harvest has no round, so there is no zone to show; harvest a tree with fruit in reach")
+    shown = max(harvest.rounds, key=lambda item: len(item.fruit))
+    zone = shown.zone.name.replace(",", "").replace(" ", "_")
+    fruit = harvest.tree.fruit[shown.zone.holds(harvest.tree.fruit)]
+    masters = np.stack([machine.master_start, shown.master])
+    resting = machine.tips(masters, np.broadcast_to(machine.slave_home, (2, machine.arms, 3))).reshape(-1, 3)
+    return write_recording(
+        path,
+        f"harvest-{zone}",
+        _blueprint(np.concatenate([fruit, resting]), machine.frame3(shown.master), machine.arms),
+        lambda stream: _send(stream, machine, harvest, shown),
+    )
+
+
+def _send(stream: rr.RecordingStream, machine: Machine, harvest: Harvest, shown: Round) -> None:
+    import rerun as rr
+
+    arrival = float(master_time(machine, machine.master_start, shown.master))
+    at = np.arange(0.0, arrival + shown.times.makespan + 1.0, STEP)
+    masters = machine.master_start + profile(
+        at[:, None], shown.master - machine.master_start, machine.master.speed, machine.master_acceleration
+    )
+    slaves = slave_joints_at(machine, shown.work, shown.times, at - arrival)
+    scribe = Scribe(stream, [rr.TimeColumn("sim_time", duration=at)])
+    _send_machine(scribe, machine, masters, slaves)
+    for arm in range(machine.arms):
+        _send_lane(stream, arm, shown, arrival)
+    _send_fruit(stream, harvest, shown, arrival)
+    _send_distances(scribe, machine, slaves)
+
+
+def _send_machine(scribe: Scribe, machine: Machine, masters: Array, slaves: Array) -> None:
+    """Column, boom with the slaves' rail, and slaves, for master ``(T, 3)`` and slave joints ``(T, A, 3)``."""
+    import rerun as rr
+
+    drawn_in = slaves.copy()
+    drawn_in[..., 1:] = 0.0
+    tips, pivots, frame = machine.tips(masters, slaves), machine.tips(masters, drawn_in), machine.frame3(masters)
+    scribe.still("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    pillar = [[[0.0, 0.0, 0.0], [0.0, 0.0, float(machine.upper[1]) + machine.d1]]]
+    scribe.still("world/master/column", rr.LineStrips3D(pillar, colors=[STEEL], radii=[COLUMN_RADIUS]))
+    rail = pivots[:, [0, -1]]
+    rail[..., 2] = frame[:, None, 2]
+    boom = np.concatenate([(frame * (0.0, 0.0, 1.0))[:, None], frame[:, None], rail], axis=1)
+    _send_strip(scribe, "world/master/boom", boom, STEEL, BOOM_RADIUS)
+    for arm in range(machine.arms):
+        ends = np.stack([pivots[:, arm], tips[:, arm]], axis=1)
+        _send_strip(scribe, f"world/slave_{arm + 1}", ends, _colour(arm), machine.body.radius / 2.0)
+
+
+def _send_strip(scribe: Scribe, entity: str, points: Array, colour: Rgb, radius: float) -> None:
+    import rerun as rr
+
+    scribe.still(entity, rr.LineStrips3D.from_fields(colors=[colour], radii=[radius]))
+    scribe.along(entity, rr.LineStrips3D.columns(strips=list(f32(points))))
+
+
+def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: float) -> None:
+    """One Gantt lane: carried by the master, travelling, out, and how the pick ended."""
+    import rerun as rr
+
+    mine = np.flatnonzero(shown.times.arm == arm)
+    moments, states = [0.0, arrival], ["carried", "travel"]
+    for pick in mine[np.argsort(shown.times.start[mine])]:
+        moments += [arrival + float(shown.times.start[pick]), arrival + float(shown.times.end[pick])]
+        states += ["collected" if shown.outcome.collected[pick] else "missed", "travel"]
+    scribe = Scribe(stream, [rr.TimeColumn("sim_time", duration=np.array(moments))])
+    lane = rr.StateConfiguration(
+        values=["carried", "travel", "collected", "missed"],
+        labels=["carried", "travel", "out, collected", "out, missed"],
+        colors=[(*colour, 255) for colour in (GREY, STEEL, FATES["collected"], FATES["missed"])],
+    )
+    scribe.still(f"arms/slave_{arm + 1}", lane)
+    scribe.along(f"arms/slave_{arm + 1}", rr.StateChange.columns(state=states))
+
+
+def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arrival: float) -> None:
+    """Fruit of the zone; it changes colour when its pick ends."""
+    import rerun as rr
+
+    numbers = np.flatnonzero(shown.zone.holds(harvest.tree.fruit))
+    moments = np.concatenate([[0.0], arrival + np.sort(shown.times.end)])
+    colours = fates(shown, numbers, moments - arrival)
+    scribe = Scribe(stream, [rr.TimeColumn("sim_time", duration=moments)])
+    places = rr.Points3D.from_fields(positions=f32(harvest.tree.fruit[numbers]), radii=[FRUIT_RADIUS] * len(numbers))
+    scribe.still("world/fruit", places)
+    changing = rr.Points3D.columns(colors=colours.reshape(-1, 3))
+    scribe.along("world/fruit", changing.partition([len(numbers)] * len(moments)))
+
+
+def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint8]:
+    """Colours ``(T, F, 3)`` of the fruit ``numbers`` at times ``at`` of a round's timetable, by what became of each."""
+    colours = np.broadcast_to(np.array(FATES["hanging"], dtype=np.uint8), (len(at), len(numbers), 3)).copy()
+    place = {number: i for i, number in enumerate(numbers.tolist())}
+    for pick, number in enumerate(shown.fruit.tolist()):
+        if number in place:
+            fate = "collected" if shown.outcome.collected[pick] else "missed"
+            colours[at >= shown.times.end[pick], place[number]] = FATES[fate]
+    return colours
+
+
+def _send_distances(scribe: Scribe, machine: Machine, slaves: Array) -> None:
+    """Distance between every two slaves, mm, and the least that is allowed."""
+    import rerun as rr
+
+    if machine.arms < 2:
+        return
+    near = 1e3 * arm_distances(machine, slaves)
+    for pair, (a, b) in enumerate(combinations(range(1, machine.arms + 1), 2)):
+        entity = f"distance/{a}_{b}"
+        scribe.still(entity, rr.SeriesLines(names=[f"slaves {a} and {b}"], colors=[_colour(pair)]))
+        scribe.along(entity, rr.Scalars.columns(scalars=near[:, pair]))
+    scribe.still("distance/limit", rr.SeriesLines(names=["least allowed"], colors=[RED]))
+    limit = np.full(len(slaves), 1e3 * machine.body.clearance)
+    scribe.along("distance/limit", rr.Scalars.columns(scalars=limit))
+
+
+def _colour(number: int) -> Rgb:
+    return ARMS[number % len(ARMS)]
+
+
+def _blueprint(shown: Array, frame: Array, arms: int) -> rrb.Blueprint:
+    """The machine from beside and behind, then the lanes and the distances.
+
+    Args:
+        shown: Points that the eye must see ``(N, 3)``, m.
+        frame: Frame 3 at the pick point, which tells where ahead is ``(3,)``, m.
+        arms: Number of slaves.
+    """
+    import rerun.blueprint as rrb
+
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    look, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
+    ahead = frame * (1.0, 1.0, 0.0) / np.linalg.norm(frame[:2])
+    eye = look + 1.8 * radius * (0.8 * np.array([ahead[1], -ahead[0], 0.0]) - 0.6 * ahead + (0.0, 0.0, 0.5))
+    views = [
+        rrb.Spatial3DView(
+            origin="/world",
+            contents=["+ /world/**"],
+            name="Master, slaves and fruit, m",
+            background=BACKGROUND,
+            eye_controls=rrb.EyeControls3D(position=eye, look_target=look, eye_up=[0.0, 0.0, 1.0]),
+            line_grid=rrb.LineGrid3D(visible=False),
+        ),
+        rrb.StateTimelineView(
+            origin="/arms", contents=["+ /arms/**"], name="Slaves: travel, out and collected, out and missed (red)"
+        ),
+    ]
+    if arms > 1:
+        name = "Distance between slaves, mm"
+        views.append(rrb.TimeSeriesView(origin="/distance", contents=["+ /distance/**"], name=name))
+    return rrb.Blueprint(
+        rrb.Vertical(*views, row_shares=[4.0, 1.4, 2.0][: len(views)]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline="sim_time", loop_mode="all", play_state="paused"),
+        auto_views=False,
+    )

@@ -1,0 +1,252 @@
+"""Any calibration and any evaluation as a recording: their errors as a comparison, then `record_comparison`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm import Arm, Plant, forward, pose_error
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.compensation.compensator import Compensator
+from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import PoseObservations
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.uncertainty import held_out_errors, uncertainty_from
+from pickenv.errors import InputError
+from pickenv.inspect.colours import policy_key
+from pickenv.inspect.recordings.comparison_recording import record_comparison
+from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
+from pickenv.inspect.runs.comparison_summary import round_step
+from pickenv.inspect.runs.field_grid import field_grid
+
+GAIN = 20.0
+CELLS = 10
+"""Cells along the longest side of a field whose points lie on no grid."""
+
+
+class Ends(Protocol):
+    """How the episodes of an evaluation ended, as `pickenv.agents.evaluation.reaches.Reaches` says it; R of them."""
+
+    @property
+    def pose_error(self) -> Array:
+        """True tool against fruit ``(R, 6)``, m and rad."""
+        ...
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """Whether the fruit was inside the capture region ``(R,)``."""
+        ...
+
+    @property
+    def joint_command(self) -> Array:
+        """What the drives got at the end ``(R, n)``, rad or m."""
+        ...
+
+    @property
+    def tool_position(self) -> Array:
+        """True tool positions ``(R, 3)``, m."""
+        ...
+
+    @property
+    def fruit_position(self) -> Array:
+        """Fruit ``(R, 3)``, m."""
+        ...
+
+
+def inspect_calibration(
+    calibration: Calibration,
+    evidence: Plant | Measurements,
+    path: str | Path,
+    *,
+    gain: float = GAIN,
+    grid_step: float = 0.1,
+    seed: int = 0,
+) -> Path:
+    """Record what a calibration leaves of the error, over the workspace of a simulated arm or at measured poses.
+
+    Args:
+        calibration: The calibration.
+        evidence: The true arm, compensated and driven over its workspace; or measured poses, best held-out ones, of
+            which the models' predictions are taken away.
+        path: The file to write (.rrd).
+        gain: How much longer than true size errors are drawn.
+        grid_step: Cell size of the simulated arm's field, m.
+        seed: Seed of the joints that find the workspace's extent.
+
+    Raises:
+        InputError: If the calibration is another arm's, there are too few poses, or the file cannot be written.
+    """
+    if isinstance(evidence, Plant):
+        shown = _simulated(calibration, evidence, grid_step, seed)
+    else:
+        shown = _measured(calibration, evidence, seed)
+    return record_comparison(shown, path, gain=gain)
+
+
+def inspect_evaluation(
+    runs: Mapping[str, Ends],
+    plant: Plant,
+    path: str | Path,
+    *,
+    tolerance_mm: float = 5.0,
+    gain: float = GAIN,
+    seed: int = 0,
+) -> Path:
+    """Record how several policies ended on the same fruit.
+
+    Args:
+        runs: The ends of each policy's episodes by its label, raw first; the same fruit in each.
+        plant: The arm, or the preset that a population of arms was drawn from.
+        path: The file to write (.rrd).
+        tolerance_mm: Radius of the gripper's capture region.
+        gain: How much longer than true size errors are drawn.
+        seed: Seed of the episodes, which names the recording.
+
+    Raises:
+        InputError: If there are no runs, their fruit differ, or the file cannot be written.
+    """
+    return record_comparison(evaluation_compared(runs, plant, tolerance_mm, seed), path, gain=gain)
+
+
+def evaluation_compared(runs: Mapping[str, Ends], plant: Plant, tolerance_mm: float, seed: int) -> Comparison:
+    """The comparison that `inspect_evaluation` records: the field's points are the fruit."""
+    if not runs:
+        raise InputError("there are no episodes to show; give the ends of at least one policy's episodes")
+    label, first = next(iter(runs.items()))
+    for other, ends in runs.items():
+        if not np.array_equal(ends.fruit_position, first.fruit_position):
+            raise InputError(f"'{other}' did not reach for the same fruit as '{label}'; evaluate both with equal seeds")
+    shape, origin, step, index = _cells(first.fruit_position)
+    policies = [
+        PolicyErrors(
+            key=policy_key(name),
+            label=name,
+            field_errors=ends.tool_position - ends.fruit_position,
+            reach_joints=ends.joint_command,
+            reach_positions=ends.tool_position,
+            position_error_mm=1e3 * np.linalg.norm(ends.pose_error[:, :3], axis=1),
+            attitude_error_deg=np.degrees(np.linalg.norm(ends.pose_error[:, 3:], axis=1)),
+            success=ends.success,
+            field_attitude=ends.pose_error[:, 3:],
+        )
+        for name, ends in runs.items()
+    ]
+    return Comparison(
+        plant=plant,
+        nominal=plant.arm.nominal,
+        identified=plant.arm.nominal,
+        seed=seed,
+        tolerance_mm=tolerance_mm,
+        grid_shape=shape,
+        grid_origin=origin,
+        grid_step=step,
+        field_index=index,
+        field_points=first.fruit_position,
+        field_joints=first.joint_command,
+        fruit=first.fruit_position,
+        policies=tuple(policies),
+    )
+
+
+def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: int) -> Comparison:
+    """Each stage of the calibration between the controller and the simulated arm, on a grid of its workspace."""
+    if calibration.arm_fingerprint != plant.arm.fingerprint():
+        raise InputError(
+            f"the calibration is of arm '{calibration.arm_name}', not of '{plant.arm.name}' with this geometry; "
+            "fit one for this arm"
+        )
+    grid = field_grid(calibration.nominal, grid_step, seed)
+    wanted = forward(calibration.nominal, grid.joints)
+    stages: dict[str, Compensator | None] = {"raw": None, "LS": calibration.compensator(with_residual=False)}
+    if calibration.learnt is not None:
+        stages[_best(calibration)] = calibration.compensator()
+    errors = {
+        label: pose_error(wanted, plant.tool_pose(grid.joints if send is None else send(grid.joints)))
+        for label, send in stages.items()
+    }
+    where = (grid.shape, grid.origin, grid.step, grid.index)
+    return _without_reaches(calibration, plant, errors, grid.points, grid.joints, where, seed)
+
+
+def _measured(calibration: Calibration, data: Measurements, seed: int) -> Comparison:
+    """Each stage of the calibration as a prediction of measured poses; its identified geometry is the true arm."""
+    if len(data) < 2:
+        raise InputError(f"{data.source}: {len(data)} poses are too few to show; give at least two")
+    observed = PoseObservations(data)
+    errors = {
+        "raw": observed.difference(calibration.model.of(calibration.nominal)),
+        "LS": observed.difference(calibration.model),
+    }
+    if calibration.learnt is not None:
+        errors[_best(calibration)] = held_out_errors(calibration, data)
+    unknown = np.ones(calibration.nominal.joints)  # the joints' speeds, which no recording shows
+    arm = Arm(calibration.arm_name, data.source, calibration.nominal, None, unknown)
+    plant = Plant(f"{calibration.arm_name}, measured", arm, calibration.identified)
+    points = forward(calibration.nominal, data.joints).position
+    return _without_reaches(calibration, plant, errors, points, data.joints, _cells(points), seed)
+
+
+def _best(calibration: Calibration) -> str:
+    assert calibration.learnt is not None
+    return f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
+
+
+Cells = tuple[tuple[int, int, int], Array, float, NDArray[np.int64]]
+"""Shape, centre of the first cell, step and each point's index of a grid."""
+
+
+def _without_reaches(
+    calibration: Calibration,
+    plant: Plant,
+    errors: Mapping[str, Array],
+    points: Array,
+    joints: Array,
+    cells: Cells,
+    seed: int,
+) -> Comparison:
+    shape, origin, step, index = cells
+    uncertainty = uncertainty_from(calibration.record)
+    none, vectors = np.empty(0), np.empty((0, 3))
+    return Comparison(
+        plant=plant,
+        nominal=calibration.nominal,
+        identified=calibration.identified,
+        seed=seed,
+        tolerance_mm=0.0,
+        grid_shape=shape,
+        grid_origin=origin,
+        grid_step=step,
+        field_index=index,
+        field_points=points,
+        field_joints=joints,
+        fruit=vectors,
+        policies=tuple(
+            PolicyErrors(
+                key=policy_key(label),
+                label=label,
+                field_errors=error[:, :3],
+                reach_joints=np.empty((0, joints.shape[1])),
+                reach_positions=vectors,
+                position_error_mm=none,
+                attitude_error_deg=none,
+                success=np.empty(0, dtype=np.bool_),
+                field_attitude=error[:, 3:] if error.shape[1] == 6 else None,
+            )
+            for label, error in errors.items()
+        ),
+        field_uncertainty=None if uncertainty is None else uncertainty.standard(calibration.model, joints)[0],
+    )
+
+
+def _cells(points: Array) -> Cells:
+    """A grid around points that lie on none: cells of a round size, some `CELLS` along the longest side."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    step = round_step(max(float((high - low).max()), 1e-3) / CELLS)
+    shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
+    corner = (low + high - shape * step) / 2.0
+    index = np.clip(((points - corner) / step).astype(np.int64), 0, shape - 1)
+    return (int(shape[0]), int(shape[1]), int(shape[2])), corner + step / 2.0, step, index

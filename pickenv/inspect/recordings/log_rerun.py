@@ -1,0 +1,342 @@
+"""Wrappers that log episodes for the Rerun viewer, as `gymnasium.wrappers.RecordVideo` films them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+
+import pickenv
+from pickenv.errors import InputError
+from pickenv.inspect.colours import policy_key
+from pickenv.inspect.recordings.episode_blueprint import episode_blueprint
+from pickenv.inspect.recordings.episodes import (
+    EpisodeLog,
+    Row,
+    Scene,
+    Trigger,
+    capped_cubic,
+    info_of,
+    send_looks,
+    send_rows,
+)
+from pickenv.inspect.recordings.live import PATIENCE, Live, open_live
+from pickenv.inspect.recordings.scribe import write_recording
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+Observation = TypeVar("Observation")
+Action = TypeVar("Action")
+GROWTH = 2.0
+"""The file is written anew once this many times as many steps are recorded as it holds: so the cost stays small."""
+
+
+class _Recorder:
+    """What both wrappers share: which environments are logged, the file, and the live viewers."""
+
+    def __init__(
+        self,
+        env: Any,
+        keys: Sequence[str],
+        save_path: str | Path | None,
+        episode_trigger: Trigger | None,
+        step_trigger: Trigger | None,
+        recording_length: int,
+        name_prefix: str,
+        policy: str,
+        live: Live,
+    ) -> None:
+        if policy != policy_key(policy) or not policy:
+            raise InputError(f"policy '{policy}' cannot name an entity; use lower-case letters, digits and underscores")
+        if recording_length < 0:
+            raise InputError(f"recording_length is {recording_length}; give a number of steps, or 0 for whole episodes")
+        if save_path is None and not live:
+            raise InputError("nothing would be logged; give save_path, spawn, connect or serve")
+        if episode_trigger is None and step_trigger is None:
+            episode_trigger = capped_cubic
+        self.path = None if save_path is None else Path(save_path) / f"{name_prefix}-{policy}.rrd"
+        length = float(recording_length) or np.inf
+        self.logs = [EpisodeLog(key, episode_trigger, step_trigger, length) for key in keys]
+        self._env, self._live, self._policy = env, live, policy
+        self._scene: Scene | None = None
+        self._identity = ""
+        self._in_file = 0
+        self._shown = [0] * len(self.logs)
+        self._stream: rr.RecordingStream | None = None
+
+    def met(self, info: Mapping[str, Any]) -> None:
+        """After the first reset: what is the same in all episodes, and the recording's identity.
+
+        Recordings of several policies on one environment, plant and first seed are shown as one.
+        """
+        if self._scene is not None:
+            return
+        outer = self._env.unwrapped
+        inner = outer.envs[0].unwrapped if hasattr(outer, "envs") else outer
+        task = getattr(inner, "task", None)
+        plant = getattr(task, "plant", None)
+        self._scene = Scene(
+            nominal=None if plant is None else plant.arm.nominal,
+            period=1.0 / inner.metadata.get("render_fps", 10),
+            # Only where the fruit is a pose to be reached is this radius what counts.
+            tolerance_mm=getattr(task, "tolerance_mm", None) if "pose_error" in info else None,
+            policy=self._policy,
+        )
+        name = type(inner).__name__ if inner.spec is None else inner.spec.id.rpartition("/")[2]
+        self._identity = ":".join([name, *([] if plant is None else [plant.name]), f"seed{outer.np_random_seed}"])
+
+    def ended(self) -> None:
+        """After the end of an episode: show it, and write the file if it is due."""
+        recorded = self._recorded
+        if recorded and self._live:
+            self._show()
+        if self.path is not None and recorded > self._in_file and recorded >= GROWTH * self._in_file:
+            self._write(self.path)
+
+    def close(self) -> None:
+        """Show and write what is left."""
+        if self._live and self._recorded:
+            self._show()
+        if self.path is not None and self._recorded > self._in_file:
+            self._write(self.path)
+        if self._stream is not None:
+            try:
+                self._stream.flush(timeout_sec=PATIENCE)
+                self._stream.disconnect()
+            except RuntimeError as error:
+                gym.logger.warn(f"a live viewer did not take the last steps: {error}")
+            self._stream = None
+
+    @property
+    def _recorded(self) -> int:
+        return sum(len(log.rows) for log in self.logs)
+
+    def _first(self) -> Row:
+        return next(log.rows[0] for log in self.logs if log.rows)
+
+    def _write(self, path: Path) -> None:
+        """The whole recording anew: what stood there stays until the new one is complete."""
+
+        def send(stream: rr.RecordingStream) -> None:
+            self._send(stream, [0] * len(self.logs), first=True)
+
+        assert self._scene is not None
+        write_recording(path, self._identity, episode_blueprint(self._scene, self._first().info), send)
+        self._in_file = self._recorded
+
+    def _show(self) -> None:
+        assert self._scene is not None
+        first = self._stream is None
+        if self._stream is None:
+            blueprint = episode_blueprint(self._scene, self._first().info)
+            self._stream = open_live(self._live, self._identity, blueprint)
+        self._send(self._stream, self._shown, first=first)
+        self._shown = [len(log.rows) for log in self.logs]
+
+    def _send(self, stream: rr.RecordingStream, start: Sequence[int], *, first: bool) -> None:
+        """Send each environment's rows from ``start`` on, and before the ``first`` of them what holds for all."""
+        import rerun as rr
+
+        assert self._scene is not None
+        if first:
+            facts: dict[str, Any] = {"pickenv_version": pickenv.__version__, "rerun_version": rr.__version__}
+            stream.send_property("pickenv", rr.AnyValues(**facts))
+            for log in self.logs:
+                send_looks(stream, self._scene, log.key, self._first())
+        for log, begin in zip(self.logs, start, strict=True):
+            if len(log.rows) > begin:
+                send_rows(stream, self._scene, log.key, log.rows[begin:])
+
+
+class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
+    """Log episodes for the Rerun viewer: true and nominal arm, fruit, miss, and every number of `info`.
+
+    The signature is that of `gymnasium.wrappers.RecordVideo`. All recorded episodes are in one file,
+    ``save_path/name_prefix-policy.rrd``; files of several policies on one environment and seed are shown as one:
+    ``rerun runs/*.rrd``. The file is written whole at the end of an episode, each time that twice as many steps are
+    recorded as it holds, and by `close`. Live viewers see each episode when it has ended.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import pickenv
+        >>> from pickenv.inspect import LogRerun
+        >>> env = LogRerun(gym.make("pickenv/Reach-v0"), "runs/recordings", lambda number: True, policy="random")
+        >>> observation, info = env.reset(seed=0)
+        >>> for _ in range(60):
+        ...     observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        >>> env.close()
+
+    Change log:
+     * v0.1.0 - Added.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Observation, Action],
+        save_path: str | Path | None = None,
+        episode_trigger: Trigger | None = None,
+        step_trigger: Trigger | None = None,
+        recording_length: int = 0,
+        name_prefix: str = "episodes",
+        *,
+        policy: str = "policy",
+        spawn: bool = False,
+        connect: str | None = None,
+        serve: int | None = None,
+    ) -> None:
+        """Log ``env``.
+
+        Args:
+            env: Any environment; arms and fruit are drawn where `info` tells where they are.
+            save_path: Folder for the file; None for live viewers alone.
+            episode_trigger: Whether to record an episode, given its number; capped cubic if there is no trigger.
+            step_trigger: Whether to record from a step, given its number.
+            recording_length: Steps of one recording; 0 for whole episodes.
+            name_prefix: First part of the file's name.
+            policy: Name of the policy: lower-case letters, digits and underscores.
+            spawn: Show the episodes in a viewer that is started here.
+            connect: Show them in the viewer at this address.
+            serve: Show them to viewers that connect to this port.
+
+        Raises:
+            InputError: If an argument is impossible; later, if a file cannot be written or a viewer not be reached.
+        """
+        RecordConstructorArgs.__init__(
+            self,
+            save_path=save_path,
+            episode_trigger=episode_trigger,
+            step_trigger=step_trigger,
+            recording_length=recording_length,
+            name_prefix=name_prefix,
+            policy=policy,
+            spawn=spawn,
+            connect=connect,
+            serve=serve,
+        )
+        gym.Wrapper.__init__(self, env)
+        given = (save_path, episode_trigger, step_trigger, recording_length, name_prefix, policy)
+        self._recorder = _Recorder(env, [policy], *given, Live(spawn, connect, serve))
+        self._log = self._recorder.logs[0]
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Reset the environment; a recording may begin."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._recorder.met(info)
+        if self._log.begins():
+            self._log.note(info, 0.0)
+        return observation, info
+
+    def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Step the environment, and note its info while recording."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if self._log.steps():
+            self._log.note(info, float(reward))
+        if terminated or truncated:
+            self._recorder.ended()
+        return observation, reward, terminated, truncated, info
+
+    def close(self) -> None:
+        """Write what is left, and close the environment."""
+        self._recorder.close()
+        super().close()
+
+
+class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
+    """`LogRerun` for vector environments: logs those with the chosen indices.
+
+    Change log:
+     * v0.1.0 - Added.
+    """
+
+    def __init__(
+        self,
+        env: VectorEnv[Any, Any, Any],
+        save_path: str | Path | None = None,
+        episode_trigger: Trigger | None = None,
+        step_trigger: Trigger | None = None,
+        recording_length: int = 0,
+        name_prefix: str = "episodes",
+        *,
+        indices: Sequence[int] = (0,),
+        policy: str = "policy",
+        spawn: bool = False,
+        connect: str | None = None,
+        serve: int | None = None,
+    ) -> None:
+        """Log environments ``indices`` of ``env``; the other arguments are those of `LogRerun`.
+
+        The triggers are asked with the number of each environment's own episode or step.
+
+        Raises:
+            InputError: If an argument is impossible; later, if a file cannot be written or a viewer not be reached.
+        """
+        RecordConstructorArgs.__init__(
+            self,
+            save_path=save_path,
+            episode_trigger=episode_trigger,
+            step_trigger=step_trigger,
+            recording_length=recording_length,
+            name_prefix=name_prefix,
+            indices=indices,
+            policy=policy,
+            spawn=spawn,
+            connect=connect,
+            serve=serve,
+        )
+        VectorWrapper.__init__(self, env)
+        if not indices or not all(0 <= i < env.num_envs for i in indices) or len(set(indices)) != len(indices):
+            raise InputError(f"indices are {list(indices)}; give different numbers from 0 to {env.num_envs - 1}")
+        keys = [f"{policy}/env_{i}" for i in indices]
+        given = (save_path, episode_trigger, step_trigger, recording_length, name_prefix, policy)
+        self._recorder = _Recorder(env, keys, *given, Live(spawn, connect, serve))
+        self._logged = list(zip(indices, self._recorder.logs, strict=True))
+        self._over = np.zeros(env.num_envs, dtype=np.bool_)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Reset the environments; recordings may begin."""
+        mask = None if options is None else options.get("reset_mask")
+        observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        self._recorder.met(infos)
+        for i, log in self._logged:
+            if mask is None or mask[i]:
+                self._over[i] = False
+                if log.begins():
+                    log.note(info_of(infos, i), 0.0)
+        return observations, infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step the environments, and note infos while recording."""
+        observations, rewards, terminations, truncations, infos = self.env.step(actions)
+        same_step = self.env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+        ended = False
+        for i, log in self._logged:
+            if self._over[i]:  # this step began the next episode; its action was ignored
+                self._over[i] = False
+                if log.begins():
+                    log.note(info_of(infos, i), 0.0)
+                continue
+            over = bool(terminations[i] or truncations[i])
+            if log.steps():
+                log.note(info_of(infos["final_info"] if over and same_step else infos, i), float(rewards[i]))
+            if over and same_step and log.begins():
+                log.note(info_of(infos, i), 0.0)
+            self._over[i] = over and not same_step
+            ended = ended or over
+        if ended:
+            self._recorder.ended()
+        return observations, rewards, terminations, truncations, infos
+
+    def close(self, **arguments: Any) -> None:
+        """Write what is left, and close the environments."""
+        self._recorder.close()
+        super().close(**arguments)

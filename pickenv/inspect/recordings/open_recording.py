@@ -1,0 +1,140 @@
+"""Open finished recordings: in the native viewer, in a browser, in a viewer that runs already, or for whoever asks."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import socket
+import subprocess
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from urllib.parse import quote
+
+from pickenv.errors import InputError
+from pickenv.inspect.recordings.live import (
+    LOCAL,
+    PATIENCE,
+    VIEWER_MEMORY,
+    VIEWER_PORT,
+    check_answers,
+    check_screen,
+    rerun_program,
+)
+
+HEADER = b"RRF"
+"""First bytes of every recording; a digit and the writer's version follow."""
+
+
+def check_recording(path: str | Path) -> None:
+    """Refuse what this program's viewer cannot show.
+
+    Raises:
+        InputError: If the file is missing, no recording, damaged, or written by a rerun that is newer than the one
+            installed or older by more than one minor version, which is as far as rerun promises to read back.
+    """
+    import rerun as rr
+    from rerun.chunk import RrdReader
+
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(8)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}; give a recording (.rrd) or a run folder") from error
+    if len(head) < 8 or not head.startswith(HEADER):
+        raise InputError(f"{path} is not a Rerun recording; give a recording (.rrd) or a run folder")
+    written = (head[4], head[5])
+    major, minor = (int(part) for part in rr.__version__.split(".")[:2])
+    if not (major, minor - 1) <= written <= (major, minor):
+        raise InputError(
+            f"{path} was written by rerun {written[0]}.{written[1]}, and {major}.{minor} is installed, which reads its "
+            "own recordings and those of the minor version before; make the recording again"
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="RRD file has no footer")  # a killed writer's rows can be read
+            found = RrdReader(path).recordings()
+    except RuntimeError as error:
+        raise InputError(f"{path} is damaged ({error}); make the recording again") from error
+    if not found:
+        raise InputError(f"{path} holds no recording; make it again")
+
+
+def open_native(paths: Sequence[Path]) -> None:
+    """Show recordings in rerun's own window, or in the one that is open; returns when it is closed.
+
+    Raises:
+        InputError: If there is no screen.
+    """
+    check_screen()
+    _run([*map(str, paths), "--bind", LOCAL, "--port", str(VIEWER_PORT), "--memory-limit", VIEWER_MEMORY])
+
+
+def open_web(paths: Sequence[Path]) -> None:
+    """Serve recordings to a browser on this machine until interrupted, and print the address to open."""
+    web, data = _free_port(), _free_port()
+    source = quote(f"rerun+http://{LOCAL}:{data}/proxy", safe="")
+    print(f"open http://{LOCAL}:{web}/?url={source} in a browser; Ctrl-C ends", flush=True)
+    ports = ["--port", str(data), "--web-viewer-port", str(web)]
+    _run([*map(str, paths), "--serve-web", "--bind", LOCAL, *ports])
+
+
+def serve(paths: Sequence[Path], port: int) -> None:
+    """Serve recordings to viewers that connect to ``port`` of this machine, until interrupted."""
+    print(f"connect with: rerun --connect rerun+http://{LOCAL}:{port}/proxy; Ctrl-C ends", flush=True)
+    _run([*map(str, paths), "--serve-grpc", "--bind", LOCAL, "--port", str(port)])
+
+
+def send(paths: Sequence[Path], url: str) -> None:
+    """Send recordings to a viewer that runs already.
+
+    Raises:
+        InputError: If none answers at ``url``, or it does not take everything.
+    """
+    import rerun as rr
+    from rerun.chunk import RrdReader
+
+    check_answers(url)
+    for path in paths:
+        (entry, *_) = RrdReader(path).recordings()
+        stream = rr.RecordingStream(entry.application_id, recording_id=entry.recording_id, send_properties=False)
+        stream.set_sinks(rr.GrpcSink(url))
+        stream.log_file_from_path(path)
+        try:
+            stream.flush(timeout_sec=PATIENCE)
+        except RuntimeError as error:
+            raise InputError(f"the viewer at {url} did not take {path} within {PATIENCE:g} s: {error}") from error
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((LOCAL, 0))
+        return int(probe.getsockname()[1])
+
+
+def _run(arguments: list[str]) -> None:
+    """Run the installed rerun and end it, with what it started, when we end."""
+    # Its log goes nowhere: on a healthy day it is a screenful that hides the one line that says where to look.
+    quiet = subprocess.DEVNULL
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
+    process = subprocess.Popen([rerun_program(), *arguments], stdout=quiet, stderr=quiet, start_new_session=True)
+    try:
+        code = process.wait()
+    except BaseException:
+        _end(process)
+        raise
+    if code != 0:
+        command = shlex.join(["rerun", *arguments])
+        raise InputError(f"rerun ended with code {code}; what it says is shown by: {command}")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End the program; on POSIX its whole group, because `rerun` is a script that starts the program proper."""
+    if sys.platform == "win32":
+        process.terminate()
+    else:
+        os.killpg(process.pid, signal.SIGTERM)
+    process.wait()

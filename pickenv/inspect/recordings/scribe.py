@@ -1,0 +1,204 @@
+"""How anything becomes a Rerun recording: one stream, whole columns, no wall-clock times: equal data give equal files.
+
+Metres in space; millimetres and degrees on plots, as their titles say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.errors import InputError
+from pickenv.files import write_whole
+from pickenv.inspect.colours import WHITE, Rgb, viridis
+from pickenv.inspect.runs.comparison_summary import ticks
+from pickenv.inspect.runs.links import capsules
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+APPLICATION_ID = "pickenv"
+BASE_RADIUS, TOOL_RADIUS = 0.030, 0.012
+"""m; links are drawn thinner from base to tool."""
+COLOUR_BAR_PIXELS = (512, 7)
+
+
+def write_recording(
+    path: str | Path, recording_id: str, blueprint: rrb.Blueprint, send: Callable[[rr.RecordingStream], None]
+) -> Path:
+    """Write a recording (.rrd) with its blueprint inside, whole or not at all.
+
+    Args:
+        path: The file; missing folders are made.
+        recording_id: Its identity; files of one identity are shown as one recording.
+        blueprint: The layout.
+        send: Sends everything to the stream.
+
+    Raises:
+        InputError: If the file cannot be written.
+    """
+    content = recording_bytes(recording_id, blueprint, send)
+    return write_whole(path, lambda temporary: temporary.write_bytes(content))
+
+
+def recording_bytes(recording_id: str, blueprint: rrb.Blueprint, send: Callable[[rr.RecordingStream], None]) -> bytes:
+    """A recording as the content of a file, with the footer that ends a finished one.
+
+    It is made in memory, because rerun's own writer waits for ever when the disk fills up.
+
+    Raises:
+        InputError: If the variable RERUN switches rerun off.
+    """
+    import rerun as rr
+
+    stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
+    memory = stream.memory_recording()
+    if not rr.is_enabled(stream):
+        raise InputError("the variable RERUN switches recording off; unset it")
+    # Active, not only the default: the web viewer passes over a default that comes after the recording's head.
+    stream.send_blueprint(blueprint, make_active=True, make_default=True)
+    send(stream)
+    return memory.drain_as_bytes()
+
+
+class Scribe:
+    """Sends columns to one stream, either for all time or along time lines."""
+
+    def __init__(self, stream: rr.RecordingStream, times: Sequence[rr.TimeColumn] = ()) -> None:
+        """Without ``times``, `along` sends nothing."""
+        self.stream, self.times = stream, tuple(times)
+
+    def still(self, entity: str, *content: rr.AsComponents) -> None:
+        """Send archetypes that hold for all time, all of an entity in one chunk."""
+        import rerun as rr
+
+        columns: list[rr.ComponentColumn] = []
+        for archetype in content:
+            for batch in archetype.as_component_batches():
+                columns.append(
+                    rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
+                )
+        self.stream.send_columns(entity, [], columns, strict=True)
+
+    def along(self, entity: str, *columns: Iterable[rr.ComponentColumn]) -> None:
+        """Send columns with one row per moment."""
+        if self.times:
+            self.stream.send_columns(entity, self.times, [c for several in columns for c in several], strict=True)
+
+
+def f32(values: ArrayLike) -> Any:
+    """Values in the precision in which rerun keeps them."""
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
+def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:
+    """What a click on an arrow reads out: length and components of ``vectors`` ``(N, 3)``, in ``unit``."""
+    import rerun as rr
+
+    return rr.DynamicArchetype("PickError", components=_readings(vectors, unit))
+
+
+def reading_columns(vectors: Array, unit: str = "mm") -> Iterable[rr.ComponentColumn]:
+    """`reading` with one row per moment."""
+    import rerun as rr
+
+    return rr.DynamicArchetype.columns("PickError", components=_readings(vectors, unit))
+
+
+def _readings(vectors: Array, unit: str) -> dict[str, Any]:
+    import rerun as rr
+
+    lengths = f32(np.linalg.norm(vectors, axis=-1))
+    return {f"norm_{unit}": lengths, f"xyz_{unit}": rr.components.Vector3DBatch(f32(vectors))}
+
+
+def send_arrows(
+    scribe: Scribe, entity: str, origins: Array, arrows: Array, values: Array, top: float, unit: str = "mm"
+) -> None:
+    """A field of arrows for all time, coloured by the length of what they stand for.
+
+    Args:
+        scribe: Where to.
+        entity: Its name.
+        origins: Where the arrows stand ``(N, 3)``, m.
+        arrows: The arrows as drawn ``(N, 3)``, m.
+        values: The vectors that a click reads out ``(N, 3)``, in ``unit``.
+        top: Upper end of the colour scale, in ``unit``.
+        unit: Unit of ``values``.
+    """
+    import rerun as rr
+
+    colours = viridis(np.linalg.norm(values, axis=-1) / top)
+    drawn = rr.Arrows3D(origins=f32(origins), vectors=f32(arrows), colors=colours, radii=rr.Radius.ui_points(1.6))
+    scribe.still(entity, drawn, reading(values, unit))
+
+
+def send_arm(
+    scribe: Scribe, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0
+) -> None:
+    """An arm that stands at another pose at every moment; ``points`` ``(T, K, 3)`` and ``parts`` as in `links`, m."""
+    import rerun as rr
+
+    count = len(parts)
+    scribe.still(
+        entity,
+        rr.Capsules3D.from_fields(
+            radii=f32(thickness * np.linspace(BASE_RADIUS, TOOL_RADIUS, count)),
+            colors=[colour] * count,
+            line_radii=rr.Radius.ui_points(0.6),
+            fill_mode=fill_mode,
+        ),
+    )
+    move_arm(scribe, entity, points, parts)
+
+
+def move_arm(scribe: Scribe, entity: str, points: Array, parts: list[int]) -> None:
+    """Where an arm stands at every moment, for one whose looks were sent by `send_arm`."""
+    import rerun as rr
+
+    rods = capsules(points, parts)
+    moving = rr.Capsules3D.columns(
+        lengths=f32(rods.length.ravel()),
+        translations=f32(rods.start.reshape(-1, 3)),
+        quaternions=f32(rods.quaternion.reshape(-1, 4)),
+    )
+    scribe.along(entity, moving.partition([len(parts)] * len(points)))
+
+
+def send_voxels(
+    scribe: Scribe, entity: str, index: NDArray[np.int64], values: Array, top: float, step: float, corner: Array
+) -> None:
+    """Cells ``index`` ``(C, 3)`` of a grid of ``step`` m that begins at ``corner``, coloured by ``values`` ``(C,)``."""
+    import rerun as rr
+
+    scribe.still(
+        entity,
+        rr.VoxelGridMap(
+            np.asarray(index, dtype=np.int32),
+            [step] * 3,
+            values=f32(values),
+            value_range=[0.0, top],
+            colormap="Viridis",
+            translation=corner,
+        ),
+    )
+
+
+def send_colour_bar(scribe: Scribe, entity: str, top: float, unit: str) -> None:
+    """A colour scale from 0 to ``top`` with its unit: an image and its ticks below ``entity``."""
+    import rerun as rr
+
+    width, height = COLOUR_BAR_PIXELS
+    bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
+    scribe.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
+    at = ticks(top)
+    positions = [(tick / top * width, height - 1.0) for tick in at]
+    labels = [f"{tick:g}" for tick in at[:-1]] + [f"{at[-1]:g} {unit}"]
+    words = rr.Points2D(positions, labels=labels, radii=0.0, colors=[WHITE], show_labels=True)
+    scribe.still(f"{entity}/ticks", words)

@@ -1,0 +1,169 @@
+"""Interactive figures of a report: an error field to be turned, errors to be read by hovering; plotly, in the page.
+
+Plotly's library is packed into the page and unpacked by the reader's browser, so the page needs no network and stays
+small enough to send. Each interactive figure has a still twin for print and for browsers that cannot draw it.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from collections.abc import Mapping, Sequence
+from functools import cache
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.inspect.colours import policy_colours, viridis
+from pickenv.inspect.figures.field_figure import round_down, thinned
+from pickenv.inspect.figures.run_drawings import Drawing
+from pickenv.inspect.reports.report_svg import inline_svg
+from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import colour_scale_mm, field_mm, round_step, spread
+from pickenv.inspect.runs.view import eye_direction
+
+MOST_ARROWS = 3000
+EYE_DISTANCE = 2.55
+"""In units of the scene's size, as plotly counts."""
+
+COLOUR_BAR: Mapping[str, Any] = {
+    "title": {"text": "position error (mm)", "side": "bottom", "font": {"size": 13}},
+    "orientation": "h",
+    "x": 0.5,
+    "xanchor": "center",
+    "y": -0.02,
+    "yanchor": "top",
+    "len": 0.7,
+    "thickness": 12,
+}
+
+
+def interactive(drawing: Drawing, spec: Mapping[str, Any], hint: str) -> str:
+    """A figure that comes alive in a browser, with its still twin.
+
+    Args:
+        drawing: The still twin.
+        spec: Plotly's data and layout.
+        hint: What a reader can do with it.
+    """
+    name = drawing.name
+    still = inline_svg(drawing.draw(), name, drawing.caption)
+    content = json.dumps(spec, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return (
+        f'<figure><div class="interactive" data-spec="{name}-spec" role="img" aria-label="{escape(drawing.caption)}">'
+        f'</div><div class="still">{still}</div><figcaption>{escape(drawing.caption)} '
+        f'<span class="hint">{escape(hint)}</span></figcaption>'
+        f'<script type="application/json" id="{name}-spec">{content}</script></figure>'
+    )
+
+
+@cache
+def library() -> str:
+    """The scripts that go last on a page with interactive figures."""
+    plotly = (files("plotly") / "package_data" / "plotly.min.js").read_bytes()
+    packed = base64.b64encode(gzip.compress(plotly, 9, mtime=0)).decode()
+    ours = (files("pickenv.inspect") / "report.js").read_text(encoding="utf-8")
+    return f'<script type="text/plain" id="plotly">{packed}</script>\n<script>\n{ours}</script>\n'
+
+
+def field_spec(comparison: Comparison) -> dict[str, Any]:
+    """The error fields side by side in 3-D: an arrow's shaft per wanted position, and its end to hover over."""
+    shown, spacing = thinned(comparison, MOST_ARROWS)
+    top = colour_scale_mm(comparison)
+    gain = round_down(1.1 * spacing / (top * 1e-3))
+    points = comparison.field_points[shown]
+    scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
+    axes = _axes(points, spacing) | {"camera": {"eye": _xyz(EYE_DISTANCE * eye_direction(comparison))}}
+    data: list[dict[str, Any]] = []
+    layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 80}, "showlegend": False}
+    for i, policy in enumerate(comparison.policies, start=1):
+        scene = "scene" if i == 1 else f"scene{i}"
+        shaft, end = _arrows(points, policy.field_errors[shown], gain, scale)
+        end["marker"]["showscale"] = i == 1
+        data += [shaft | {"scene": scene}, end | {"scene": scene, "name": policy.label}]
+        layout[scene] = axes
+        numbers = spread(field_mm(policy))
+        title = f"<b>{escape(policy.label)}</b>, ×{gain:g}: mean {numbers.mean:.2f}, max {numbers.largest:.2f} mm"
+        layout["annotations"].append({"text": title})
+    return {"data": data, "layout": layout}
+
+
+def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Traces of the shafts and of the ends of arrows; both are coloured by the errors' true lengths in mm."""
+    tips, length = points + gain * errors, np.linalg.norm(errors, axis=1) * 1e3
+    shafts = np.stack([points, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
+    shaft = _coordinates(shafts) | {
+        "type": "scatter3d",
+        "mode": "lines",
+        "hoverinfo": "skip",
+        "line": scale | {"color": _numbers(np.repeat(length, 3)), "width": 4},
+    }
+    end = _coordinates(tips) | {
+        "type": "scatter3d",
+        "mode": "markers",
+        "marker": scale | {"color": _numbers(length), "size": 2.6, "colorbar": COLOUR_BAR},
+        "customdata": np.round(np.column_stack([length, errors * 1e3, points]), 4).tolist(),
+        "hovertemplate": "<b>%{customdata[0]:.3f} mm</b><br>x %{customdata[1]:+.3f}, y %{customdata[2]:+.3f}, "
+        "z %{customdata[3]:+.3f} mm<br>at x %{customdata[4]:.3f}, y %{customdata[5]:.3f}, z %{customdata[6]:.3f} m"
+        "<extra>%{fullData.name}</extra>",
+    }
+    return shaft, end
+
+
+def _axes(points: Array, spacing: float) -> dict[str, Any]:
+    """The same axes for every scene, m."""
+    low, high = points.min(axis=0) - spacing, points.max(axis=0) + spacing
+    small = {"tickfont": {"size": 10}, "dtick": round_step(float((high - low).max()) / 6.0)}
+    named = {
+        f"{axis}axis": small | {"title": {"text": f"{axis} (m)", "font": {"size": 11}}, "range": ends}
+        for axis, ends in zip("xyz", np.column_stack([low, high]).tolist(), strict=True)
+    }
+    return named | {"aspectmode": "data"}
+
+
+def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
+    """Position error at each test pose, one line per stage."""
+    data = [
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "name": f"{label}: mean {values.mean():.2f} mm",
+            "x": list(range(1, len(values) + 1)),
+            "y": _numbers(values),
+            "line": {"color": _css(colour), "width": 1.5},
+            "marker": {"size": 5},
+            "hovertemplate": "pose %{x}: <b>%{y:.3f} mm</b><extra>" + escape(label) + "</extra>",
+        }
+        for (label, values), colour in zip(errors_mm.items(), policy_colours(list(errors_mm)), strict=True)
+    ]
+    layout = {
+        "xaxis": {"title": {"text": "test pose (number)"}},
+        "yaxis": {"title": {"text": "position error (mm)"}, "rangemode": "tozero"},
+        "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.02},
+        "margin": {"l": 55, "r": 10, "t": 70, "b": 45},
+        "height": 380,
+        "hovermode": "closest",
+    }
+    return {"data": data, "layout": layout}
+
+
+def _coordinates(points: Array) -> dict[str, Any]:
+    return {axis: _numbers(points[:, i]) for i, axis in enumerate("xyz")}
+
+
+def _xyz(vector: Array) -> dict[str, Any]:
+    return dict(zip("xyz", _numbers(vector), strict=True))
+
+
+def _numbers(values: Array) -> list[float | None]:
+    """Numbers to four decimals, and gaps where they are NaN."""
+    return [None if np.isnan(value) else round(float(value), 4) for value in values]
+
+
+def _css(colour: Sequence[int] | NDArray[np.uint8]) -> str:
+    return "rgb({},{},{})".format(*colour)

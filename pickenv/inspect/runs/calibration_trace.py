@@ -1,0 +1,92 @@
+"""What a calibration leaves for its figures and its report: poses, held-out errors, convergence, identifiability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm import forward
+from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import PoseObservations
+from pickenv.calibration.pipeline.fitting import Fit
+from pickenv.calibration.residuals.bpnn import Bpnn
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationTrace:
+    """The evidence of one calibration, in plain arrays.
+
+    Attributes:
+        nominal: Geometry that the controller believes in.
+        sets: Joints ``(N, n)`` of each set of poses, rad or m: identification, network, test.
+        errors: Held-out pose errors ``(M, 6)``, or positions' ``(M, 3)``, m and rad, of each stage by label.
+        payload: Mass held at each held-out pose ``(M,)``, kg, where it was recorded.
+        temperature: Temperature rise at each ``(M,)``, K, where it was recorded.
+        position_rms: Position residual RMS before each least-squares iteration and after the last, m.
+        attitude_rms: The same for the attitude, rad; None where only positions were measured.
+        loss: Training loss of the network per epoch, MSE of normalised targets; None without a network.
+        names: Parameters of the error model.
+        kept: Whether each was identified.
+        r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter.
+        singular_values: Of the scaled stacked Jacobian of the kept parameters.
+        fingerprints: Hash of each data set, by its name.
+    """
+
+    nominal: Geometry
+    sets: Mapping[str, Array]
+    errors: Mapping[str, Array]
+    payload: Array | None
+    temperature: Array | None
+    position_rms: Array
+    attitude_rms: Array | None
+    loss: Array | None
+    names: tuple[str, ...]
+    kept: NDArray[np.bool_]
+    r_diagonal: Array
+    singular_values: Array
+    fingerprints: Mapping[str, str]
+
+    @property
+    def extension(self) -> Array:
+        """Distance of the tool from the base at each held-out pose ``(M,)``, m."""
+        pose = forward(self.nominal, self.sets["test"])
+        return np.asarray(np.linalg.norm(pose.position - self.nominal.base.position, axis=-1))
+
+
+def trace_of(fit: Fit, sets: Mapping[str, Measurements], errors: Mapping[str, Array]) -> CalibrationTrace:
+    """The trace of a fit.
+
+    Args:
+        fit: What `calibration.fit` found on the first set.
+        sets: The measurements by role: the first was identified on, "test" was held out.
+        errors: Held-out errors of each stage, by label.
+    """
+    found, calibration = fit.identification, fit.calibration
+    seen, test = found.identifiability, sets["test"]
+    train = PoseObservations(next(iter(sets.values())))
+    left = [train.difference(model) for model in found.iterates]
+    learnt = calibration.learnt
+    return CalibrationTrace(
+        nominal=calibration.nominal,
+        sets={name: data.joints for name, data in sets.items()},
+        errors=dict(errors),
+        payload=test.conditions.payload,
+        temperature=test.conditions.temperature,
+        position_rms=np.array([_rms(error[:, :3]) for error in left]),
+        attitude_rms=np.array([_rms(error[:, 3:]) for error in left]) if left[0].shape[1] == 6 else None,
+        loss=learnt.model.loss if learnt is not None and isinstance(learnt.model, Bpnn) else None,
+        names=seen.names,
+        kept=np.isin(np.arange(len(seen.names)), seen.kept),
+        r_diagonal=seen.r_diagonal,
+        singular_values=seen.singular_values,
+        fingerprints={name: data.fingerprint() for name, data in sets.items()},
+    )
+
+
+def _rms(errors: Array) -> float:
+    """RMS of the norms of error vectors ``(N, 3)``."""
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))

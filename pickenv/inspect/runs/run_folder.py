@@ -1,0 +1,267 @@
+"""Run folders: what kind of run a folder holds, how it was made, and the numbers behind its figures and its report.
+
+`run.json` is taken away when a run begins to write and written last, so where it stands the run is complete. It lists
+every file that the run wrote with its SHA-256, and carries its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shlex
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pickenv.container import refusing_damage
+from pickenv.errors import InputError
+from pickenv.files import write_text
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace
+from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.harvest_trace import HarvestTrace
+from pickenv.inspect.runs.saved import load, save
+from pickenv.locks import locked
+from pickenv.provenance import code_fingerprint, file_sha256, versions
+
+RECORD = "run.json"
+COMPARISON = "comparison.npz"
+TRACE = "calibration_trace.npz"
+HARVEST = "harvest.npz"
+ISO9283 = "iso9283.json"
+REPORT = "report.html"
+STUDY = "study.toml"
+"""The configuration in a study's folder, which has no `run.json`."""
+
+FORMAT = 2
+
+MADE_BY: Mapping[str, str] = {
+    "demo": "pickenv demo --out RUN",
+    "calibration": "pickenv calibrate FILE --arm ARM --run RUN",
+    "evaluation": "pickenv evaluate --out RUN",
+    "iso9283": "pickenv iso9283 --out RUN",
+    "harvest": "python scripts/reproduce_li2016.py --out RUN",
+    "study": "pickenv study CONFIG --out RUN",
+}
+"""The kinds of run, each with the command that makes such a folder."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A complete run folder.
+
+    Attributes:
+        folder: Where it is.
+        kind: One of `MADE_BY`.
+        command: Command line that makes the same numbers again.
+        seed: Seed of everything random; None where there is none, or several.
+        versions: Versions of what computed it, by package.
+        code: Fingerprint of the code that computed it (`pickenv.provenance.code_fingerprint`).
+        files: SHA-256 of each file that the run wrote, by its path inside the folder; None while it writes, and for a
+            study, whose chunks carry their own.
+    """
+
+    folder: Path
+    kind: str
+    command: str
+    seed: int | None
+    versions: Mapping[str, str]
+    code: str = ""
+    files: Mapping[str, str] | None = None
+
+    @property
+    def made_by(self) -> str:
+        """How such a folder is made, for error messages."""
+        return MADE_BY[self.kind].replace("RUN", shlex.quote(str(self.folder)))
+
+
+@contextmanager
+def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Iterator[Run]:
+    """Write a run's files inside this context; `run.json` is written when all of them stand.
+
+    Args:
+        folder: The run folder; made where it is missing.
+        kind: One of `MADE_BY`.
+        command: Command line that makes the same numbers again.
+        seed: Seed of everything random.
+
+    Raises:
+        InputError: If another process is writing into the folder, or it cannot be written.
+    """
+    run = Run(folder, kind, command, seed, versions(), code_fingerprint())
+    with locked(folder):
+        if (folder / RECORD).is_file():
+            (folder / RECORD).unlink()
+        before = _stamps(folder)
+        yield run
+        _write_record(replace(run, files=_changed_since(folder, before)))
+
+
+@contextmanager
+def added_to(run: Run) -> Iterator[None]:
+    """Write further files into a complete run's folder, such as figures; `run.json` then lists them too."""
+    before = _stamps(run.folder)
+    yield
+    changed = _changed_since(run.folder, before)
+    if run.files is not None and changed:
+        latest = read_run(run.folder)  # another command may have added its own since
+        _write_record(replace(latest, files={**(latest.files or {}), **changed}))
+
+
+def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
+    """What tells whether a file was written again, for every file of a folder; hidden files are not its own."""
+    found = {}
+    for root, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        for path in (Path(root, name) for name in names if not name.startswith(".")):
+            if path.is_file():
+                state = path.stat()
+                found[path.relative_to(folder).as_posix()] = (state.st_ino, state.st_mtime_ns, state.st_size)
+    return found
+
+
+def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]:
+    """SHA-256 of the files that were written since."""
+    now = _stamps(folder)
+    return {name: file_sha256(folder / name) for name in sorted(now) if now[name] != before.get(name)}
+
+
+def _write_record(run: Run) -> Path:
+    return write_text(run.folder / RECORD, _record_text(run))
+
+
+def _record_text(run: Run) -> str:
+    """The only text that `run.json` may hold for this run: its own hash stands in it."""
+    content = {
+        "format": FORMAT,
+        "kind": run.kind,
+        "command": run.command,
+        "seed": run.seed,
+        "versions": dict(run.versions),
+        "code": run.code,
+        "files": dict(run.files or {}),
+    }
+    own = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    return json.dumps(content | {"sha256": own}, indent=2) + "\n"
+
+
+def read_run(folder: str | Path) -> Run:
+    """What kind of run ``folder`` holds.
+
+    Raises:
+        InputError: If it is no run folder, is incomplete, damaged, edited, or of another version.
+    """
+    folder = Path(folder)
+    record = folder / RECORD
+    ways = "; ".join(f"`{command}`" for command in MADE_BY.values())
+    if not folder.is_dir():
+        raise InputError(f"{folder} is no folder; make a run folder with one of {ways}")
+    if not record.is_file():
+        if (folder / STUDY).is_file():
+            return Run(folder, "study", MADE_BY["study"], None, {})
+        raise InputError(f"{folder} holds no {RECORD}, so it holds no complete run; make one with one of {ways}")
+    remake = f"make the run again with one of {ways}"
+    with refusing_damage(record, "a run's record", remake):
+        text = record.read_text(encoding="utf-8")
+        content = json.loads(text)
+        file_format, kind = int(content["format"]), str(content["kind"])
+    if file_format > FORMAT or kind not in MADE_BY:
+        raise InputError(f"{record} is of a newer pickenv (format {file_format}, kind '{kind[:40]}'); update pickenv")
+    if file_format < FORMAT:
+        raise InputError(f"{record} was written by an earlier version, without hashes of the run's files; {remake}")
+    with refusing_damage(record, "a run's record", remake):
+        made_with = {str(name): str(version) for name, version in content["versions"].items()}
+        files = {str(name): str(hashed) for name, hashed in content["files"].items()}
+        seed = None if content["seed"] is None else int(content["seed"])
+        run = Run(folder, kind, str(content["command"]), seed, made_with, str(content["code"]), files)
+        if text != _record_text(run):
+            raise ValueError("it was edited: its own hash is another")
+    return run
+
+
+def faults_of(run: Run) -> list[tuple[Path, str | None]]:
+    """Every file that ``run`` lists or that lies in its folder, and what is wrong with it; None where nothing is.
+
+    A file may be missing, edited, or stray: in the folder, but not written by this run.
+    """
+    listed, there = run.files or {}, _stamps(run.folder)
+    found: list[tuple[Path, str | None]] = []
+    for name in sorted({*listed, *there} - {RECORD}):
+        path, reason = run.folder / name, None
+        if name not in there:
+            reason = "is missing; the run wrote it"
+        elif name not in listed:
+            reason = "is stray: this run did not write it"
+        elif file_sha256(path) != listed[name]:
+            reason = "was edited since the run wrote it"
+        found.append((path, reason))
+    return found
+
+
+def _unedited(run: Run, name: str) -> Path:
+    """The path of one of the run's files; refused where it is missing or not what the run wrote."""
+    path = run.folder / name
+    if not path.is_file():
+        raise InputError(f"{path} does not exist; `{run.made_by}` makes it anew")
+    if run.files is not None and file_sha256(path) != run.files.get(name):
+        raise InputError(f"{path} is not what the run wrote, it was edited or exchanged; `{run.made_by}` makes it anew")
+    return path
+
+
+def save_comparison(folder: Path, comparison: Comparison) -> Path:
+    """Write ``comparison`` into a run folder."""
+    return save(folder / COMPARISON, comparison, seed=comparison.seed)
+
+
+def load_comparison(folder: Path) -> Comparison:
+    """The comparison of a run folder, to the bit; raises `InputError` as `pickenv.inspect.runs.saved.load`."""
+    return load(folder / COMPARISON, Comparison, f"pickenv demo --out {folder}")
+
+
+def save_trace(folder: Path, trace: CalibrationTrace, seed: int | None = None) -> Path:
+    """Write a calibration's trace into a run folder."""
+    return save(folder / TRACE, trace, seed=seed)
+
+
+def load_trace(run: Run) -> CalibrationTrace:
+    """The calibration's trace of a run folder, to the bit; raises `InputError` as `pickenv.inspect.runs.saved.load`."""
+    return load(_unedited(run, TRACE), CalibrationTrace, run.made_by)
+
+
+def save_harvest(folder: Path, trace: HarvestTrace, seed: int) -> Path:
+    """Write a harvester's trace into a run folder."""
+    return save(folder / HARVEST, trace, seed=seed)
+
+
+def load_harvest(run: Run) -> HarvestTrace:
+    """The harvester's trace of a run folder; raises `InputError` as `pickenv.inspect.runs.saved.load`."""
+    return load(_unedited(run, HARVEST), HarvestTrace, run.made_by)
+
+
+def load_iso9283(run: Run) -> dict[str, Any]:
+    """The result of a test by ISO 9283, as it was written.
+
+    Raises:
+        InputError: If the file is missing or damaged.
+    """
+    path = _unedited(run, ISO9283)
+    with refusing_damage(path, "an ISO 9283 result", f"`{run.made_by}` makes it anew"):
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        found["raw"]["poses"], found["settings"], found["plant"], found["standard"]
+    return found
+
+
+def written_report(run: Run) -> str:
+    """The page that was written with the run, for runs whose page needs more than the folder keeps.
+
+    Raises:
+        InputError: If there is none, or it was edited.
+    """
+    path = run.folder / REPORT
+    if not path.is_file():
+        raise InputError(f"{path} does not exist: measurements of this kind have no report page; see `pickenv figures`")
+    path = _unedited(run, REPORT)
+    with refusing_damage(path, "a page", f"`{run.made_by}` makes it anew"):
+        return path.read_text(encoding="utf-8")

@@ -1,0 +1,1 @@
+"""What a study says: sensitivities, figures, report, recording."""

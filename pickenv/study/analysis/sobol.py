@@ -1,0 +1,124 @@
+"""Sobol indices of groups of tolerances: how the variance of the squared error divides among them.
+
+Unlike the regression of `pickenv.study.analysis.sensitivity` they include interactions, and they need arms of their own. The
+tracker does not err here, so that all variance comes from the arms. Output: squared RMS error over the fruit, mm^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.tolerances import plants_from, random_columns
+from pickenv.errors import InputError
+from pickenv.study.analysis.sensitivity import sobol_table
+from pickenv.study.design.config import LS, RAW, Setting
+from pickenv.study.design.protocol import Protocol, prepare
+from pickenv.study.results.outcomes import figures
+from pickenv.study.results.row_table import OK
+from pickenv.study.results.study_folder import SOBOL, SOBOL_AGAIN, read_record, study_at, write_record
+
+GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "joint stiffness": ("joint_compliance", ("joint_stiffness",)),
+    "flexural rigidity": ("boom_bending", ("flexural_rigidity",)),
+    "transmission error": ("transmission_error", ("lead", "transmission_error", "phase")),
+    "roller clearance": ("roller_play", ("roller_clearance",)),
+    "backlash": ("backlash", ("backlash",)),
+    "friction": ("stick_band", ("friction",)),
+    "temperature": ("thermal_growth", ("temperature_rise",)),
+    "ground": ("base_tilt", ("ground_stiffness", "sinkage")),
+}
+"""For each group of effects, the effect and the random numbers (`random_columns`) that it takes."""
+STREAM = 7
+"""Key of the random numbers, apart from those of the study's rows."""
+AT_ONCE = 128
+"""Arms judged together."""
+
+
+def tolerance_groups(design: Plant) -> dict[str, list[int]]:
+    """Columns of an arm's even random numbers by group; effects that the design has not are left out."""
+    columns, n = random_columns(design), design.arm.nominal.joints
+    alpha, a, theta, d = (list(columns["geometry"][k * n : (k + 1) * n]) for k in range(4))
+    effects = {
+        name: [i for key in keys for i in columns[key]]
+        for name, (effect, keys) in GROUPS.items()
+        if getattr(design, effect) is not None
+    }
+    return {"angles": alpha + theta, "lengths": a + d, **effects}
+
+
+def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[str, Any]]:
+    """Sobol indices of the groups in one setting.
+
+    Args:
+        protocol: The study.
+        setting: One of its settings, raw or least squares.
+        samples: A power of two; (groups + 2) times as many arms are made.
+
+    Returns:
+        As `pickenv.study.analysis.sensitivity.sobol_table`, as rows, with the number of arms.
+
+    Raises:
+        InputError: If the setting's method is another, or an arm cannot be judged.
+    """
+    from pickenv.study.running.batched import judge_ideally
+
+    if setting.method not in (RAW, LS):
+        raise InputError(
+            f"Sobol indices of method '{setting.method}' would take too long; choose a setting of raw or ls"
+        )
+    groups = tolerance_groups(protocol.design)
+    tolerances = replace(protocol.tolerances[setting.tolerances], it_grade=setting.it_grade)
+    active = [i for columns in groups.values() for i in columns]
+    every = max(columns.stop for columns in random_columns(protocol.design).values())
+
+    def squared_error(even: Array) -> Array:
+        whole = np.full((len(even), every), 0.5)
+        whole[:, active] = even
+        found = []
+        for first in range(0, len(even), AT_ONCE):
+            plants = plants_from(protocol.design, tolerances, whole[first : first + AT_ONCE])
+            outcomes = judge_ideally(protocol, setting, plants)
+            for status in outcomes.status:
+                if status != OK:
+                    raise InputError(f"Sobol indices of setting {setting.number} need every arm's error: {status}")
+            found.append(figures(outcomes.position, outcomes.attitude, protocol.config.radius_mm)["error_rms_mm"] ** 2)
+        return np.concatenate(found)
+
+    places = np.cumsum([0, *(len(columns) for columns in groups.values())]).tolist()
+    numbered = {name: range(a, b) for name, a, b in zip(groups, places, places[1:], strict=False)}
+    rng = np.random.default_rng(np.random.SeedSequence(protocol.config.seed, spawn_key=(STREAM,)))
+    rows = sobol_table(squared_error, numbered, samples, rng).to_pylist()
+    return [row | {"arms": samples * (len(groups) + 2)} for row in rows]
+
+
+def write_sobol(folder: str | Path, settings: list[int], samples: int) -> Path:
+    """Compute the indices of some settings of a study and write them into its folder, where the report finds them.
+
+    Raises:
+        InputError: As `sobol_of`.
+    """
+    study = study_at(folder)
+    protocol, path = prepare(study.config), Path(folder) / SOBOL
+    found = {f"{number}": sobol_of(protocol, protocol.settings[number], samples) for number in settings}
+    write_record(path, {"config_sha256": study.sha256, "indices": found})
+    return path
+
+
+def read_sobol(folder: str | Path) -> dict[int, list[dict[str, Any]]]:
+    """What `write_sobol` wrote; empty where nothing was written.
+
+    Raises:
+        InputError: If the file is damaged, edited or about another study.
+    """
+    path = Path(folder) / SOBOL
+    if not path.is_file():
+        return {}
+    found = read_record(path, study_at(folder), SOBOL_AGAIN)
+    return {int(number): list(rows) for number, rows in found["indices"].items()}

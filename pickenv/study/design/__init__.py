@@ -1,0 +1,1 @@
+"""What a study draws: its configuration, deviations and shared protocol."""

@@ -1,0 +1,1 @@
+"""Rows of a study and what is computed from them in one pass."""

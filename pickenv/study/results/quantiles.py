@@ -1,0 +1,98 @@
+"""Quantiles of the arms' errors per setting, each with a band from order statistics; mm and degrees.
+
+Up to `EXACT_ROWS` rows they are exact; beyond, t-digests (Dunning and Ertl 2019) keep memory flat. The i-th of N values
+stands at probability (i - 1/2) / N, in both (Hazen's definition). The band needs no assumption about the distribution:
+the number of values below the true quantile is binomial.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from pyarrow.dataset import Dataset
+from scipy.stats import binom
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.study.results.row_table import FIGURES
+from pickenv.study.results.streaming import SETTING, grouped
+from pickenv.study.results.study_folder import read_rows
+
+PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
+EXACT_ROWS = 2_000_000
+"""Rows whose values of one column are held at once, 16 MB."""
+CENTROIDS = 5_000
+"""Of each digest: a quantile's rank is then right to about one part in ten thousand."""
+
+
+def quantile_table(folder: str | Path) -> pa.Table:
+    """Quantiles of every error column and setting of a study; see `quantiles_of`."""
+    return quantiles_of(read_rows(folder))
+
+
+def quantiles_of(
+    rows: Dataset,
+    columns: Sequence[str] = FIGURES,
+    probabilities: Sequence[float] = PROBABILITIES,
+    exact_rows: int = EXACT_ROWS,
+) -> pa.Table:
+    """Quantiles of arms' errors in every setting, failed arms left out.
+
+    Args:
+        rows: A study's rows, of any number; they are read in batches, one column at a time.
+        columns: The error columns.
+        probabilities: Which quantiles.
+        exact_rows: Rows up to which they are exact.
+
+    Returns:
+        One row per setting, column and probability: the setting's columns, ``quantity``, ``arms``, ``probability``,
+        ``value`` and the 95 % band ``low``, ``high``; null where no arm of the setting has a result.
+    """
+    exact = rows.count_rows() <= exact_rows
+    found: list[dict[str, Any]] = []
+    for column in columns:
+        value = {"value": pc.if_else(pc.is_nan(pc.field(column)), None, pc.field(column))}
+        counted = grouped(rows, value, [("value", "hash_count", pc.CountOptions("only_valid"), "arms")])
+        levels = {n: band_levels(n, probabilities) for n in sorted(set(counted["arms"].to_pylist()))}
+        wanted = np.unique(np.concatenate([level.ravel() for level in levels.values()]))
+        if exact:
+            table = grouped(rows, value, [("value", "hash_list", None, "values")])
+            values = [_exact(listed.values.to_numpy(zero_copy_only=False), wanted) for listed in table["values"]]
+        else:
+            digest = pc.TDigestOptions(q=wanted.tolist(), delta=CENTROIDS)
+            table = grouped(rows, value, [("value", "hash_tdigest", digest, "values")])
+            values = [np.array(listed, dtype=float) for listed in table["values"].to_pylist()]
+        for setting, arms, quantiles in zip(
+            table.select(SETTING).to_pylist(), counted["arms"].to_pylist(), values, strict=True
+        ):
+            low, middle, high = (quantiles[np.searchsorted(wanted, level)] for level in levels[arms])
+            for i, probability in enumerate(probabilities):
+                ends = (middle[i], low[i], high[i])
+                numbers = dict(zip(("value", "low", "high"), map(float, ends) if arms else [None] * 3, strict=True))
+                found.append(setting | {"quantity": column, "arms": arms, "probability": probability, **numbers})
+    return pa.Table.from_pylist(found)
+
+
+def band_levels(count: int, probabilities: Sequence[float]) -> Array:
+    """Probabilities ``(3, P)`` of the lower end, the quantile and the upper end of a 95 % band.
+
+    Args:
+        count: Number of values N.
+        probabilities: Of the quantiles ``(P,)``.
+    """
+    p = np.asarray(probabilities, dtype=float)
+    n = max(count, 1)
+    low, high = binom.ppf(0.025, n, p), binom.ppf(0.975, n, p) + 1.0  # numbers of order statistics, from 1
+    ends = (np.clip((rank - 0.5) / n, 0.0, 1.0) for rank in (low, high))
+    return np.stack([*ends, p])[[0, 2, 1]]
+
+
+def _exact(values: Array, wanted: Array) -> Array:
+    numbers = values[~np.isnan(values)]
+    if not numbers.size:
+        return np.full(len(wanted), np.nan)
+    return np.asarray(np.quantile(numbers, wanted, method="hazen"))

@@ -1,0 +1,57 @@
+"""Yield: the share of arms that pick enough of their fruit, per setting, with Wilson's interval.
+
+An arm is within specification if the share of its fruit inside the specified radius reaches the required share. An arm
+whose calibration failed is not. Shares are numbers from 0 to 1.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+from pyarrow.dataset import Dataset
+from scipy.stats import binomtest
+
+from pickenv.study.results.row_table import OK
+from pickenv.study.results.streaming import grouped
+from pickenv.study.results.study_folder import read_rows, study_of
+
+
+def yield_table(folder: str | Path) -> pa.Table:
+    """The yield of every setting of a study; see `yields_of`."""
+    return yields_of(read_rows(folder), study_of(folder).share)
+
+
+def yields_of(rows: Dataset, required_share: float) -> pa.Table:
+    """The yield of every setting.
+
+    Args:
+        rows: A study's rows, of any number; they are read in batches.
+        required_share: Share of an arm's fruit that must lie within the specified radius.
+
+    Returns:
+        One row per setting: its columns, ``arms``, ``failed`` (arms without a result), ``within`` (arms within
+        specification), ``yield`` and Wilson's 95 % interval ``yield_low``, ``yield_high``.
+    """
+    within = pc.if_else(pc.field("share_within") >= required_share, 1, 0)  # a failed arm's share is NaN: not within
+    table = grouped(
+        rows,
+        {"within": within, "lost": pc.if_else(pc.field("status") == OK, 0, 1)},
+        [
+            ("within", "hash_count", None, "arms"),
+            ("lost", "hash_sum", None, "failed"),
+            ("within", "hash_sum", None, "within"),
+        ],
+    )
+    counts = zip(table["within"].to_pylist(), table["arms"].to_pylist(), strict=True)
+    found = [(k / n, *wilson_interval(k, n)) for k, n in counts]
+    for name, values in zip(("yield", "yield_low", "yield_high"), zip(*found, strict=True), strict=True):
+        table = table.append_column(name, pa.array(values, pa.float64()))
+    return table
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Wilson's score interval of a share, 95 %."""
+    interval = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)

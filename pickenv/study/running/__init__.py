@@ -1,0 +1,1 @@
+"""Chunks of arms, computed by one process or many."""

@@ -1,0 +1,133 @@
+"""Calibrate and judge arms one by one, with the same functions as a real arm's calibration: the reference.
+
+Every arm is worked on with arrays of the same shapes and one thread, so that its numbers are the same to the bit
+whatever the executor, the workers and the chunks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.kinematics.pose_error import pose_error
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.calibration.compensation.compensator import Compensator
+from pickenv.calibration.identification.least_squares import identify_surely
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.measurements import simulated_tracker
+from pickenv.calibration.model.observations import PoseObservations
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.residuals.residual_models import fit_residual
+from pickenv.errors import InputError
+from pickenv.study.design.config import LS, RAW, Setting
+from pickenv.study.design.protocol import RESIDUAL, TRACKER, Protocol, carrying, seen_by
+from pickenv.study.results.outcomes import Outcomes, chunk_table, reach_status
+from pickenv.study.results.row_table import OK
+from pickenv.threads import single_threaded
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """What an arm is told to reach its fruit.
+
+    Attributes:
+        joints: Joint commands ``(M, n)``, rad or m.
+        status: `pickenv.study.results.row_table.OK`, or why the arm could not be calibrated.
+        iterations: Steps of the least squares.
+    """
+
+    joints: Array
+    status: str = OK
+    iterations: int = 0
+
+
+def evaluate_chunk(protocol: Protocol, chunk: int) -> pa.Table:
+    """The rows of a chunk of arms."""
+    arms = protocol.config.arms_of(chunk)
+    populations = []
+    with single_threaded():
+        for settings in protocol.populations():
+            plants = protocol.draw(settings[0], arms)
+            found = [evaluate_arm(protocol, settings, plant_at(plants, i), arm) for i, arm in enumerate(arms)]
+            populations.append((plants, [_gathered(outcomes) for outcomes in zip(*found, strict=True)]))
+    return chunk_table(protocol, arms, populations)
+
+
+def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, number: int) -> list[Outcomes]:
+    """Calibrate and judge one true arm in several settings.
+
+    Args:
+        protocol: The study.
+        settings: The settings; the arm need not be of their populations.
+        arm: The true arm.
+        number: Its number, which picks its random numbers.
+
+    Returns:
+        For each setting, the outcomes of one arm.
+    """
+    known: dict[tuple[Any, ...], Commands] = {}
+    outcomes = []
+    for setting in settings:
+        key = (setting.method, setting.poses, setting.noise)
+        if key not in known:  # a payload changes where the arm ends, not what it is told
+            known[key] = commands(protocol, setting, arm, number)
+        given = known[key]
+        error = pose_error(protocol.wanted, carrying(arm, setting.payload_kg).tool_pose(given.joints))
+        position, attitude = (np.linalg.norm(part, axis=1)[None] for part in (error[:, :3], error[:, 3:]))
+        outcomes.append(Outcomes(setting, [given.status], [given.iterations], position, attitude))
+    return outcomes
+
+
+def commands(protocol: Protocol, setting: Setting, arm: Plant, number: int) -> Commands:
+    """Calibrate one arm as the setting says, and correct its commands."""
+    if setting.method == RAW:
+        return Commands(protocol.fruit)
+    try:
+        compensator, iterations = _calibrated(protocol, setting, arm, number)
+    except InputError as error:
+        return Commands(protocol.fruit, str(error))
+    except np.linalg.LinAlgError as error:
+        return Commands(protocol.fruit, f"the identification broke down: {error}")
+    joints = compensator(protocol.fruit)
+    miss = np.linalg.norm(compensator.predict(joints).position - protocol.wanted.position, axis=1)
+    limited = ((joints <= protocol.nominal.lower) | (joints >= protocol.nominal.upper)).any(axis=1)
+    missed = int(np.sum(limited & (miss > 1e-3 * protocol.config.radius_mm)))
+    return Commands(joints, reach_status(missed, protocol.config), iterations)
+
+
+def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, number: int) -> tuple[Compensator, int]:
+    """The compensator of one arm, and the steps of its least squares."""
+    measured = seen_by(arm, setting.noise)
+    noise = protocol.stream(TRACKER, number)
+    found = identify_surely(
+        protocol.model, protocol.nominal, simulated_tracker(measured, protocol.poses[: setting.poses], noise)
+    )
+    iterations = len(found.residual_rms) - 1
+    _, _, kind = setting.method.partition(f"{LS}+")
+    if not kind:
+        return Compensator(protocol.nominal, found.geometry), iterations
+    rng = protocol.stream(RESIDUAL, number)
+    further = simulated_tracker(measured, protocol.residual_poses, rng)
+    targets = PoseObservations(further).difference(found.arm_model)
+    learnt = fit_residual(kind, further.joints, targets, further.prismatic, rng)
+    calibration = Calibration(
+        protocol.design.arm.name, protocol.nominal, protocol.nominal, ArmModel.of(found.geometry), learnt, record={}
+    )
+    return calibration.compensator(), iterations
+
+
+def _gathered(outcomes: Sequence[Outcomes]) -> Outcomes:
+    """The outcomes of single arms in one setting, as one."""
+    return Outcomes(
+        setting=outcomes[0].setting,
+        status=[text for part in outcomes for text in part.status],
+        iterations=[steps for part in outcomes for steps in part.iterations],
+        position=np.concatenate([part.position for part in outcomes]),
+        attitude=np.concatenate([part.attitude for part in outcomes]),
+    )

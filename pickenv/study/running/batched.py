@@ -1,0 +1,169 @@
+"""Calibrate and judge thousands of arms at once, in torch: the arms are the last axis of every component.
+
+The same physics, least squares and compensation as `pickenv.study.running.arm_by_arm`, so that the rows agree; arms whose least
+squares does not run straight to its minimum are handed to it. Components are ``(M, N)``: fruit first, arms last. SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pickenv.arm.kinematics.forward import Frame, chain_of, tool_frame
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import Plant, placed_chain
+from pickenv.arm.plant.plant_batch import plant_at, plants_on
+from pickenv.calibration.compensation.compensator import Compensator, corrected, error_components
+from pickenv.errors import InputError
+from pickenv.study.design.config import RAW, Setting
+from pickenv.study.design.protocol import TRACKER, Protocol, carrying
+from pickenv.study.results.outcomes import Outcomes, chunk_table, reach_status
+from pickenv.study.running.arm_by_arm import evaluate_arm
+from pickenv.study.running.batched_identification import Place, identify_batch
+
+BLOCKS = {"cpu": 2**14, "cuda": 2**22}
+"""Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Commands:
+    """What N arms are told.
+
+    Attributes:
+        joints: Components ``(M, N)`` or, without calibration, ``(M, 1)``, rad or m.
+        missed: Fruit out of each arm's reach ``(N,)``, as far as its calibration can say.
+        steps: Least-squares steps ``(N,)``.
+        converged: Whether the arm was calibrated here ``(N,)``; the others are handed over.
+    """
+
+    joints: Sequence[Tensor]
+    missed: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    converged: NDArray[np.bool_]
+
+
+def evaluate_batch(protocol: Protocol, chunk: int, device: str = "cpu") -> pa.Table:
+    """The rows of a chunk of arms."""
+    place = partial(torch.as_tensor, dtype=torch.float64, device=device)
+    arms = protocol.config.arms_of(chunk)
+    size = max(1, BLOCKS[device] // max(protocol.config.fruit, len(protocol.poses)))
+    blocks = [range(first, min(first + size, arms.stop)) for first in range(arms.start, arms.stop, size)]
+    with _one_thread():
+        return pa.concat_tables([_evaluate_block(protocol, block, place) for block in blocks])
+
+
+def judge_ideally(protocol: Protocol, setting: Setting, plants: Plant) -> Outcomes:
+    """Any batch of arms in one setting, calibrated with a tracker that does not err: what the arms alone make of it."""
+    place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
+    count = len(plants.geometry.alpha)
+    noise = np.zeros((count, setting.poses, 6)) if setting.poses else None
+    with _one_thread():
+        (found,) = _outcomes(protocol, [setting], plants, range(count), noise, place)
+    return found
+
+
+def check_device(device: str) -> None:
+    """Refuse a device that this machine lacks.
+
+    Raises:
+        InputError: If it is not "cpu" or "cuda", or there is no such GPU.
+    """
+    if device not in BLOCKS:
+        raise InputError(f"unknown device '{device}'; give one of {', '.join(BLOCKS)}")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("torch sees no CUDA device on this machine; give --device cpu")
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Blocks are too small to be shared between cores; whole chunks are (``--workers``)."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _evaluate_block(protocol: Protocol, arms: range, place: Place) -> pa.Table:
+    longest = max(setting.poses for setting in protocol.settings)
+    noise = np.array([protocol.stream(TRACKER, arm).normal(size=(longest, 6)) for arm in arms]) if longest else None
+    populations = []
+    for settings in protocol.populations():
+        plants = protocol.draw(settings[0], arms)
+        populations.append((plants, _outcomes(protocol, settings, plants, arms, noise, place)))
+    return chunk_table(protocol, arms, populations)
+
+
+def _outcomes(
+    protocol: Protocol, settings: Sequence[Setting], plants: Plant, arms: range, noise: Array | None, place: Place
+) -> list[Outcomes]:
+    """Outcomes of all arms of one population in each of its settings."""
+    placed = plants_on(plants, place)
+    wanted = _wanted(protocol, place)
+    known: dict[tuple[Any, ...], _Commands] = {}
+    found = []
+    for setting in settings:
+        key = (setting.method, setting.poses, setting.noise)
+        if key not in known:
+            known[key] = _commands(protocol, setting, placed, noise, wanted, place)
+        given = known[key]
+        error = error_components(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, given.joints))
+        position, attitude = (_norms(part, len(arms)) for part in (error[:3], error[3:]))
+        status = [reach_status(int(missed), protocol.config) for missed in given.missed]
+        steps = given.steps.tolist()
+        for i in np.flatnonzero(~given.converged).tolist():
+            (alone,) = evaluate_arm(protocol, [setting], plant_at(plants, i), arms[i])
+            status[i], steps[i] = alone.status[0], alone.iterations[0]
+            position[i], attitude[i] = alone.position[0], alone.attitude[0]
+        found.append(Outcomes(setting, status, steps, position, attitude))
+    return found
+
+
+def _commands(
+    protocol: Protocol, setting: Setting, plants: Plant, noise: Array | None, wanted: Frame, place: Place
+) -> _Commands:
+    """Calibrate all arms as the setting says, and correct their commands."""
+    count = len(plants.geometry.alpha)
+    targets = [place(column[:, None].copy()) for column in protocol.fruit.T]
+    if setting.method == RAW:
+        none = np.zeros(count, dtype=np.int64)
+        return _Commands(targets, none, none, np.ones(count, dtype=bool))
+    assert noise is not None, "a calibrated setting has poses"
+    found = identify_batch(protocol, setting, plants, noise[:, : setting.poses], place)
+    chain = placed_chain(chain_of(found.geometry, np), place)
+    chains = (chain_of(protocol.nominal), chain)
+    joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)
+    gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], wanted[9:], strict=True)]
+    missed = np.sum(_limited(protocol, joints, count) & (_norms(gap, count) > 1e-3 * protocol.config.radius_mm), axis=1)
+    return _Commands(joints, missed, found.steps, found.converged)
+
+
+def _limited(protocol: Protocol, command: Sequence[Tensor], count: int) -> NDArray[np.bool_]:
+    """Whether any joint of a command stands at its limit, ``(N, M)``."""
+    lower, upper = protocol.nominal.lower.tolist(), protocol.nominal.upper.tolist()
+    each = [(q <= low) | (q >= high) for q, low, high in zip(command, lower, upper, strict=True)]
+    return np.asarray(torch.stack(each).any(0).expand(-1, count).cpu().numpy().T)
+
+
+def _wanted(protocol: Protocol, place: Place) -> Frame:
+    """Tool frames at the fruit, components ``(M, 1)``."""
+    pose = protocol.wanted
+    axes = [place(pose.rotation[:, row, column, None].copy()) for column in range(3) for row in range(3)]
+    return (*axes, *(place(pose.position[:, i, None].copy()) for i in range(3)))
+
+
+def _norms(components: Sequence[Tensor], count: int) -> Array:
+    """Norms of vectors of three components ``(M, N)`` or ``(M, 1)``, as an array ``(N, M)``."""
+    x, y, z = components
+    norms = torch.sqrt(x * x + y * y + z * z)
+    return np.ascontiguousarray(norms.expand(-1, count).cpu().numpy().T)

@@ -1,0 +1,62 @@
+"""The largest cube in the workspace, and the test poses of ISO 9283 in it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.arm import Geometry, Pose, inverse, load_arm
+from pickenv.arm.kinematics.workspace import Cube, largest_cube
+from pickenv.errors import InputError
+
+
+def gantry(*travel):
+    """Three slides along x, y and z: the workspace is a box."""
+    quarter = np.pi / 2
+    still = Pose(np.zeros(3), np.eye(3))
+    zero = np.zeros(3)
+    return Geometry(
+        ("X", "Y", "Z"),
+        (True, True, True),
+        alpha=np.array([0.0, quarter, quarter]),
+        a=zero,
+        theta=np.array([0.0, quarter, 0.0]),
+        d=zero,
+        beta=zero,
+        lower=zero,
+        upper=np.array(travel),
+        base=still,
+        tool=still,
+    )
+
+
+def test_in_a_box_the_cube_is_as_large_as_the_shortest_side():
+    cube = largest_cube(gantry(0.5, 1.0, 0.8))
+    assert 0.5 - 2 * 1.0 / 20 <= cube.edge <= 0.5 + 1e-9
+
+
+@pytest.mark.parametrize("name", ["qiao2026", "ur5"])
+def test_the_whole_cube_is_within_reach(name):
+    geometry = load_arm(name).nominal
+    cube = largest_cube(geometry, steps=12)
+    side = np.linspace(-0.5, 0.5, 4) * cube.edge
+    inside = cube.centre + np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3)
+    targets = Pose(inside, np.broadcast_to(cube.rotation, (len(inside), 3, 3)))
+    assert inverse(geometry, targets).reached.mean() > 0.98  # reached on its grid; between the points by continuity
+
+
+def test_the_poses_lie_on_the_diagonals_of_an_inclined_plane():
+    cube = Cube(np.array([1.0, 2.0, 3.0]), 0.5, np.eye(3))
+    poses = cube.inclined_plane()
+    offset = poses.position - cube.centre
+    assert not offset[0].any()
+    np.testing.assert_allclose(offset.sum(axis=0), 0, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(offset[1:], axis=-1), 0.4 * np.sqrt(3) * 0.5)
+    np.testing.assert_allclose(offset @ [1, 0, 1], 0, atol=1e-15)
+    assert poses.rotation.shape == (5, 3, 3)
+
+
+def test_an_arm_that_reaches_no_cube_is_refused():
+    flat = gantry(0.5, 1.0, 0.8)
+    with pytest.raises(InputError, match="reaches no cube"):
+        largest_cube(replace(flat, upper=np.array([1e-6, 1.0, 0.8])))

@@ -1,0 +1,244 @@
+"""The verdict on a calibration, and what it rests on: chi^2, correlations, combinations, coverage, uncertainty."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pickenv.arm import displace_pose, forward, parameter_jacobian, pose_error
+from pickenv.calibration import (
+    Measurements,
+    complete_model,
+    fit,
+    identify,
+    link_model,
+    random_joints,
+    simulated_tracker,
+)
+from pickenv.calibration.assessment.quality import (
+    axis_errors,
+    base_combinations,
+    completeness,
+    correlated_pairs,
+    judge_quality,
+)
+from pickenv.calibration.model.coverage import pose_coverage
+from pickenv.calibration.model.error_model import residual
+from pickenv.calibration.model.identifiability import Dropped, Identifiability
+from pickenv.calibration.pipeline.result import assess
+from pickenv.calibration.pipeline.uncertainty import held_out_errors, pose_uncertainty, uncertainty_from
+
+
+@pytest.fixture(scope="module")
+def noisy(table_1):
+    """Table 1's arm seen by the tracker of the dynamic plant; ``noisy(count, seed)``."""
+
+    def measure(count, seed, scale=1.0):
+        rng = np.random.default_rng(seed)
+        joints = random_joints(table_1.arm.nominal, count, rng)
+        pose = table_1.tool_pose(joints)
+        pose = displace_pose(pose, scale * rng.normal(size=(count, 6)) * np.repeat([15e-6, 2e-4], 3))
+        return Measurements(joints, *pose, prismatic=table_1.geometry.prismatic)
+
+    return measure
+
+
+@pytest.fixture(scope="module")
+def calibrated(dynamic):
+    rng = np.random.default_rng(0)
+    train, test = (simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (80, 200))
+    return fit(dynamic.arm, train), train, test
+
+
+def test_p_values_are_even_when_the_model_is_complete(qiao, noisy):
+    """60 data sets with noise as stated: the p-values of a true hypothesis spread evenly over 0 to 1."""
+    model = link_model(qiao.nominal)
+    values = [completeness(identify(model, qiao.nominal, noisy(20, seed))).p_value for seed in range(60)]
+    assert stats.kstest(values, "uniform").pvalue > 0.01
+    assert np.mean([v < 0.05 for v in values]) < 0.15
+
+
+def test_p_is_scipys_and_small_where_effects_are_left(qiao, noisy, calibrated):
+    found = identify(link_model(qiao.nominal), qiao.nominal, noisy(20, 1))
+    test = completeness(found)
+    assert test.degrees_of_freedom == 6 * 20 - 16
+    assert test.p_value == pytest.approx(stats.chi2.sf(found.chi_square, 104))
+    assert test.complete and "complete" in test.sentence()
+    left = completeness(calibrated[0].identification)
+    assert not left.complete and left.p_value < 1e-12 and left.reduced > 50
+    assert "effects beyond the model" in left.sentence()
+
+
+def test_noise_stated_too_large_is_noticed(qiao, noisy):
+    found = completeness(identify(link_model(qiao.nominal), qiao.nominal, noisy(40, 1, scale=0.5)))
+    assert found.complete and found.reduced == pytest.approx(0.25, abs=0.06) and "too large" in found.sentence()
+
+
+def test_correlations_are_those_of_repeated_identification(qiao, noisy):
+    model = link_model(qiao.nominal)
+    found = [identify(model, qiao.nominal, noisy(12, 5))]
+    joints = noisy(12, 5).joints
+    rng = np.random.default_rng(0)
+    pose = forward(found[0].geometry, joints)
+    deltas = []
+    for _ in range(300):
+        data = Measurements(
+            joints,
+            *displace_pose(pose, rng.normal(size=(12, 6)) * np.repeat([15e-6, 2e-4], 3)),
+            prismatic=qiao.nominal.prismatic,
+        )
+        deltas.append(identify(model, qiao.nominal, data).delta[found[0].identifiability.kept])
+    empirical = np.corrcoef(np.array(deltas).T)
+    names = list(found[0].identifiability.kept_names)
+    pairs = correlated_pairs(found[0], limit=0.5)
+    assert pairs == tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
+    for a, b, rho in pairs:
+        assert abs(rho) > 0.5 and empirical[names.index(a), names.index(b)] == pytest.approx(rho, abs=0.12)
+    assert len(pairs) >= 1 and correlated_pairs(found[0], limit=0.9999999) == ()
+
+
+def test_combinations_are_the_digests_null_relations(qiao, exact):
+    found = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.true)).identifiability
+    texts = base_combinations(found)
+    assert texts["a1"] == "a1 + a2 + a3" and texts["d1"] == "d1 + d2 + d4" and texts["theta5"] == "theta5 + theta6"
+    assert texts["alpha3"] == "alpha3"
+    tied = " ".join(texts[name] for name in ("theta1", "theta2", "d3") if name in texts)
+    assert "0.4152 deg/mm" in tied or "2.409 mm/deg" in tied  # 1 / 138 mm
+
+
+def test_combinations_are_what_is_identified(qiao, exact):
+    """The digest's base values of Table 1: a1* = 1.390, a4* = 1.010, d1* = 0.512, d5* = 0.700 mm."""
+    found = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.true))
+    change = dict(zip(found.identifiability.names, found.delta * 1e3, strict=True))
+    assert [change[n] for n in ("a1", "a4", "d1", "d5")] == pytest.approx([1.390, 1.010, 0.512, 0.700], abs=1e-3)
+
+
+def test_statistics_per_degree_of_freedom():
+    errors = np.array([[1e-3, 0, 0, np.radians(2), 0, 0], [-3e-3, 0, 0, np.radians(2), 0, 0]])
+    x, y, *_, rx, _, _ = axis_errors(errors)
+    assert (x.axis, x.unit, x.mean, x.std, x.max) == ("x", "mm", pytest.approx(-1), pytest.approx(2), pytest.approx(3))
+    assert x.rmse == pytest.approx(np.sqrt(5)) and (y.rmse, y.max) == (0, 0)
+    assert (rx.unit, rx.mean, rx.std) == ("deg", pytest.approx(2), pytest.approx(0, abs=1e-12))
+    assert len(axis_errors(errors[:, :3])) == 3
+
+
+@pytest.mark.parametrize(
+    ("still", "named"),
+    [((0,), ("J1",)), ((2, 3), ("J3", "J4")), ((5,), ("J6",))],
+    ids=["pitch held", "boom and end held", "twist held"],
+)
+def test_poses_that_hide_parameters_are_named_with_the_joints_to_move(qiao, exact, still, named):
+    data = exact(qiao.nominal, 60)
+    joints = data.joints.copy()
+    joints[:, list(still)] = (qiao.nominal.lower + qiao.nominal.upper)[list(still)] / 2
+    found = pose_coverage(complete_model(qiao.nominal), qiao.nominal, replace(data, joints=joints))
+    assert found.full_rank == 24 and found.rank == 24 - len(found.lost) < 24
+    assert {qiao.nominal.joint_names[i][:2] for i in found.move} == set(named)
+    assert found.lost[0] in found.advice() and "0 % of its range" in found.advice()
+    moved = joints.copy()
+    moved[:, list(found.move)] = exact(qiao.nominal, 60, seed=9).joints[:, list(found.move)]
+    again = pose_coverage(complete_model(qiao.nominal), qiao.nominal, replace(data, joints=moved))
+    assert again.lost == () and "all 24" in again.advice()
+
+
+def test_verdicts(calibrated):
+    found, train, test = calibrated
+    trained = residual(found.calibration.identified, train)
+    before, after = (residual(g, test) for g in (found.calibration.nominal, found.calibration.identified))
+    good = judge_quality(found.identification, trained, before, after)
+    assert good.grade == "good" and good.verdict().startswith("good: on 200 held-out rows the error falls from")
+    assert good.calibrated[2].rmse < good.nominal[2].rmse
+    worse = judge_quality(found.identification, trained, after, before)
+    assert worse.grade == "do not use" and worse.findings[0].weight == "fail" and "no better" in worse.reason
+    assert worse.findings[0] not in worse.others
+    few = judge_quality(found.identification, trained, before[:2], after[:2])
+    assert few.grade == "do not use" and "only 2 rows were held out" in few.reason
+    noisy = np.random.default_rng(0).normal(size=(2, 30, 6)) * 20e-3
+    chance = judge_quality(found.identification, trained, noisy[0], 0.99 * noisy[1])
+    assert chance.grade == "do not use" and ("cannot be told from" in chance.reason or "no better" in chance.reason)
+    unsettled = judge_quality(replace(found.identification, converged=False), trained, before, after)
+    assert unsettled.grade == "do not use"
+    flattered = judge_quality(found.identification, trained / 3, before, after)
+    assert flattered.grade == "with care" and "held-out errors" in flattered.findings[0].text
+    held = train.joints.copy()
+    held[:, 5] = 0.0
+    hidden = pose_coverage(
+        complete_model(found.calibration.nominal), found.calibration.nominal, replace(train, joints=held)
+    )
+    assert judge_quality(found.identification, trained, before, after, hidden).grade == "with care"
+
+
+def test_predicted_uncertainty_is_what_repeated_calibration_shows(qiao, noisy, table_1):
+    """Pose errors of 150 calibrations against J C J^T, at poses that none has seen."""
+    model = link_model(qiao.nominal)
+    there = random_joints(qiao.nominal, 40, np.random.default_rng(99))
+    truth = table_1.tool_pose(there)
+    runs = [identify(model, qiao.nominal, noisy(20, seed)) for seed in range(150)]
+    errors = np.array([pose_error(truth, forward(run.geometry, there)) for run in runs])
+    predicted = np.zeros((40, 6, 6))
+    for run in runs[:20]:
+        sure = pose_uncertainty(run, np.zeros((2, 6)))
+        predicted += sure.pose_covariance(run.arm_model, there) / 20
+    seen = np.sqrt(np.mean(errors**2, axis=(0, 1)))
+    np.testing.assert_allclose(seen, np.sqrt(np.mean(np.diagonal(predicted, axis1=1, axis2=2), axis=0)), rtol=0.12)
+
+
+def test_uncertainty_adds_what_one_reach_scatters_by_and_survives_the_file(calibrated, dynamic, tmp_path):
+    found, train, test = calibrated
+    sure = pose_uncertainty(found.identification, held_out_errors(found.calibration, test))
+    joints = test.joints[:7].reshape(7, 1, 6)
+    covariance = sure.pose_covariance(found.calibration.model, joints)
+    assert covariance.shape == (7, 1, 6, 6) and (np.linalg.eigvalsh(covariance) > 0).all()
+    position, attitude = sure.standard(found.calibration.model, joints)
+    assert (position > np.sqrt(3) * sure.position_repeat).all() and (attitude > np.sqrt(3) * sure.attitude_repeat).all()
+    bare = replace(sure, position_repeat=0.0, attitude_repeat=0.0).standard(found.calibration.model, joints)[0]
+    np.testing.assert_allclose(position**2, bare**2 + 3 * sure.position_repeat**2)
+    saved = assess(dynamic.arm, found, train, test).calibration
+    again = type(saved).load(saved.save(tmp_path / "c")).record
+    kept = uncertainty_from(again)
+    np.testing.assert_array_equal(kept.covariance, sure.covariance)
+    assert kept.names == sure.names and kept.position_repeat == sure.position_repeat
+    assert uncertainty_from(found.calibration.record) is None
+
+
+def test_most_held_out_errors_lie_within_two_standard_uncertainties(calibrated):
+    found, _, test = calibrated
+    errors = held_out_errors(found.calibration, test)
+    half = np.arange(len(test)) % 2 == 0
+    sure = pose_uncertainty(found.identification, errors[half])
+    spread = np.sqrt(np.diagonal(sure.pose_covariance(found.calibration.model, test.joints[~half]), axis1=1, axis2=2))
+    assert 0.9 < np.mean(np.abs(errors[~half]) < 2 * spread) < 1.0
+
+
+def test_only_the_jacobians_columns_of_kept_parameters_count(calibrated):
+    found, _, test = calibrated
+    sure = pose_uncertainty(found.identification, np.zeros((1, 6)))
+    geometry = found.calibration.identified
+    columns = [geometry.parameter_names.index(name) for name in sure.names]
+    jacobian = parameter_jacobian(geometry, test.joints[0])[:, columns]
+    np.testing.assert_allclose(
+        sure.pose_covariance(found.calibration.model, test.joints[0]),
+        jacobian @ sure.covariance @ jacobian.T,
+        atol=1e-18,
+    )
+
+
+def test_coefficients_between_lengths_and_angles_name_their_unit():
+    """The digest's d3 = (theta2 - theta1) / 138 mm, read both ways."""
+
+    def found(kept, dropped, share):
+        return Identifiability(
+            names=(kept, dropped),
+            kept=np.array([0]),
+            dropped=(Dropped(dropped, {kept: share}),),
+            r_diagonal=np.ones(2),
+            phi=np.ones(2),
+            singular_values=np.ones(1),
+        )
+
+    assert base_combinations(found("theta2", "d3", 1 / 0.138)) == {"theta2": "theta2 + 0.4152 deg/mm d3"}
+    assert base_combinations(found("d3", "theta1", -0.138)) == {"d3": "d3 - 2.409 mm/deg theta1"}
+    assert base_combinations(found("a1", "a2", 1.0)) == {"a1": "a1 + a2"}
+    assert base_combinations(found("a1", "a2", 0.5)) == {"a1": "a1 + 0.5 a2"}
+    assert base_combinations(found("a1", "a2", 0.001)) == {"a1": "a1"}

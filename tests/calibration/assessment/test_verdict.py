@@ -1,0 +1,278 @@
+"""The verdict is part of the result: first on the screen, in JSON, page, file and exit code, and obeyed."""
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import pickenv  # noqa: F401 - registers the environments
+from pickenv.agents.evaluation.calibrated import load_compensator
+from pickenv.arm import forward, load_arm
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
+from pickenv.calibration import Calibration, Measurements, fit, random_joints, read_measurements, simulated_tracker
+from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
+from pickenv.calibration.identification.rows import choose, select
+from pickenv.calibration.model.observations import PoseObservations
+from pickenv.calibration.pipeline.held_out import Choices, judge
+from pickenv.calibration.pipeline.result import assess
+from pickenv.cli import app
+from pickenv.errors import InputError
+from pickenv.inspect.reports.calibration_report import calibration_page
+from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
+
+PLAIN = ("--arm", "qiao2026", "--terms", "none", "--residual", "none")
+
+
+def call(*words):
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done
+
+
+@pytest.fixture(scope="module")
+def noisy(dynamic, tmp_path_factory):
+    """A file whose noise of 20 mm drowns the arm's own error."""
+    rng = np.random.default_rng(5)
+    data = simulated_tracker(dynamic, random_joints(dynamic.geometry, 100, rng), rng)
+    data = replace(data, position=data.position + rng.normal(size=(100, 3)) * 20e-3)
+    return data.write_csv(tmp_path_factory.mktemp("noisy") / "noisy.csv")
+
+
+@pytest.fixture(scope="module")
+def refused(noisy):
+    """The calibration of that file, with its terminal and its JSON."""
+    out, told, page = (noisy.with_name(name) for name in ("bad.npz", "bad.json", "bad.html"))
+    done = call("calibrate", noisy, *PLAIN, "--out", out, "--json", told, "--report", page)
+    return done, out, json.loads(told.read_text()), page.read_text()
+
+
+def test_noise_of_20_mm_is_not_to_be_used_and_everything_says_so(refused):
+    done, out, told, page = refused
+    assert done.exit_code == 3 and done.output.startswith("verdict: DO NOT USE: ")
+    reason = told["verdict"]["reason"]
+    assert told["verdict"]["grade"] == "do not use" and "nominal one" in reason
+    assert done.output.splitlines()[0] == f"verdict: DO NOT USE: {reason}"
+    assert "Do not use this calibration" in page and reason[1:] in page
+    kept = Calibration.load(out).record["verdict"]
+    assert kept == told["verdict"]
+
+
+@pytest.mark.parametrize("frames", ["known", "fitted"])
+def test_seven_rows_are_not_to_be_used(dynamic, tmp_path, frames):
+    rng = np.random.default_rng(0)
+    data = simulated_tracker(dynamic, random_joints(dynamic.geometry, 7, rng), rng)
+    done = call("calibrate", data.write_csv(tmp_path / "few.csv"), *PLAIN, "--frames", frames)
+    assert done.exit_code == 3 and done.output.startswith("verdict: DO NOT USE: only 1 row was held out")
+
+
+def test_the_verdict_is_obeyed_unless_overridden_by_name(refused, noisy, tmp_path):
+    _, out, _, _ = refused
+    targets = tmp_path / "targets.csv"
+    targets.write_text("q1_deg,q2_mm,q3_mm,q4_deg,q5_mm,q6_deg\n10,200,200,10,50,10\n")
+    exported = tmp_path / "arm.toml"
+    commands = (
+        ("apply", out, targets, "--arm", "qiao2026", "--out", tmp_path / "c.csv"),
+        ("export", out, "--arm", "qiao2026", "--toml", exported),
+    )
+    for words in commands:
+        with pytest.raises(InputError, match=r"do not use \(.*\); measure again; allow 'do-not-use' by name"):
+            call(*words)
+        assert (not (tmp_path / "c.csv").exists() and not exported.exists()) or words[0] == "export"
+        assert call(*words, "--allow", "do-not-use").exit_code == 0
+        with pytest.raises(InputError, match="unknown reservation 'all'"):
+            call(*words, "--allow", "all")
+    compensator = Calibration.load(out).compensator()
+    with pytest.raises(InputError, match="do not use"):
+        CompensationWrapper(gym.make("pickenv/Reach-v0"), compensator)
+    CompensationWrapper(gym.make("pickenv/Reach-v0"), compensator, allow=["do-not-use"]).close()
+    with pytest.raises(InputError, match="do not use"):
+        load_compensator(out, load_arm("qiao2026"))
+
+
+def test_fitted_frames_are_refused_where_fruit_stand_in_the_base_frame(dynamic):
+    rng = np.random.default_rng(0)
+    train, test = (simulated_tracker(dynamic, random_joints(dynamic.geometry, n, rng), rng) for n in (40, 20))
+    result = assess(dynamic.arm, fit(dynamic.arm, train), train, test)
+    compensator = result.calibration.compensator()
+    low, high = result.base_frame.low * 1e3, result.base_frame.high * 1e3
+    for make in (
+        lambda **more: CompensationWrapper(gym.make("pickenv/Reach-v0"), compensator, **more),
+        lambda **more: CompensationVectorWrapper(gym.make_vec("pickenv/Reach-v0", num_envs=2), compensator, **more),
+    ):
+        with pytest.raises(InputError, match="base frame, where the fruit stand, is not known") as caught:
+            make()
+        assert f"({low:.3g} to {high:.3g} mm" in str(caught.value) and "--frames known" in str(caught.value)
+        make(allow=["fitted-frames"]).close()
+
+
+def test_what_the_report_says_of_the_base_frame_holds_on_most_arms(qiao, dynamic):
+    """Arms of a tolerance class, measured in the base frame but with base and tool fitted: the true error there."""
+    plants = draw_plants(dynamic, load_tolerances("coarse"), 24, np.random.default_rng(3))
+    held = []
+    for number in range(24):
+        plant, rng = plant_at(plants, number), np.random.default_rng(100 + number)
+        train, test = (simulated_tracker(plant, random_joints(qiao.nominal, n, rng), rng) for n in (60, 40))
+        result = assess(qiao, fit(qiao, train), train, test)
+        command = result.calibration.compensate(test.joints)
+        missed = plant.tool_pose(command).position - forward(qiao.nominal, test.joints).position
+        held.append(result.base_frame.low <= np.linalg.norm(missed, axis=1).mean() <= result.base_frame.high)
+    assert np.mean(held) >= 0.9
+
+
+class Words(HTMLParser):
+    """Numbers and text of a page, without its pictures and styles."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.hidden, self.text = 0, []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attributes):
+        self.hidden += tag in ("svg", "style")
+
+    def handle_endtag(self, tag):
+        self.hidden -= tag in ("svg", "style")
+
+    def handle_data(self, data):
+        if not self.hidden:
+            self.text.append(data)
+
+
+NUMBER = re.compile(r"(?<![\w.^])[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?(?![\w])")
+
+
+def numbers(text: str) -> set[str]:
+    return set(NUMBER.findall(text))
+
+
+def flat(value):
+    """All numbers of a JSON value."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        return [number for part in value for number in flat(part)]
+    return [value] if isinstance(value, int | float) and not isinstance(value, bool) else []
+
+
+def shared(result):
+    """Terminal and page of a result; every number of the terminal stands in the page."""
+    terminal, page = result.report(), " ".join(Words(calibration_page(result)).text)
+    assert numbers(terminal) - numbers(page) == set()
+    return terminal, page
+
+
+@pytest.mark.parametrize("terms", ["none", "gravity+periodic"])
+def test_every_number_that_terminal_and_page_share_is_equal_on_the_ur5(measured_ur5, terms):
+    data = PoseObservations(measured_ur5[1])
+    rows = choose(data, "random", None, np.random.default_rng(0))
+    train, test = (select(data, np.sort(part)) for part in rows)
+    result = judge(load_arm("ur5"), train, test, Choices(terms=terms, residual="none"))
+    terminal, page = shared(result)
+    assert len(numbers(terminal)) > 60
+    told = result.as_dict()
+    for text in (terminal, page):
+        assert f"{told['held_out']['best_rms_mm']:#.4g}" in text
+        assert f"eometry: {list(told['states']['geometry'].values()).count(MEASURED)} of" in text
+        for row in told["changes"]:
+            if row["state"] == MEASURED and 1e-3 <= abs(row["change"]) < 1e4:
+                assert f"{row['change']:#.4g}" in text
+    condition = result.geometric.identification.identifiability.condition
+    assert result.quality.observability.condition == pytest.approx(condition)
+    if terms != "none":
+        states = list(told["states"]["terms"].values())
+        assert 0 < states.count(MEASURED) < states.count(HELD)  # most of a gravity model stands where it was expected
+        assert result.position["geometry+gravity+periodic"].rms < 0.1
+
+
+def test_a_coefficient_counts_as_measured_only_where_the_data_know_it_twice_as_well(dynamic):
+    rng = np.random.default_rng(2)
+    train, test = (simulated_tracker(dynamic, random_joints(dynamic.geometry, n, rng), rng) for n in (80, 30))
+    choices = Choices(terms="gravity", residual="none")
+    result = judge(dynamic.arm, PoseObservations(train), PoseObservations(test), choices)
+    found, states = result.fit.identification, result.quality.states
+    scatter = [item.chi_square / item.degrees_of_freedom for item in (found, result.geometric.identification)]
+    prior = found.arm_model.term_tolerances * np.sqrt(scatter[0] / scatter[1])
+    std = dict(zip(found.identifiability.names, found.standard_deviation, strict=True))
+    for name, expected in zip(found.arm_model.parameter_names[-len(prior) :], prior, strict=True):
+        if states.of(name) != LOST:
+            assert (std[name] < expected / 2) == (states.of(name) == MEASURED)
+    assert {MEASURED, HELD} <= set(states.terms.values())
+    shared(result)
+
+
+def test_a_model_that_does_not_converge_is_never_chosen(dynamic, monkeypatch):
+    from pickenv.calibration.pipeline import held_out
+
+    rng = np.random.default_rng(2)
+    train, test = (simulated_tracker(dynamic, random_joints(dynamic.geometry, n, rng), rng) for n in (80, 30))
+    whole = held_out.identify_terms
+    monkeypatch.setattr(held_out, "identify_terms", lambda *a: replace(whole(*a), converged=False))
+    choices = Choices(terms="gravity", residual="none")
+    result = judge(dynamic.arm, PoseObservations(train), PoseObservations(test), choices)
+    assert result.best_model == "geometry" and result.fit.identification.converged
+
+
+def test_a_foreign_option_is_refused(qiao, exact):
+    from pickenv.calibration.model.observations import DistanceObservations
+
+    joints = exact(qiao.nominal).joints
+    wire = DistanceObservations(joints, np.ones(len(joints)), 1e-4)
+    for choices in (Choices(robust=True), Choices(residual="bpnn"), Choices(frames="known")):
+        with pytest.raises(InputError, match="is for poses and positions"):
+            judge(qiao, wire, wire, choices)
+
+
+def test_the_result_is_saved_before_it_is_printed(dynamic, tmp_path, monkeypatch):
+    rng = np.random.default_rng(0)
+    data = simulated_tracker(dynamic, random_joints(dynamic.geometry, 60, rng), rng)
+    file = data.write_csv(tmp_path / "m.csv")
+
+    def full(*words, **more):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("builtins.print", full)
+    done = CliRunner().invoke(app, ["calibrate", str(file), *PLAIN, "--out", str(tmp_path / "c.npz")])
+    assert isinstance(done.exception, OSError)
+    assert Calibration.load(tmp_path / "c.npz").record["frames"] == "known"
+
+
+def test_outputs_stand_over_no_input_and_no_other_output(dynamic, tmp_path):
+    rng = np.random.default_rng(0)
+    data = simulated_tracker(dynamic, random_joints(dynamic.geometry, 30, rng), rng)
+    file = data.write_csv(tmp_path / "m.csv")
+    before = file.read_bytes()
+    for words in (("--json", file), ("--out", tmp_path / "x", "--json", tmp_path / "x.npz")):
+        with pytest.raises(InputError, match="write"):
+            call("calibrate", file, *PLAIN, *words)
+    assert file.read_bytes() == before
+
+
+def test_units_are_kept_and_asked_for(dynamic, tmp_path):
+    rng = np.random.default_rng(0)
+    data = simulated_tracker(dynamic, random_joints(dynamic.geometry, 60, rng), rng)
+    file, out = data.write_csv(tmp_path / "m.csv"), tmp_path / "c.npz"
+    assert call("calibrate", file, *PLAIN, "--unit", "SN 17", "--out", out).exit_code == 0
+    words = ("export", out, "--arm", "qiao2026", "--toml", tmp_path / "a.toml", "--unit")
+    assert call(*words, "SN 17").exit_code == 0
+    with pytest.raises(InputError, match="belongs to unit 'SN 17', but unit 'SN 18'"):
+        call(*words, "SN 18")
+
+
+def test_measured_data_say_fitted_and_simulated_ones_known(dynamic, tmp_path):
+    rng = np.random.default_rng(0)
+    data = simulated_tracker(dynamic, random_joints(dynamic.geometry, 10, rng), rng)
+    assert data.frames == "known"
+    assert read_measurements(data.write_csv(tmp_path / "m.csv"), dynamic.geometry).frames == "known"
+    bare = Measurements(data.joints, data.position, data.rotation, data.prismatic)
+    assert read_measurements(bare.write_csv(tmp_path / "b.csv"), dynamic.geometry).frames == "fitted"
+    both = choose(PoseObservations(data), "random", None, rng)
+    train, test = (select(PoseObservations(data), np.sort(rows)) for rows in both)
+    with pytest.raises(InputError, match=r"say.* known, .* fitted; give --frames"):
+        judge(dynamic.arm, train, PoseObservations(replace(test.measurements, frames="fitted")))

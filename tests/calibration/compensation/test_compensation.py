@@ -1,0 +1,197 @@
+"""Compensation (Qiao 2026 eqs (13)-(16), Fig. 3): the true tool goes where the nominal one was meant to go."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pickenv.arm import Pose, displace_pose, forward, load_arm, noncompensable_error, pose_error, rotation_matrix
+from pickenv.arm.kinematics.forward import frame_of
+from pickenv.calibration import Compensator, random_joints
+from pickenv.calibration.compensation.compensator import displaced_frame, error_components
+from pickenv.errors import InputError
+
+
+def interior(geometry, count, seed=0):
+    """Joints far enough from the limits that corrections have room."""
+    span = geometry.upper - geometry.lower
+    return np.random.default_rng(seed).uniform(
+        geometry.lower + 0.1 * span, geometry.upper - 0.1 * span, (count, len(span))
+    )
+
+
+def shrunk(arm, share):
+    """The arm with a share of Table 1's deviations."""
+    return arm.nominal.displaced(share * arm.nominal.difference(arm.true))
+
+
+def missed(compensator, truth, joints):
+    """Largest position error, m, and compensable attitude error, rad, of the true tool."""
+    command = compensator(joints)
+    error = pose_error(forward(compensator.nominal, joints), forward(truth, command))
+    error = error - noncompensable_error(truth, command, error)
+    return np.linalg.norm(error[:, :3], axis=1).max(), np.linalg.norm(error[:, 3:], axis=1).max()
+
+
+def test_one_correction_is_right_to_second_order(qiao):
+    joints = interior(qiao.nominal, 300)
+    whole, half = (
+        np.array(missed(Compensator(qiao.nominal, shrunk(qiao, s), iterations=1), shrunk(qiao, s), joints))
+        for s in (1, 0.5)
+    )
+    assert whole[0] < 2e-5 and whole[1] < 2e-5  # of 4.5 mm and 3.4 mrad
+    assert (whole / half > 3).all()
+
+
+def test_two_corrections_leave_nanometres(qiao):
+    position, attitude = missed(Compensator(qiao.nominal, qiao.true), qiao.true, interior(qiao.nominal, 300))
+    assert position < 2e-7 and attitude < 1e-6
+
+
+@given(seed=st.integers(0, 2**32 - 1), scale=st.floats(0, 20))
+@settings(max_examples=30, deadline=None)
+def test_joint_limits_are_kept(qiao, seed, scale):
+    """However wrong the arm, and at the very limits."""
+    rng = np.random.default_rng(seed)
+    joints = random_joints(qiao.nominal, 20, rng)
+    joints[:10] = np.where(rng.random((10, 6)) < 0.5, qiao.nominal.lower, qiao.nominal.upper)
+    command = Compensator(qiao.nominal, shrunk(qiao, scale))(joints)
+    assert (command >= qiao.nominal.lower).all() and (command <= qiao.nominal.upper).all()
+
+
+def test_corrections_are_small_where_the_literal_inverse_commands_metres(qiao):
+    joints = random_joints(qiao.nominal, 2000, np.random.default_rng(0))
+    assert np.abs(Compensator(qiao.nominal, qiao.true)(joints) - joints).max() < 0.02
+
+
+@pytest.mark.parametrize("arm", ["qiao2026", "ur5", "wam"])
+def test_a_perfect_arm_is_left_alone(arm):
+    nominal = load_arm(arm).nominal
+    joints = random_joints(nominal, 100, np.random.default_rng(0))
+    np.testing.assert_allclose(Compensator(nominal, nominal)(joints), joints, atol=1e-12)
+
+
+def test_a_batch_is_its_poses_one_by_one(protocol):
+    compensator = protocol[0].calibration.compensator()
+    joints = random_joints(compensator.nominal, 12, np.random.default_rng(0))
+    batch = compensator(joints.reshape(3, 4, 6))
+    assert batch.shape == (3, 4, 6)
+    np.testing.assert_allclose(batch.reshape(12, 6), [compensator(q) for q in joints], atol=1e-12)
+
+
+DRIFT = np.array([1e-3, -2e-3, 5e-4, 0, 0, 0])
+
+
+class Drift:
+    """A residual that is the same everywhere."""
+
+    def predict(self, joints):
+        return np.zeros((*np.shape(joints)[:-1], 6)) + DRIFT
+
+
+def test_a_residual_is_expected_and_countered(qiao):
+    joints = interior(qiao.nominal, 100)
+    compensator = Compensator(qiao.nominal, qiao.nominal, Drift())
+    there = forward(qiao.nominal, compensator(joints)).position + DRIFT[:3]
+    np.testing.assert_allclose(there, forward(qiao.nominal, joints).position, atol=1e-7)
+    expected = compensator.predict(joints).position - forward(qiao.nominal, joints).position
+    np.testing.assert_allclose(expected, Drift().predict(joints)[:, :3], atol=1e-15)
+
+
+@pytest.mark.parametrize("row, where", [((), ""), ((1,), " of row 1"), ((1, 2), " of row 1, 2")])
+def test_a_target_that_is_not_finite_is_refused(qiao, row, where):
+    joints = interior(qiao.nominal, 1)[0] + np.zeros((*(3 for _ in row), 6))
+    joints[(*row, 2)] = np.nan
+    with pytest.raises(InputError, match=f"the target of {qiao.nominal.joint_names[2]}{where} is nan; give finite"):
+        Compensator(qiao.nominal, qiao.true)(joints)
+
+
+def test_the_joints_asked_for_are_not_written_over(qiao):
+    joints = interior(qiao.nominal, 5)
+    before = joints.copy()
+    Compensator(qiao.nominal, qiao.true)(joints)
+    assert np.array_equal(joints, before)
+
+
+def moved(compensator, one, other):
+    """How far apart the tool is expected at two sets of commands, m."""
+    return np.linalg.norm(compensator.predict(one).position - compensator.predict(other).position, axis=1)
+
+
+def test_many_poses_in_single_precision_are_where_double_puts_them(protocol):
+    compensator = protocol[0].calibration.compensator(single_precision=True)
+    joints = interior(compensator.nominal, 3000)
+    double = protocol[0].calibration.compensator()(joints)
+    apart = moved(compensator, compensator(joints), double)
+    assert 0 < apart.max() < 1e-6 and apart.mean() < 2e-7
+    assert np.array_equal(protocol[0].calibration.compensate(joints), double)
+
+
+def test_an_environment_gets_the_same_whatever_shares_its_batch(protocol):
+    """Blocks are cut at fixed places, and within them each pose is on its own, up to roundings of the network."""
+    compensator = protocol[0].calibration.compensator()
+    joints = interior(compensator.nominal, 2500)
+    np.testing.assert_allclose(compensator(joints)[::7], compensator(joints[::7]), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(compensator(joints)[0], compensator(joints[0]), rtol=0, atol=1e-9)
+
+
+def converged(compensator, joints):
+    """Commands at which the expected tool is where it is wanted, the residual evaluated at each iteration."""
+    commands = joints
+    for _ in range(4):
+        frozen = Frozen(compensator.residual.predict(commands))
+        commands = replace(compensator, residual=frozen, iterations=4)(joints)
+    return commands
+
+
+class Frozen:
+    """A residual evaluated beforehand."""
+
+    def __init__(self, values):
+        self.values = values
+
+    def predict(self, joints):
+        return self.values
+
+
+@pytest.mark.parametrize("iterations, mean, most", [(1, 3e-6, 20e-6), (2, 2e-6, 15e-6)])
+def test_a_network_evaluated_once_is_enough(protocol, iterations, mean, most):
+    """Of hundreds of micrometres that the network predicts, its change on the way leaves one or two."""
+    compensator = replace(protocol[0].calibration.compensator(), iterations=iterations)
+    joints = interior(compensator.nominal, 900)
+    apart = moved(compensator, compensator(joints), converged(compensator, joints))
+    assert apart.mean() < mean and apart.max() < most
+
+
+def test_the_residual_is_asked_once(qiao):
+    class Counted(Drift):
+        asked = 0
+
+        def predict(self, joints):
+            self.asked += 1
+            return super().predict(joints)
+
+    joints = interior(qiao.nominal, 4)
+    for targets in (joints, joints[0]):
+        residual = Counted()
+        Compensator(qiao.nominal, qiao.true, residual)(targets)
+        assert residual.asked == 1
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-3, 0.3, 2.0])
+def test_frames_are_moved_and_compared_as_poses_are(size):
+    rng = np.random.default_rng(12)
+    for _ in range(10):
+        pose = Pose(rng.normal(size=3), rotation_matrix(rng.normal(size=3)))
+        turn = rng.normal(size=3)
+        error = np.concatenate([size * rng.normal(size=3), size * turn / np.linalg.norm(turn)])
+        moved = displace_pose(pose, error)
+        frame = displaced_frame(math, frame_of(pose), error.tolist())
+        np.testing.assert_allclose(frame, frame_of(moved), rtol=0, atol=1e-13)
+        found = error_components(math, frame_of(pose), frame_of(moved))
+        np.testing.assert_allclose(found, pose_error(pose, moved), rtol=0, atol=1e-7)
+        arrays = displaced_frame(np, tuple(np.full(2, v) for v in frame_of(pose)), [np.full(2, v) for v in error])
+        np.testing.assert_allclose(np.array(np.broadcast_arrays(*arrays))[:, 1], frame, rtol=0, atol=1e-13)

@@ -1,0 +1,62 @@
+"""The truncated solve of many Jacobians gives what the truncated pseudo-inverse gives of each."""
+
+import numpy as np
+import pytest
+
+from pickenv.arm import joint_jacobian, load_arm
+from pickenv.arm.kinematics.task_space import truncated_inverse
+from pickenv.calibration import random_joints
+from pickenv.calibration.compensation.truncated_solve import TruncatedSolver
+
+
+def components(jacobian, dtype):
+    """Columns of ``(N, 6, n)``, component by component."""
+    return [[np.ascontiguousarray(jacobian[:, i, j], dtype=dtype) for i in range(6)] for j in range(jacobian.shape[2])]
+
+
+def solved(jacobian, error, dtype=np.float64):
+    solver = TruncatedSolver(components(jacobian, dtype))
+    return solver, np.stack(solver.solve([np.ascontiguousarray(part, dtype=dtype) for part in error.T]), axis=-1)
+
+
+@pytest.mark.parametrize("dtype, bound", [(np.float64, 1e-4), (np.float32, 0.1)])
+@pytest.mark.parametrize("name", ["qiao2026", "ur5", "wam", "li2016_slave"])
+def test_it_is_the_truncated_pseudo_inverse(name, dtype, bound):
+    """Rank 5 of 6, singular poses of a six-joint arm, seven joints, three joints; never far, and mostly very close."""
+    arm = load_arm(name).nominal
+    rng = np.random.default_rng(0)
+    jacobian = joint_jacobian(arm, random_joints(arm, 2000, rng))
+    error = rng.normal(size=(2000, 6))
+    expected = np.einsum("kij,kj->ki", truncated_inverse(jacobian), error)
+    found = solved(jacobian, error, dtype)[1]
+    wrong = np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)
+    assert wrong.max() < bound
+    assert np.median(wrong) < (1e-10 if dtype is np.float64 else 2e-3)
+
+
+def test_the_picking_arm_never_needs_the_singular_value_decomposition(qiao):
+    rng = np.random.default_rng(1)
+    jacobian = joint_jacobian(qiao.true, random_joints(qiao.nominal, 2000, rng))
+    for dtype in (np.float64, np.float32):
+        solver, _ = solved(jacobian, rng.normal(size=(2000, 6)), dtype)
+        assert solver.lost.all() and not len(solver.doubtful[0])
+
+
+def test_well_conditioned_poses_are_told_from_their_determinant():
+    """Poses of a six-joint arm are not handed to the singular value decomposition unless they are near-singular."""
+    arm = load_arm("ur5").nominal
+    jacobian = joint_jacobian(arm, random_joints(arm, 2000, np.random.default_rng(2)))
+    solver, _ = solved(jacobian, np.ones((2000, 6)))
+    singular = np.linalg.svd(jacobian, compute_uv=False)
+    assert (singular[solver.doubtful[0], -1] < 0.05 * singular[solver.doubtful[0], 0]).all()
+    assert len(solver.doubtful[0]) < 500
+
+
+@pytest.mark.parametrize("lost", [1, 2, 3])
+def test_exactly_lost_directions_are_cut_off(lost):
+    rng = np.random.default_rng(lost)
+    left, right = (np.linalg.qr(rng.normal(size=(50, 6, 6)))[0] for _ in range(2))
+    values = np.where(np.arange(6) < 6 - lost, 1.0 + np.arange(6), 0.0)
+    jacobian, error = (left * values) @ right, rng.normal(size=(50, 6))
+    expected = np.einsum("kij,kj->ki", np.linalg.pinv(jacobian, rcond=5e-3), error)
+    np.testing.assert_allclose(solved(jacobian, error)[1], expected, atol=1e-7)

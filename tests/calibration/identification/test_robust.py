@@ -1,0 +1,109 @@
+"""Outliers are found, named, and pull no longer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.arm import Geometry, Plant, rotation_matrix
+from pickenv.calibration.identification.alignment import align
+from pickenv.calibration.identification.least_squares import identify
+from pickenv.calibration.identification.robust import LOSSES, robust_align, robust_identify
+from pickenv.calibration.model.error_model import complete_model, frames_model, link_model, residual
+from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
+from pickenv.errors import InputError
+
+
+def rms(geometry: Geometry, data: Measurements) -> float:
+    return float(np.sqrt(np.mean(np.sum(residual(geometry, data)[:, :3] ** 2, axis=1))))
+
+
+def spoiled(data: Measurements, rows: np.ndarray, size: float, rng: np.random.Generator) -> Measurements:
+    """``data`` with the positions of some rows moved by ``size`` m in random directions."""
+    away = rng.normal(size=(len(rows), 3))
+    position = data.position.copy()
+    position[rows] += size * away / np.linalg.norm(away, axis=1, keepdims=True)
+    return replace(data, position=position)
+
+
+def tracked(plant: Plant, poses: int, seed: int) -> Measurements:
+    rng = np.random.default_rng(seed)
+    return simulated_tracker(plant, random_joints(plant.arm.nominal, poses, rng), rng)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("seed", range(3))
+def test_outliers_of_100_mm_are_found_and_named(dynamic: Plant, loss: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    nominal, data, held_out = dynamic.arm.nominal, tracked(dynamic, 100, seed), tracked(dynamic, 1000, 50 + seed)
+    rows = rng.choice(100, 8, replace=False)
+    model = link_model(nominal)
+    bad = spoiled(data, rows, 0.1, rng)
+    found = robust_identify(model, nominal, bad, loss=loss)
+    assert found.settled
+    assert sorted(outlier.row for outlier in found.outliers) == sorted(rows)
+    for outlier in found.outliers:
+        assert outlier.position == pytest.approx(0.1, rel=0.05)
+        assert outlier.sigma > 100
+        assert outlier.weight < 0.02
+    clean, pulled = identify(model, nominal, data).geometry, identify(model, nominal, bad).geometry
+    assert rms(found.geometry, held_out) < 1.05 * rms(clean, held_out) < 0.2 * rms(pulled, held_out)
+
+
+def test_a_wrong_attitude_is_found_too(dynamic: Plant) -> None:
+    nominal, data = dynamic.arm.nominal, tracked(dynamic, 100, 0)
+    assert data.rotation is not None
+    rotation = data.rotation.copy()
+    rotation[7] = rotation_matrix([0.0, 0.05, 0.0]) @ rotation[7]
+    found = robust_identify(link_model(nominal), nominal, replace(data, rotation=rotation))
+    (outlier,) = found.outliers
+    assert outlier.row == 7
+    assert outlier.attitude == pytest.approx(0.05, rel=0.1)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_clean_data_have_no_outliers_and_lose_nothing(dynamic: Plant, loss: str) -> None:
+    nominal, data, held_out = dynamic.arm.nominal, tracked(dynamic, 100, 1), tracked(dynamic, 1000, 2)
+    found = robust_identify(link_model(nominal), nominal, data, loss=loss)
+    assert found.outliers == ()
+    np.testing.assert_array_equal(found.inliers, np.arange(100))
+    plain = identify(link_model(nominal), nominal, data)
+    assert rms(found.geometry, held_out) < 1.05 * rms(plain.geometry, held_out)
+
+
+@pytest.mark.parametrize(("share", "fault"), [(0.05, "100 mm"), (0.3, "100 mm"), (0.2, "zeros")])
+def test_a_measured_arm_is_calibrated_through_gross_errors(
+    measured_ur5: tuple[Geometry, Measurements], share: float, fault: str
+) -> None:
+    """Lost reflectors that were written as zeros, and jumps of the tracker: held-out RMS stays within 2 %."""
+    geometry, data = measured_ur5
+    rng = np.random.default_rng(3)
+    order = rng.permutation(len(data))
+    train, test = data.select(order[:800]), data.select(order[800:])
+    rows = rng.choice(800, int(800 * share), replace=False)
+    bad = spoiled(train, rows, 0.1, rng)
+    if fault == "zeros":
+        bad.position[rows] = 0.0
+    frames, model = frames_model(geometry), complete_model(geometry)
+    start = robust_align(geometry, bad, frames, rng)
+    assert set(rows) <= {outlier.row for outlier in start.outliers}
+    found = robust_identify(model, start.geometry, bad)
+    assert {outlier.row for outlier in found.outliers} == set(rows)
+    clean = identify(model, align(geometry, train, frames).geometry, train)
+    assert rms(found.geometry, test) < 1.02 * rms(clean.geometry, test)
+
+
+def test_robust_alignment_agrees_with_alignment_on_clean_data(measured_ur5: tuple[Geometry, Measurements]) -> None:
+    geometry, data = measured_ur5
+    frames = frames_model(geometry)
+    robust = robust_align(geometry, data, frames, np.random.default_rng(0))
+    assert robust.outliers == ()
+    np.testing.assert_allclose(robust.geometry.base.position, align(geometry, data, frames).geometry.base.position)
+
+
+def test_bad_wishes_are_refused(dynamic: Plant) -> None:
+    nominal, data = dynamic.arm.nominal, tracked(dynamic, 100, 0)
+    with pytest.raises(InputError, match="unknown loss 'l1'; give one of huber, cauchy"):
+        robust_identify(link_model(nominal), nominal, data, loss="l1")
+    with pytest.raises(InputError, match="too few to tell outliers"):
+        robust_align(nominal, data.select(np.arange(5)), frames_model(nominal), np.random.default_rng(0))

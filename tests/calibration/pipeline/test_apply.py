@@ -1,0 +1,235 @@
+"""Commands from a calibration: the true error falls, limits hold, what cannot be reached is named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pickenv.arm import Pose, forward, joint_jacobian, load_arm, pose_error, rotation_matrix, rotation_vector
+from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.calibration.pipeline.apply import apply_calibration
+from pickenv.calibration.pipeline.result import assess
+from pickenv.calibration.pipeline.uncertainty import held_out_errors
+from pickenv.calibration.reading.targets import Targets, joints_of, read_targets
+from pickenv.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def calibration(dynamic):
+    """Base and tool known, so that the true arm can be asked in the same frame."""
+    rng = np.random.default_rng(0)
+    train, test = (simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (100, 200))
+    found = fit(dynamic.arm, train, known_frames=True)
+    return assess(dynamic.arm, found, train, test).calibration
+
+
+@pytest.fixture(scope="module")
+def elsewhere(dynamic):
+    """The same, measured by an instrument that stands metres away and sees a target beside the tool."""
+    rng = np.random.default_rng(1)
+    data = simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, 100, rng), rng)
+    turn, target = rotation_matrix([0.3, 0.2, 1.0]), rotation_matrix([0.0, 0.4, 0.1])
+    seen = data.position + data.rotation @ [0.03, 0.01, 0.05]
+    data = replace(data, position=seen @ turn.T + [1.0, 2.0, 3.0], rotation=turn @ data.rotation @ target)
+    found = fit(dynamic.arm, data)
+    return assess(dynamic.arm, found, data, data).calibration
+
+
+def joint_targets(joints):
+    return Targets(np.asarray(joints, dtype=float), None, tuple(range(2, 2 + len(joints))), "targets.csv")
+
+
+def pose_targets(pose):
+    return Targets(None, pose, tuple(range(2, 2 + len(pose.position))), "targets.csv")
+
+
+def inner_joints(geometry, count, seed):
+    middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
+    return middle + half * np.random.default_rng(seed).uniform(-0.9, 0.9, (count, geometry.joints))
+
+
+def test_the_true_error_falls_and_is_predicted(calibration, dynamic):
+    nominal = dynamic.arm.nominal
+    joints = inner_joints(nominal, 200, 3)
+    found = apply_calibration(calibration, dynamic.arm, joint_targets(joints))
+    wanted = forward(nominal, joints)
+    before, after = (pose_error(wanted, dynamic.tool_pose(q)) for q in (joints, found.joints))
+    assert found.reached.all() and found.reasons == {}
+    assert np.linalg.norm(after[:, :3], axis=1).mean() < 0.4 * np.linalg.norm(before[:, :3], axis=1).mean()
+    # What it says of the uncorrected arm is as true as it says it is, and rather truer well inside the joint ranges.
+    missed = np.linalg.norm(found.before[:, :3] - before[:, :3], axis=1)
+    assert 0.7 < np.sqrt(np.mean(missed**2) / np.mean(found.position_uncertainty**2)) < 1.1
+    assert np.mean(np.linalg.norm(after[:, :3], axis=1) < 2 * found.position_uncertainty) > 0.9
+    assert np.linalg.norm(found.remaining[:, :3], axis=1).max() < 1e-5
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_commands_stay_within_limits_and_reach_is_honest(calibration, dynamic, seed):
+    """Targets on the very border of the joint ranges."""
+    nominal = dynamic.arm.nominal
+    joints = random_joints(nominal, 20, np.random.default_rng(seed))
+    joints[::2] = np.where(joints[::2] > (nominal.lower + nominal.upper) / 2, nominal.upper, nominal.lower)
+    found = apply_calibration(calibration, dynamic.arm, joint_targets(joints))
+    assert (found.joints >= nominal.lower).all() and (found.joints <= nominal.upper).all()
+    removable = np.linalg.norm((found.remaining - found.impossible)[:, :3], axis=1)
+    assert ((removable <= 1e-5) | ~found.reached).all()
+    assert set(found.reasons) == set(np.flatnonzero(~found.reached).tolist())
+
+
+def test_the_turn_that_remains_is_the_one_that_no_joint_makes(calibration, dynamic):
+    """Digest, fact 4: rotation about z1 x z5; its axis lies across every column of the joint Jacobian."""
+    found = apply_calibration(calibration, dynamic.arm, joint_targets(inner_joints(dynamic.arm.nominal, 30, 4)))
+    jacobian = joint_jacobian(dynamic.arm.nominal, found.joints)
+    axis = np.cross(jacobian[:, 3:, 0], jacobian[:, 3:, 5])
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    turn = found.impossible[:, 3:]
+    along = np.abs(np.einsum("ni,ni->n", turn, axis))
+    np.testing.assert_allclose(along, np.linalg.norm(turn, axis=1), rtol=0.02, atol=1e-6)
+    assert 0.01 < np.degrees(along).mean() < 0.1
+
+
+def test_a_target_outside_the_limits_is_named_with_its_row_and_joint(calibration, dynamic):
+    joints = inner_joints(dynamic.arm.nominal, 3, 0)
+    joints[1, 2] = 2.0
+    found = apply_calibration(calibration, dynamic.arm, joint_targets(joints))
+    assert found.reached.tolist() == [True, False, True]
+    assert "J3 telescopic boom is outside its limits" in found.reasons[1]
+    assert "row 3: target of J3" in found.report()
+
+
+def test_poses_are_reached_like_the_joints_that_make_them(calibration, dynamic):
+    nominal = dynamic.arm.nominal
+    joints = inner_joints(nominal, 20, 5)
+    pose = forward(nominal, joints)
+    found = apply_calibration(calibration, dynamic.arm, pose_targets(pose))
+    assert found.reached.all()
+    missed = np.linalg.norm(pose_error(pose, dynamic.tool_pose(found.joints))[:, :3], axis=1)
+    assert missed.mean() < 1e-3 < np.linalg.norm(pose_error(pose, dynamic.tool_pose(joints))[:, :3], axis=1).mean()
+
+
+def test_a_pose_out_of_reach_is_named(calibration, dynamic):
+    pose = forward(dynamic.arm.nominal, inner_joints(dynamic.arm.nominal, 2, 6))
+    far = Pose(np.vstack([pose.position, [[5.0, 0.0, 0.0]]]), np.concatenate([pose.rotation, [np.eye(3)]]))
+    found = apply_calibration(calibration, dynamic.arm, pose_targets(far))
+    assert found.reached.tolist() == [True, True, False] and "no joints within the limits" in found.reasons[2]
+    assert "2 of 3 targets" in found.report()
+
+
+def test_frames_of_controller_and_instrument_are_one_and_the_same_pose(elsewhere, dynamic):
+    """A pose given in either frame asks for the same command, where base and tool are only known by fitting."""
+    nominal = dynamic.arm.nominal
+    joints = inner_joints(nominal, 10, 7)
+    by_controller = apply_calibration(elsewhere, dynamic.arm, pose_targets(forward(nominal, joints)))
+    there = pose_targets(forward(elsewhere.nominal, joints))
+    by_instrument = apply_calibration(elsewhere, dynamic.arm, there, frame="instrument")
+    seen = [forward(elsewhere.identified, found.joints).position for found in (by_controller, by_instrument)]
+    np.testing.assert_allclose(seen[0], seen[1], atol=1e-5)
+    as_joints = apply_calibration(elsewhere, dynamic.arm, joint_targets(joints))
+    np.testing.assert_allclose(forward(elsewhere.identified, as_joints.joints).position, seen[0], atol=1e-5)
+
+
+def test_a_learnt_residual_takes_part(dynamic):
+    rng = np.random.default_rng(0)
+    sets = [simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (100, 200)]
+    found = fit(dynamic.arm, *sets, known_frames=True, residual="rbf", rng=rng).calibration
+    targets = joint_targets(inner_joints(dynamic.arm.nominal, 100, 8))
+    wanted = forward(dynamic.arm.nominal, targets.joints)
+    learnt, plain = (
+        np.linalg.norm(
+            pose_error(wanted, dynamic.tool_pose(apply_calibration(c, dynamic.arm, targets).joints))[:, :3], axis=1
+        ).mean()
+        for c in (found, found.without_residual())
+    )
+    assert learnt < 0.6 * plain
+
+
+def test_the_table_reads_back(calibration, dynamic, tmp_path):
+    joints = inner_joints(dynamic.arm.nominal, 4, 9)
+    found = apply_calibration(calibration, dynamic.arm, joint_targets(joints))
+    path = found.write_csv(tmp_path / "commands.csv")
+    again = read_targets(path, dynamic.arm.nominal)
+    np.testing.assert_allclose(again.joints, found.joints, atol=1e-12)
+    names, rows = found.table()
+    assert rows.shape == (4, len(names)) and set(rows[:, names.index("reached")]) == {"yes"}
+    assert float(rows[0, names.index("uncertainty_mm")]) == pytest.approx(found.position_uncertainty[0] * 1e3)
+
+
+def test_without_uncertainty_in_the_file_it_says_so(calibration, dynamic):
+    bare = replace(calibration, record={k: v for k, v in calibration.record.items() if k != "uncertainty"})
+    found = apply_calibration(bare, dynamic.arm, joint_targets(inner_joints(dynamic.arm.nominal, 2, 0)))
+    assert found.position_uncertainty is None and "uncertainty unknown" in found.report()
+    assert "uncertainty_mm" not in found.table()[0]
+
+
+def test_another_arms_calibration_and_unknown_frames_are_refused(calibration):
+    with pytest.raises(InputError, match="belongs to arm 'qiao2026'"):
+        apply_calibration(calibration, load_arm("ur5"), joint_targets(np.zeros((1, 6))))
+    with pytest.raises(InputError, match="frame is 'moon'"):
+        apply_calibration(calibration, load_arm("qiao2026"), joint_targets(np.zeros((1, 6))), frame="moon")
+
+
+def test_pose_targets_are_read_in_mm_and_degrees(qiao, tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg,note\n700,-750,400,0,0,30,a\n\n800,-700,350,0,0,0,b\n")
+    found = read_targets(path, qiao.nominal)
+    assert found.joints is None and found.lines == (2, 4) and len(found) == 2
+    np.testing.assert_allclose(found.pose.position[0], [0.7, -0.75, 0.4])
+    np.testing.assert_allclose(rotation_vector(found.pose.rotation[0]), [0, 0, np.pi / 6], atol=1e-12)
+    joints = joints_of(found, qiao.nominal)
+    np.testing.assert_allclose(forward(qiao.nominal, joints).position, found.pose.position, atol=2e-5)
+
+
+HEADER = "q1_deg,q2_mm,q3_mm,q4_deg,q5_mm,q6_deg"
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "is empty"),
+        (HEADER + "\n", "has a header but no rows"),
+        (HEADER + "\n1,2,3,4,5\n", "row 2, column 'q6_deg' is empty"),
+        (HEADER + "\n1,2,3,4,5,6\n1,2,x,4,5,6\n", "row 3, column 'q3_mm' holds 'x'"),
+        (HEADER + "\n1,2,3,4,5,nan\n", "row 2, column 'q6_deg' is nan"),
+        (HEADER + "\n1,2,3,4,5,1_0\n", "row 2, column 'q6_deg'"),
+        (HEADER + ",q1_deg\n1,2,3,4,5,6,7\n", "column 'q1_deg' occurs 2 times"),
+        ("q1_rad,x_mm\n1,2\n", "neither all joint columns"),
+    ],
+)
+def test_faults_of_target_files_are_named(qiao, tmp_path, text, complaint):
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=complaint):
+        read_targets(path, qiao.nominal)
+    with pytest.raises(InputError, match="does not exist"):
+        read_targets(tmp_path / "missing.csv", qiao.nominal)
+
+
+def test_a_test_pose_out_of_reach_is_named_by_row(qiao, tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n700,-750,400,0,0,0\n9000,0,0,0,0,0\n")
+    with pytest.raises(InputError, match="row 3 is a pose that the arm cannot reach"):
+        joints_of(read_targets(path, qiao.nominal), qiao.nominal)
+
+
+@pytest.mark.parametrize("joint", [0, 3, 4])
+def test_other_joints_take_over_from_one_at_its_limit(calibration, dynamic, joint):
+    """Six joints for five directions: J1, J4 and J5 can be spared, so a target at their limits is still reached."""
+    nominal = dynamic.arm.nominal
+    joints = inner_joints(nominal, 60, 5)
+    joints[:30, joint], joints[30:, joint] = nominal.lower[joint], nominal.upper[joint]
+    found = apply_calibration(calibration, dynamic.arm, joint_targets(joints))
+    assert found.reached.all() and (found.joints <= nominal.upper).all() and (found.joints >= nominal.lower).all()
+
+
+def test_what_the_learnt_residual_explains_is_no_uncertainty(dynamic):
+    rng = np.random.default_rng(0)
+    sets = [simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (100, 200, 60)]
+    found = fit(dynamic.arm, *sets[:2], known_frames=True, residual="rbf", rng=rng)
+    learnt, plain = (held_out_errors(c, sets[2]) for c in (found.calibration, found.calibration.without_residual()))
+    np.testing.assert_allclose(plain - learnt, found.calibration.learnt.predict(sets[2].joints), atol=1e-15)
+    kept = assess(dynamic.arm, found, sets[0], sets[2]).calibration.record["uncertainty"]
+    assert kept["position_repeat_m"] == pytest.approx(np.sqrt(np.mean(learnt[:, :3] ** 2)))
+    assert kept["position_repeat_m"] < 0.6 * np.sqrt(np.mean(plain[:, :3] ** 2))

@@ -1,0 +1,89 @@
+"""The commands around a calibration, as people call them: plan-poses, apply, export and the report page."""
+
+import json
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from pickenv.arm import load_arm
+from pickenv.calibration import BpnnSettings, fit, random_joints, simulated_tracker
+from pickenv.calibration.pipeline.result import assess
+from pickenv.commands import corrections as calibrations
+from pickenv.errors import InputError
+from pickenv.inspect.reports.calibration_report import write_calibration_report
+
+app = typer.Typer()
+app.command("plan-poses")(calibrations.plan_poses)
+app.command()(calibrations.apply)
+app.command()(calibrations.export)
+
+
+def call(*words, code=0):
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    assert done.exit_code == code, done.output
+    return done.output
+
+
+@pytest.fixture(scope="module")
+def folder(dynamic, tmp_path_factory):
+    """A calibration with a network, its held-out data, and targets."""
+    folder, rng = tmp_path_factory.mktemp("run"), np.random.default_rng(0)
+    sets = [simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (60, 64, 30)]
+    found = fit(dynamic.arm, *sets[:2], known_frames=True, rng=rng, settings=BpnnSettings(epochs=5))
+    result = assess(dynamic.arm, found, sets[0], sets[2])
+    result.calibration.save(folder / "arm.npz")
+    sets[2].write_csv(folder / "targets.csv")
+    page = folder / "report.html"
+    assert write_calibration_report(page, result, {"seed": 0}) == page
+    return folder
+
+
+def test_poses_are_planned_and_written(folder):
+    said = call("plan-poses", "--arm", "qiao2026", "--n", 20, "--out", folder / "p.csv", "--json", folder / "p.json")
+    assert "20 of 2000 candidates" in said and "wrote" in said
+    found = json.loads((folder / "p.json").read_text())
+    assert found["condition"] <= 37 and found["random_condition"] > 45 and found["seconds"] < 5
+    assert np.loadtxt(folder / "p.csv", delimiter=",", skiprows=1).shape == (20, 6)
+
+
+def test_poses_are_planned_for_targets(folder):
+    words = ("--criterion", "test-poses", "--at", folder / "targets.csv", "--kind", "position", "--frames", "known")
+    assert "error to expect at the test poses" in call("plan-poses", "--arm", "qiao2026", "--n", 20, *words)
+    with pytest.raises(InputError, match="frames is 'lost'"):
+        call("plan-poses", "--arm", "qiao2026", "--frames", "lost")
+
+
+def test_targets_become_commands(folder):
+    said = call("apply", folder / "arm.npz", folder / "targets.csv", "--arm", "qiao2026", "--out", folder / "c.csv")
+    assert "30 targets can be reached" in said and "standard uncertainty" in said
+    header = (folder / "c.csv").read_text().splitlines()[0]
+    assert header.startswith("q1_deg,q2_mm") and "uncertainty_mm" in header and "noncompensable_error_deg" in header
+
+
+def test_what_cannot_be_reached_has_no_command_and_its_own_exit_code(folder):
+    targets, out = folder / "poses.csv", folder / "some.csv"
+    targets.write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n700,-750,400,0,0,0\n5000,0,0,0,0,0\n", encoding="utf-8")
+    said = call("apply", folder / "arm.npz", targets, "--arm", "qiao2026", "--out", out, code=3)
+    assert "1 of 2 targets can be reached" in said and "row 3: no joints" in said
+    first, second = (row.split(",") for row in out.read_text().splitlines()[1:])
+    assert all(first[:6]) and first[6] == "yes"
+    assert second[:6] == [""] * 6 and second[6] == "no" and "no joints" in ",".join(second)
+
+
+def test_the_corrected_arm_is_exported(folder):
+    words = ("--toml", folder / "a.toml", "--urdf", folder / "a.urdf")
+    assert call("export", folder / "arm.npz", "--arm", "qiao2026", *words).count("wrote") == 2
+    assert load_arm(folder / "a.toml").name == "qiao2026_calibrated"
+    with pytest.raises(InputError, match="nothing to write"):
+        call("export", folder / "arm.npz", "--arm", "qiao2026")
+    with pytest.raises(InputError, match="belongs to arm"):
+        call("export", folder / "arm.npz", "--arm", "ur5", "--toml", folder / "b.toml")
+
+
+def test_the_network_is_exported(folder):
+    pytest.importorskip("onnx")
+    assert "wrote" in call("export", folder / "arm.npz", "--arm", "qiao2026", "--onnx", folder / "a.onnx")

@@ -1,0 +1,131 @@
+"""Other programs get the same arm and the same residual: TOML and URDF by kinematics, ONNX by its own run time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pickenv.arm import forward, load_arm, rotation_matrix
+from pickenv.arm.kinematics.geometry import Pose
+from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.pipeline.export import arm_toml, provenance, write_arm_toml, write_arm_urdf, write_onnx
+from pickenv.calibration.residuals.residual_models import fit_residual
+from pickenv.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def calibration(dynamic) -> Calibration:
+    rng = np.random.default_rng(0)
+    sets = [simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (60, 64)]
+    return fit(dynamic.arm, *sets, known_frames=True, rng=rng, settings=BpnnSettings(epochs=15)).calibration
+
+
+def same_kinematics(a, b, joints, atol):
+    for mine, theirs in zip(forward(a, joints), forward(b, joints), strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=atol)
+
+
+@given(seed=st.integers(0, 2**32 - 1), arm=st.sampled_from(["qiao2026", "ur5", "wam"]))
+@settings(max_examples=15, deadline=None)
+def test_any_corrected_arm_is_read_back_from_toml_and_urdf(tmp_path_factory, calibration, seed, arm):
+    folder, rng, chosen = tmp_path_factory.mktemp("arms"), np.random.default_rng(seed), load_arm(arm)
+    geometry = replace(
+        chosen.nominal,
+        alpha=chosen.nominal.alpha + rng.normal(size=chosen.nominal.joints) * 1e-3,
+        theta=chosen.nominal.theta + rng.normal(size=chosen.nominal.joints) * 1e-3,
+        base=Pose(rng.normal(size=3), rotation_matrix(rng.normal(size=3))),
+        tool=Pose(rng.normal(size=3) * 0.1, rotation_matrix(rng.normal(size=3))),
+    )
+    odd = {**calibration.record, "source": 'C:\\data\\"odd" -- name\n.csv'}
+    moved = replace(calibration, model=ArmModel.of(geometry), learnt=None, record=odd)
+    again = load_arm(write_arm_toml(moved, chosen, folder / "arm.toml"))
+    joints = random_joints(geometry, 20, rng)
+    same_kinematics(again.nominal, geometry, joints, 1e-12)
+    np.testing.assert_allclose(again.nominal.lower, geometry.lower, atol=1e-12)
+    np.testing.assert_allclose(again.speed, chosen.speed, atol=1e-12)
+    same_kinematics(
+        load_arm(f"{write_arm_urdf(moved, chosen, folder / 'arm.urdf')}#tool").nominal, geometry, joints, 1e-9
+    )
+
+
+def test_hayatis_beta_survives_the_files(calibration, dynamic, tmp_path):
+    geometry = calibration.identified
+    beta = np.zeros(6)
+    beta[1] = 2e-4
+    moved = replace(calibration, model=ArmModel.of(replace(geometry, beta=beta)))
+    path = write_arm_toml(moved, dynamic.arm, tmp_path / "arm.toml")
+    assert f"beta_deg = {float(np.degrees(2e-4))!r}" in path.read_text() and path.read_text().count("beta_deg") == 1
+    joints = random_joints(geometry, 10, np.random.default_rng(0))
+    same_kinematics(load_arm(path).nominal, moved.identified, joints, 1e-12)
+    by_urdf = load_arm(f"{write_arm_urdf(moved, dynamic.arm, tmp_path / 'arm.urdf')}#tool").nominal
+    same_kinematics(by_urdf, moved.identified, joints, 1e-9)
+
+
+def test_where_it_comes_from_stands_in_every_file(calibration, dynamic, tmp_path):
+    text = arm_toml(calibration, dynamic.arm)
+    for fact in (
+        calibration.record["data_fingerprint"],
+        calibration.arm_fingerprint,
+        "learnt residual 'bpnn'",
+        "60 poses",
+    ):
+        assert fact in text
+    assert text.startswith("# Arm 'qiao2026'") and 'name = "qiao2026_calibrated"' in text
+    urdf = write_arm_urdf(calibration, dynamic.arm, tmp_path / "arm.urdf").read_text()
+    assert urdf.startswith("<?xml") and calibration.record["data_fingerprint"] in urdf
+    assert "a2" in provenance(calibration)[3]
+
+
+def onnx_residual(path, feeds):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    return session.run(None, feeds)[0]
+
+
+def test_the_network_runs_elsewhere_to_the_same_digits(calibration, tmp_path):
+    pytest.importorskip("onnx")
+    path = write_onnx(calibration, tmp_path / "residual.onnx")
+    joints = random_joints(calibration.identified, 500, np.random.default_rng(3))
+    wanted = calibration.learnt.predict(joints)
+    assert np.abs(wanted).max() > 1e-4
+    np.testing.assert_allclose(onnx_residual(path, {"joints": joints}), wanted, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(onnx_residual(path, {"joints": joints[:1]}), wanted[:1], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("conditions", [0, 2])
+def test_turning_joints_and_conditions_are_inputs_too(calibration, conditions, tmp_path):
+    """UR5: all joints by sine and cosine; positions only, so three outputs."""
+    pytest.importorskip("onnx")
+    arm, rng = load_arm("ur5"), np.random.default_rng(1)
+    joints, known = random_joints(arm.nominal, 64, rng), rng.uniform(0, 20, (64, conditions))
+    given = known if conditions else None
+    from pickenv.calibration.residuals.bpnn import train_bpnn
+
+    learnt = fit_residual(
+        "bpnn",
+        joints,
+        rng.normal(size=(64, 3)) * 1e-3,
+        arm.nominal.prismatic,
+        rng,
+        conditions=given,
+        fitter=lambda x, y, r: train_bpnn(x, y, r, BpnnSettings(epochs=3)),
+    )
+    assert learnt.inputs.periodic.all()
+    moved = replace(calibration, model=ArmModel.of(arm.nominal), learnt=learnt)
+    path = write_onnx(moved, tmp_path / "residual.onnx")
+    feeds = {"joints": joints} | ({"conditions": known} if conditions else {})
+    np.testing.assert_allclose(onnx_residual(path, feeds), learnt.predict(joints, given), rtol=0, atol=1e-12)
+
+
+def test_what_has_no_onnx_form_is_refused(calibration, dynamic, tmp_path):
+    with pytest.raises(InputError, match="no learnt residual"):
+        write_onnx(calibration.without_residual(), tmp_path / "r.onnx")
+    rng = np.random.default_rng(0)
+    joints = random_joints(dynamic.arm.nominal, 30, rng)
+    rbf = fit_residual("rbf", joints, rng.normal(size=(30, 6)), dynamic.arm.nominal.prismatic, rng)
+    with pytest.raises(InputError, match="'rbf' cannot be written as ONNX"):
+        write_onnx(replace(calibration, learnt=rbf), tmp_path / "r.onnx")
+    assert not (tmp_path / "r.onnx").exists()

@@ -1,0 +1,218 @@
+"""Planned poses tell more than poses drawn at random, stay within the joint limits and travel little."""
+
+from dataclasses import replace
+from itertools import pairwise, permutations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pickenv.arm import Pose, displace_pose, forward, load_arm
+from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
+from pickenv.calibration.model.error_model import ErrorModel
+from pickenv.calibration.model.observability import observability, observability_of
+from pickenv.calibration.planning.exchange import exchange, gains
+from pickenv.calibration.planning.plan import candidate_joints, design_of, error_weight, plan_poses, predicted_error
+from pickenv.calibration.planning.travel import move_seconds, short_tour, travel_seconds
+from pickenv.errors import InputError
+
+
+def information(rows):
+    stacked = rows.reshape(-1, rows.shape[-1])
+    return stacked.T @ stacked
+
+
+def test_indices_of_a_known_spectrum():
+    found = observability(np.array([8.0, 2.0, 4.0]), 4)
+    assert found.o1 == pytest.approx(4.0 / 2.0)
+    assert (found.o2, found.o3, found.o4, found.condition) == pytest.approx((0.25, 2.0, 0.5, 4.0))
+    assert found.o5 == pytest.approx(1 / (1 / 8 + 1 / 4 + 1 / 2))
+
+
+@given(poses=st.integers(1, 5), seed=st.integers(0, 2**32 - 1))
+def test_o1_is_the_root_of_the_determinant_and_does_not_grow_with_repetition(poses, seed):
+    rows = np.random.default_rng(seed).normal(size=(30, 5))
+    once = observability(np.linalg.svd(rows, compute_uv=False), 30)
+    again = observability(np.linalg.svd(np.tile(rows, (poses, 1)), compute_uv=False), 30 * poses)
+    assert once.o1 == pytest.approx(np.linalg.det(rows.T @ rows) ** (1 / 10) / np.sqrt(30))
+    assert again.o1 == pytest.approx(once.o1) and again.condition == pytest.approx(once.condition)
+
+
+def test_parameters_that_are_not_seen_have_no_indices():
+    with pytest.raises(ValueError, match="above zero"):
+        observability(np.array([1.0, 0.0]), 3)
+
+
+def test_the_indices_of_an_identification_are_those_of_its_jacobian(qiao, exact):
+    found = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.nominal, 40)).identifiability
+    seen = observability_of(found, 40)
+    assert seen.condition == pytest.approx(found.condition)
+    assert seen.o3 == pytest.approx(found.singular_values.min() * np.sqrt(40))
+
+
+@given(seed=st.integers(0, 2**32 - 1), rows=st.sampled_from([3, 6]))
+@settings(max_examples=30, deadline=None)
+def test_gains_are_those_of_the_enlarged_matrix(seed, rows):
+    """Determinant lemma and Woodbury against determinants and inverses computed anew."""
+    rng = np.random.default_rng(seed)
+    candidates, start = rng.normal(size=(5, rows, 4)), rng.normal(size=(20, 4))
+    before, weight = start.T @ start, np.diag([1.0, 2.0, 0.5, 0.1])
+    volume, error = gains(candidates, before, None), gains(candidates, before, weight)
+    for one, added, fallen in zip(candidates, volume, error, strict=True):
+        after = before + one.T @ one
+        assert added == pytest.approx(np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1])
+        fall = np.trace(weight @ np.linalg.inv(before)) - np.trace(weight @ np.linalg.inv(after))
+        assert fallen == pytest.approx(fall)
+
+
+@pytest.mark.parametrize("aimed", [False, True])
+def test_no_single_exchange_betters_the_result(qiao, aimed):
+    rng = np.random.default_rng(3)
+    design = design_of(qiao.nominal, link_model(qiao.nominal), random_joints(qiao.nominal, 60, rng))
+    weight = error_weight(qiao.nominal, design, random_joints(qiao.nominal, 20, rng)) if aimed else None
+    chosen, _ = exchange(design.rows, 8, rng, weight)
+
+    def cost(rows):
+        matrix = information(design.rows[rows])
+        return -np.linalg.slogdet(matrix)[1] if weight is None else np.trace(np.linalg.solve(matrix, weight))
+
+    assert len(set(chosen.tolist())) == 8
+    best = cost(chosen)
+    for place in range(8):
+        for other in sorted(set(range(60)) - set(chosen.tolist())):
+            tried = chosen.copy()
+            tried[place] = other
+            assert cost(tried) >= best - 1e-6 * abs(best)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_twenty_planned_poses_are_well_conditioned(qiao, seed):
+    """Base 16: condition at most 37 where random poses have 54 or so; O1 1.29 times theirs from even draws."""
+    model = link_model(qiao.nominal)
+    planned = plan_poses(qiao, model, 20, np.random.default_rng(seed))
+    assert len(planned.arm.parameters) == 16
+    assert planned.arm.planned.condition <= 37.0
+    assert 45.0 < planned.arm.drawn.condition < 70.0
+    even = random_joints(qiao.nominal, 2000, np.random.default_rng(seed))
+    drawn = plan_poses(qiao, model, 20, np.random.default_rng(seed), candidates=even)
+    assert drawn.arm.planned.o1 / drawn.arm.drawn_o1 == pytest.approx(1.29, abs=0.03)
+    assert planned.arm.planned.o1 > drawn.arm.planned.o1  # the border of the joint ranges tells more
+
+
+def test_the_arm_is_well_conditioned_when_base_and_tool_are_planned_for(qiao):
+    planned = plan_poses(qiao, complete_model(qiao.nominal), 20, np.random.default_rng(0))
+    assert len(planned.model.parameters) == 24 and planned.arm.planned.condition <= 37.0
+    found = planned.as_dict()
+    assert found["condition"] == planned.arm.planned.condition and found["o1_ratio"] > 1.25
+    assert "condition" in planned.report()
+
+
+@pytest.mark.parametrize(("arm", "kind"), [("qiao2026", "position"), ("ur5", "pose"), ("wam", "position")])
+def test_plans_stay_within_limits_and_are_the_same_for_one_seed(arm, kind, tmp_path):
+    chosen = load_arm(arm)
+    first, again = (
+        plan_poses(chosen, complete_model(chosen.nominal), 25, np.random.default_rng(5), kind=kind, candidates=400)
+        for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.joints, again.joints)
+    assert (first.joints >= chosen.nominal.lower).all() and (first.joints <= chosen.nominal.upper).all()
+    assert first.model.planned.o1 > first.model.drawn_o1
+    path = first.write_csv(tmp_path / "poses.csv", chosen.nominal.prismatic)
+    scale = np.where(chosen.nominal.prismatic, 1e-3, np.pi / 180)
+    np.testing.assert_allclose(np.loadtxt(path, delimiter=",", skiprows=1) * scale, first.joints, atol=1e-12)
+
+
+def test_planning_for_test_poses_is_better_there_than_planning_for_all(qiao):
+    near = random_joints(qiao.nominal, 100, np.random.default_rng(7)) * [0.2, 0.3, 1.0, 0.2, 0.5, 0.1]
+    model = complete_model(qiao.nominal)
+    there, everywhere = (
+        plan_poses(qiao, model, 30, np.random.default_rng(0), criterion=c, test_joints=near)
+        for c in ("test-poses", "d-optimal")
+    )
+    assert there.predicted_error < 0.97 * everywhere.predicted_error < 0.97 * there.random_predicted_error
+    assert there.model.planned.o1 < everywhere.model.planned.o1
+
+
+def test_the_predicted_error_is_what_repeated_identification_shows(qiao):
+    """Noise of the stated size, 200 calibrations at the planned poses, errors at the test poses."""
+    rng = np.random.default_rng(2)
+    nominal, model = qiao.nominal, link_model(qiao.nominal)
+    near = random_joints(nominal, 50, rng)
+    planned = plan_poses(qiao, model, 20, rng, candidates=300, test_joints=near)
+    base = planned.design.model
+    columns = [model.columns.tolist().index(c) for c in base.columns]
+    kept = ErrorModel(model.columns[columns], base.names, base.tolerance)
+    pose, there = forward(nominal, planned.joints), forward(nominal, near).position
+    squares = []
+    for _ in range(200):
+        noisy: Pose = displace_pose(pose, rng.normal(size=(20, 6)) * np.repeat([15e-6, 2e-4], 3))
+        data = Measurements(planned.joints, *noisy, prismatic=nominal.prismatic)
+        found = identify(kept, nominal, data).geometry
+        squares.append(np.mean(np.sum((forward(found, near).position - there) ** 2, axis=1)))
+    assert np.sqrt(np.mean(squares)) == pytest.approx(planned.predicted_error, rel=0.1)
+
+
+def test_candidates_reach_the_border_but_not_the_limits(qiao):
+    geometry = qiao.nominal
+    joints = candidate_joints(geometry, 1000, np.random.default_rng(0))
+    share = (joints - geometry.lower) / (geometry.upper - geometry.lower)
+    assert share.min() == pytest.approx(0.02) and share.max() == pytest.approx(0.98)
+    assert 0.25 < np.mean((share < 0.0201) | (share > 0.9799)) < 0.42
+
+
+def test_faults_are_named(qiao):
+    model, rng = link_model(qiao.nominal), np.random.default_rng(0)
+    with pytest.raises(InputError, match="3 poses are too few for 16 parameters; plan at least 4"):
+        plan_poses(qiao, model, 3, rng)
+    with pytest.raises(InputError, match="from 10 candidates"):
+        plan_poses(qiao, model, 11, rng, candidates=10)
+    with pytest.raises(InputError, match="needs test poses"):
+        plan_poses(qiao, model, 20, rng, criterion="test-poses")
+    with pytest.raises(InputError, match="kind is 'photo'"):
+        plan_poses(qiao, model, 20, rng, kind="photo")
+    with pytest.raises(InputError, match="criterion is 'luck'"):
+        plan_poses(qiao, model, 20, rng, criterion="luck")
+
+
+@given(count=st.integers(1, 7), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_tours_visit_all_and_are_near_the_shortest(count, seed):
+    joints = np.random.default_rng(seed).uniform(-1, 1, (count, 6))
+    speed = np.array([1.0, 0.5, 0.5, 1.0, 0.5, 3.0])
+    tour = short_tour(joints, speed)
+    assert sorted(tour.tolist()) == list(range(count))
+    cost = move_seconds(joints, speed)
+    shortest = min(sum(cost[a, b] for a, b in pairwise(w)) for w in permutations(range(count)))
+    assert shortest - 1e-12 <= travel_seconds(joints[tour], speed) <= 1.15 * shortest + 1e-12
+
+
+def test_the_slowest_joint_sets_the_time_of_a_move():
+    assert travel_seconds(np.array([[0.0, 0.0], [1.0, 0.3], [1.0, 0.0]]), np.array([2.0, 0.1])) == pytest.approx(6.0)
+
+
+def test_thirty_poses_travel_much_less_than_in_random_order(qiao):
+    planned = plan_poses(qiao, link_model(qiao.nominal), 30, np.random.default_rng(1))
+    assert planned.travel_seconds < 0.75 * planned.random_travel_seconds
+    assert planned.travel_seconds == pytest.approx(travel_seconds(planned.joints, qiao.speed))
+
+
+def test_a_base_set_spans_what_the_model_spans(qiao, exact):
+    design = design_of(
+        qiao.nominal, complete_model(qiao.nominal), random_joints(qiao.nominal, 50, np.random.default_rng(0))
+    )
+    assert len(design.model.names) == 24
+    error = predicted_error(design.rows, error_weight(qiao.nominal, design, design.joints))
+    halved = replace(design, rows=design.rows * 2)
+    assert predicted_error(halved.rows, error_weight(qiao.nominal, halved, design.joints)) == pytest.approx(error / 2)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=10, deadline=None)
+def test_no_reversal_of_a_stretch_shortens_a_tour(seed):
+    joints, speed = np.random.default_rng(seed).uniform(-1, 1, (25, 4)), np.array([1.0, 0.5, 2.0, 1.0])
+    joints = joints[short_tour(joints, speed)]
+    shortest = travel_seconds(joints, speed)
+    for i, j in np.argwhere(np.triu(np.ones((25, 25)), 1)):
+        turned = np.concatenate([joints[:i], joints[i : j + 1][::-1], joints[j + 1 :]])
+        assert travel_seconds(turned, speed) >= shortest - 1e-9
