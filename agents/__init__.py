@@ -1,4 +1,4 @@
-"""Policies, their training and their evaluation; torch and stable-baselines3 are loaded by `pickenv.agents.training.training` alone."""
+"""Policies, their training and their evaluation; only training loads torch and stable-baselines3."""
 
 from pickenv.agents.evaluation.reaches import Reaches, episode_seeds, run_reaches
 from pickenv.agents.evaluation.rollout import Rollout, roll_out
@@ -25,3 +25,6 @@ __all__ = [
     "roll_out",
     "run_reaches",
 ]
+
+if __name__ == "agents":  # in a checkout, by the folder's own name: the same things, and no second copy of a shelf
+    __path__: list[str] = []

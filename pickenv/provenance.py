@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 from functools import cache
 from pathlib import Path
@@ -11,10 +12,6 @@ import numpy as np
 
 import pickenv
 
-PACKAGES = ("pickenv", "calibration", "agents")
-"""The packages whose code makes numbers; they are installed side by side."""
-
-
 def versions() -> dict[str, str]:
     """Versions of what computed the numbers."""
     return {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
@@ -22,11 +19,11 @@ def versions() -> dict[str, str]:
 
 @cache
 def code_fingerprint() -> str:
-    """SHA-256 over the code and the tables (.py, .toml) of the installed packages, read once a process."""
-    root, total = Path(__file__).parents[1], hashlib.sha256()
-    for path in sorted(path for package in PACKAGES for path in (root / package).rglob("*")):
-        if path.suffix in (".py", ".toml"):
-            total.update(f"{path.relative_to(root).as_posix()} {file_sha256(path)}\n".encode())
+    """SHA-256 over the code and the tables (.py, .toml) of the package, links of a checkout included; read once."""
+    root, total = Path(__file__).parent, hashlib.sha256()
+    files = (Path(folder) / name for folder, _, names in os.walk(root, followlinks=True) for name in names)
+    for path in sorted(path for path in files if path.suffix in (".py", ".toml")):
+        total.update(f"{path.relative_to(root).as_posix()} {file_sha256(path)}\n".encode())
     return total.hexdigest()
 
 

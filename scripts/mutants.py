@@ -71,38 +71,53 @@ def room(sources: str, modules: str, tests: str, names: str) -> Room:
     """A room from folder and names of its modules, and of its tests."""
     return Room(
         tuple(f"{sources}/{name}.py" for name in modules.split()),
-        tuple(f"{tests}/test_{name}.py" for name in names.split()),
+        tuple(f"{tests}/{Path(name).parent / f'test_{Path(name).name}.py'}" for name in names.split()),
     )
 
 
 ROOMS = {
     "kinematics": room(
-        "pickenv/arm",
-        "kinematics jacobians pose_error",
+        "pickenv/arm/kinematics",
+        "forward jacobians pose_error",
         "tests/arm",
-        "kinematics jacobians geometry executors random_chains gravity_referee",
+        "kinematics/kinematics kinematics/jacobians kinematics/geometry kinematics/executors kinematics/random_chains "
+        "plant/gravity_referee",
     ),
     "plant": room(
         "pickenv/arm",
-        "dynamics plant effects drives hysteresis settling thermal ground",
+        "plant/dynamics plant/plant effects/structure effects/drives effects/hysteresis effects/settling effects/thermal "
+        "effects/ground",
         "tests/arm",
-        "plant effects backlash thermal ground settling executors orchard_preset gravity_referee",
+        "plant/plant effects/effects effects/backlash effects/thermal effects/ground effects/settling "
+        "kinematics/executors plant/orchard_preset plant/gravity_referee",
     ),
     "least squares": room(
         "calibration",
-        "least_squares error_model identifiability",
+        "identification/least_squares model/error_model model/identifiability",
         "tests/calibration",
-        "least_squares identifiability observations align",
+        "identification/least_squares model/identifiability model/observations identification/align",
     ),
-    "compensation": room("calibration", "compensation apply", "tests/calibration", "apply compensation"),
-    "reward": room("pickenv/envs", "simulation task", "tests/envs", "reach compensation_wrapper registered vector"),
+    "compensation": room(
+        "calibration",
+        "compensation/compensator pipeline/apply",
+        "tests/calibration",
+        "pipeline/apply compensation/compensation",
+    ),
+    "reward": room(
+        "pickenv/envs/shared", "simulation task", "tests/envs", "reach compensation_wrapper registered vector"
+    ),
     "picking": room(
         "pickenv/harvester",
         "picking work harvest",
         "tests/harvester",
         "picking assignment interference harvest environments",
     ),
-    "yields": room("pickenv/study", "yields outcomes quantiles", "tests/study", "yields quantiles rows report"),
+    "yields": room(
+        "pickenv/study",
+        "results/outcomes results/quantiles results/yields",
+        "tests/study",
+        "yields quantiles rows report",
+    ),
 }
 
 
@@ -334,7 +349,7 @@ def main(
     WARM.set_forkserver_preload(["__main__", *LIBRARIES])
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "project"
-        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(*LEFT_BEHIND))
+        shutil.copytree(ROOT, copy, symlinks=True, ignore=shutil.ignore_patterns(*LEFT_BEHIND))
         for package in ("pickenv", "calibration", "agents"):
             compileall.compile_dir(copy / package, quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
         for name in names:

@@ -1,4 +1,4 @@
-"""Train, judge and ship the learned baselines: `python scripts/train_baselines.py` writes agents/policies/baselines again.
+"""Train, judge and ship the learned baselines: `python scripts/train_baselines.py` writes the baselines again.
 
 Three seeds each; the first is shipped. Judged on 512 episodes on arms that no training saw, with calibrations of their
 own. Options: `--out FOLDER` for the runs, `--only NAME`, `--seeds N`.
@@ -98,8 +98,8 @@ def card(name: str, trained: list[Trained], figures: dict[str, Any]) -> str:
             "## Use",
             "",
             f"Feedback `{'camera' if policy.scaling.camera else 'encoders'}`. Observations and actions are scaled by "
-            "the gap to the fruit (`agents/policies/gap.py`), so accuracy is limited by what the policy can see, not by its "
-            "network.",
+            "the gap to the fruit (`agents/policies/gap.py`), so accuracy is limited by what the policy can see, not "
+            "by its network.",
             "",
             "```python",
             "from pickenv.agents.policies.learned import load_policy",

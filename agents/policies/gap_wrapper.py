@@ -1,4 +1,4 @@
-"""The scaling of `pickenv.agents.policies.gap` as a Gymnasium wrapper, for single environments and for RL Zoo's `env_wrapper`."""
+"""The scaling of `gap` as a Gymnasium wrapper, for single environments and for RL Zoo's `env_wrapper`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Training with stable-baselines3 on the native vector environments: seeded, resumable, judged in millimetres.
 
-A run's folder holds `checkpoint.pt` (everything to go on from), `policy.npz` (the actor alone, see `pickenv.agents.policies.learned`),
-`evaluations.json` and TensorBoard's logs. One seed gives one set of weights, interrupted or not.
+A run's folder holds `checkpoint.pt` (everything to go on from), `policy.npz` (the actor alone, see
+`pickenv.agents.policies.learned`), `evaluations.json` and TensorBoard's logs. One seed gives one set of weights,
+interrupted or not.
 """
 
 from __future__ import annotations

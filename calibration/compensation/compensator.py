@@ -189,7 +189,7 @@ def _jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -
 
 
 def _truncated_gram(columns: Sequence[Sequence[float]]) -> Array:
-    """The pseudo-inverse ``(n, n)`` of J^T J, truncated as `pickenv.arm.kinematics.task_space.truncated_inverse` truncates that of J."""
+    """The pseudo-inverse ``(n, n)`` of J^T J, truncated as `task_space.truncated_inverse` truncates that of J."""
     n = len(columns)
     inverse = dgelss(np.array(columns).T, np.eye(max(n, 6), 6), cond=RANK_TOLERANCE)[1][:n]
     return np.asarray(inverse @ inverse.T)

@@ -1,9 +1,9 @@
 """Minimum-norm solutions of J x = e with small singular values cut off, for thousands of small J at once.
 
-Does what `pickenv.arm.kinematics.task_space.truncated_inverse` does, without one LAPACK call per pose: J^T J is factorised in
-components, the direction that is to be cut off is found by inverse iteration and projected out. Poses where more than
-one direction, or a doubtful one, would have to go are handed to the singular value decomposition. The same lines run on
-NumPy arrays and torch tensors.
+Does what `pickenv.arm.kinematics.task_space.truncated_inverse` does, without one LAPACK call per pose: J^T J is
+factorised in components, the direction that is to be cut off is found by inverse iteration and projected out. Poses
+where more than one direction, or a doubtful one, would have to go are handed to the singular value decomposition.
+The same lines run on NumPy arrays and torch tensors.
 """
 
 from __future__ import annotations

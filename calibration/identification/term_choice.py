@@ -79,7 +79,7 @@ def terms_of(name: str, arm: Arm, observations: Observations) -> tuple[Term, ...
 def identify_terms(
     terms: tuple[Term, ...], bare: Identification, observations: Observations, known: bool = False
 ) -> Identification:
-    """Identify geometry and terms, from a geometry identified without them; coefficients have `pickenv.calibration.model.prior`."""
+    """Identify geometry and terms, from a geometry identified without them; coefficients have a prior."""
     start = ArmModel.of(bare.geometry, terms)
     model = with_terms(geometric_model(bare.geometry, known), start)
     scatter = float(np.sqrt(bare.chi_square / max(bare.degrees_of_freedom, 1)))

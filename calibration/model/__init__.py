@@ -1,1 +1,1 @@
-"""What is measured and what is fitted: measurements, the arm's error model, its parameters and what data tell of them."""
+"""What is measured and what is fitted: measurements, the arm's error model, and what data tell of its parameters."""

@@ -118,7 +118,7 @@ class Measurements:
         return names, np.concatenate(columns, axis=1)
 
     def write_csv(self, path: str | Path) -> Path:
-        """Write our own CSV format, whole or not at all; `pickenv.calibration.reading.read.read_measurements` reads it back.
+        """Write our own CSV format, whole or not at all; `reading.read.read_measurements` reads it back.
 
         Where the frames are known, a last column says so in every row.
         """

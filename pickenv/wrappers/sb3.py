@@ -20,7 +20,7 @@ NUMBERS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "com
 
 
 class Scaling(Protocol):
-    """How a policy wants to see flat observations, and what its actions mean there; `pickenv.agents.policies.gap` has one."""
+    """How a policy wants to see flat observations, and what its actions mean there; `agents.policies.gap` has one."""
 
     @property
     def features(self) -> int:

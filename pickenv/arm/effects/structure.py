@@ -1,7 +1,7 @@
 """What bends, yields and turns unevenly in a real arm: one small function per effect, in components.
 
-Every function runs on Python floats, NumPy arrays or torch tensors, like `pickenv.arm.kinematics.forward`; the numbers of an
-effect may be arrays too, one entry per arm. Gravity points along -z of the world. Units: m, rad, N, kg.
+Every function runs on Python floats, NumPy arrays or torch tensors, like `pickenv.arm.kinematics.forward`; the
+numbers of an effect may be arrays too, one entry per arm. Gravity points along -z of the world. Units: m, rad, N, kg.
 """
 
 from __future__ import annotations

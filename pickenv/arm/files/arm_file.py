@@ -1,7 +1,8 @@
 """Arms are TOML files: nominal link table, limits, base and tool, and, for simulated arms, the true deviations.
 
 Files give degrees and millimetres and say so in every key; inside, everything is radians and metres. The shipped arms
-lie in `pickenv/arm/files/arms`. A joint table with ``follows`` is a link that another joint moves, ``ratio`` times as far.
+lie in `pickenv/arm/files/arms`. A joint table with ``follows`` is a link that another joint moves, ``ratio`` times
+as far.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """URDF in and out: any serial chain of revolute, continuous, prismatic and fixed joints becomes a `Geometry` and back.
 
-Joints that mimic another are no joints of the arm: one joint moves their links too (`pickenv.arm.kinematics.geometry.Coupling`),
-whether it stands in the chain or beside it. Slides that follow one another and are moved by one joint are one slide,
-exactly: two stages of a lift give one link whose ratio is the sum of theirs, along the sum of their directions.
-Offsets go into the zero position, and a joint's limits and speed are what every link that it moves allows.
+Joints that mimic another are no joints of the arm: one joint moves their links too
+(`pickenv.arm.kinematics.geometry.Coupling`), whether it stands in the chain or beside it. Slides that follow one
+another and are moved by one joint are one slide, exactly: two stages of a lift give one link whose ratio is the sum
+of theirs, along the sum of their directions. Offsets go into the zero position, and a joint's limits and speed are
+what every link that it moves allows.
 
 Lengths in metres and angles in radians, as URDF has them; rpy is rotation about fixed x, y, z axes.
 """

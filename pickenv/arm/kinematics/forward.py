@@ -175,7 +175,7 @@ def turn_between(reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple
 
 
 def frame_error(reference: Sequence[float], actual: Sequence[float]) -> tuple[float, ...]:
-    """`pickenv.arm.kinematics.pose_error` on two frames of Python floats: (x, y, z, rx, ry, rz), m and rad, world axes."""
+    """`pose_error` on two frames of Python floats: (x, y, z, rx, ry, rz), m and rad, world axes."""
     apx, apy, apz = actual[9:]
     bpx, bpy, bpz = reference[9:]
     sx, sy, sz, cosine = turn_between(reference, actual)

@@ -2,7 +2,8 @@
 
 command -> drives -> joint deflection -> chain with true geometry -> boom bending -> base -> tool pose. Each effect is
 None when switched off; with all of them off the plant is exactly the true geometry. Some effects depend on the joints
-alone; the others have a state (`pickenv.arm.plant.dynamics`). Numbers may be arrays: one entry per arm, many arms at once.
+alone; the others have a state (`pickenv.arm.plant.dynamics`). Numbers may be arrays: one entry per arm, many arms at
+once.
 """
 
 from __future__ import annotations

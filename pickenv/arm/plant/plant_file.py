@@ -1,4 +1,4 @@
-"""Plants are TOML files: which arm, and the size and source of each effect. The presets lie in `pickenv/arm/plant/plants`."""
+"""Plants are TOML files: which arm, and the size and source of each effect. The presets lie in `plants`."""
 
 from __future__ import annotations
 

@@ -138,7 +138,8 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
         rng: The parent of the arms' streams.
 
     Returns:
-        A plant with link parameters ``(N, n)`` and effect numbers ``(N,)``; `pickenv.arm.plant.plant_batch.plant_at` picks one.
+        A plant with link parameters ``(N, n)`` and effect numbers ``(N,)``; `pickenv.arm.plant.plant_batch.plant_at`
+        picks one.
 
     Raises:
         InputError: If ``count`` is below 1 or ``plant`` is already a batch of arms.

@@ -105,9 +105,9 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
     vibration, warm-up) starts at rest, cold and not yet sunk. `reset(options=...)` takes `"start_joints"` and
     `"goal_joints"` (rad and m) and, where `arms` is not "fixed", `"arm"`, the number of the arm in the population.
 
-    Every random number is a hash of seed and episode (`pickenv.envs.shared.streams`): resets without a seed go on through the
-    seed's episodes, and an environment gives the same episodes alone, in a `SyncVectorEnv` and in the native vector
-    environment.
+    Every random number is a hash of seed and episode (`pickenv.envs.shared.streams`): resets without a seed go on
+    through the seed's episodes, and an environment gives the same episodes alone, in a `SyncVectorEnv` and in the
+    native vector environment.
 
     ## Episode End
 

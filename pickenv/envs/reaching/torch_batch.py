@@ -1,4 +1,4 @@
-"""Many reach tasks side by side on torch: the same formulas as `pickenv.envs.reaching.batch`, compiled into few kernels.
+"""Many reach tasks side by side on torch: the same formulas as `batch`, compiled into few kernels.
 
 Tensors in and out, on any device; the step does not wait for the device. Episodes begin eagerly, in the environments
 that begin one. float64 agrees with NumPy within 1e-9; float32 keeps positions within 1 um.

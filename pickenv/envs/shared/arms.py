@@ -1,7 +1,7 @@
 """Which true arm an environment has: one for all, or one of a population, chosen by the environment's random stream.
 
-A population is one plant whose numbers are arrays (`pickenv.arm.plant.tolerances.draw_plants`). Environments keep their own
-rows of these arrays, so that arms can be exchanged one by one without building a new plant.
+A population is one plant whose numbers are arrays (`pickenv.arm.plant.tolerances.draw_plants`). Environments keep
+their own rows of these arrays, so that arms can be exchanged one by one without building a new plant.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Zeros and ones that cost nothing: an arm's table is full of right angles, and arrays need not be multiplied by them.
 
-A chain with `Exact` entries gives `pickenv.arm.kinematics.forward.frames` on NumPy arrays a third of its work. Sines and
-cosines within 1e-15 of 0, 1 and -1 count as exact, which is within the rounding of the others.
+A chain with `Exact` entries gives `pickenv.arm.kinematics.forward.frames` on NumPy arrays a third of its work. Sines
+and cosines within 1e-15 of 0, 1 and -1 count as exact, which is within the rounding of the others.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The reach task as pure functions on components: increments, joint target, plant, errors, observation and reward.
 
 Written once and run on Python floats (one environment), NumPy arrays or torch tensors (many): see
-`pickenv.envs.shared.backends`. Between `move` and `look` stands the one seam where a compensator turns joint targets into
-joint commands. Units: m, rad, s; millimetres and degrees only in what a name says carries them.
+`pickenv.envs.shared.backends`. Between `move` and `look` stands the one seam where a compensator turns joint targets
+into joint commands. Units: m, rad, s; millimetres and degrees only in what a name says carries them.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Component
 
 
 def attitude_difference(x: Executor, reference: Frame, actual: Frame) -> Components:
-    """Rotation vector of R_actual R_reference^T in world axes, rad: `pickenv.arm.kinematics.pose_error` for components."""
+    """Rotation vector of R_actual R_reference^T in world axes, rad: `pose_error` for components."""
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
     # Half the sum of the cross products of corresponding axes is sin(angle) times the axis of R_actual R_reference^T.

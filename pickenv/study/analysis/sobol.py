@@ -1,7 +1,8 @@
 """Sobol indices of groups of tolerances: how the variance of the squared error divides among them.
 
-Unlike the regression of `pickenv.study.analysis.sensitivity` they include interactions, and they need arms of their own. The
-tracker does not err here, so that all variance comes from the arms. Output: squared RMS error over the fruit, mm^2.
+Unlike the regression of `pickenv.study.analysis.sensitivity` they include interactions, and they need arms of their
+own. The tracker does not err here, so that all variance comes from the arms. Output: squared RMS error over the
+fruit, mm^2.
 """
 
 from __future__ import annotations

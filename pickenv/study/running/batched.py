@@ -1,7 +1,8 @@
 """Calibrate and judge thousands of arms at once, in torch: the arms are the last axis of every component.
 
-The same physics, least squares and compensation as `pickenv.study.running.arm_by_arm`, so that the rows agree; arms whose least
-squares does not run straight to its minimum are handed to it. Components are ``(M, N)``: fruit first, arms last. SI.
+The same physics, least squares and compensation as `pickenv.study.running.arm_by_arm`, so that the rows agree; arms
+whose least squares does not run straight to its minimum are handed to it. Components are ``(M, N)``: fruit first,
+arms last. SI.
 """
 
 from __future__ import annotations

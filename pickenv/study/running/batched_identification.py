@@ -1,4 +1,4 @@
-"""Rank-aware least squares of many arms at once, step by step as `pickenv.calibration.identification.least_squares` takes them.
+"""Rank-aware least squares of many arms at once, step by step as `least_squares` takes them.
 
 All arms start at the nominal geometry and share their poses and tracker, so the redundant parameters are the same for
 all, and so is the first Jacobian. Only undamped steps are taken: an arm that needs more is said so. Components are
@@ -93,7 +93,7 @@ def identify_batch(
         links, tool = _links(placed_chain(chain_of(moved, np), place), tracker)
         moved_weighted = _residual(tracker, tool, measured)
         rms = _rms(moved_weighted)
-        # From here on as in `pickenv.calibration.identification.least_squares`, arm by arm; what it would shorten is left to it.
+        # From here on as in `least_squares`, arm by arm; what it would shorten is left to it.
         rows, parameters = weighted.shape[1], step.shape[1]
         scatter = (weighted**2).sum(1) / max(rows - parameters, 1)
         offset = ((matrix @ step[:, :, None])[..., 0] ** 2).sum(1) / (parameters * scatter.clip(min=1e-300))

@@ -1,6 +1,7 @@
 """PPO on the flat environments; found on the ideal arm, they hold for every plant and feedback.
 
-The gap to the fruit is scaled (`pickenv.agents.policies.gap_wrapper`); without that wrapper no network of this size sees millimetres.
+The gap to the fruit is scaled (`pickenv.agents.policies.gap_wrapper`); without that wrapper no network of this size
+sees millimetres.
 """
 
 _REACH = {

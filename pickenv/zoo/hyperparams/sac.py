@@ -1,6 +1,7 @@
 """SAC: with hindsight (HER) on the goal environment, plain on the flat ones.
 
-`pickenv train` scales the gap to the fruit inside the networks (`pickenv.agents.training.off_policy`), so that hindsight stays exact.
+`pickenv train` scales the gap to the fruit inside the networks (`pickenv.agents.training.off_policy`), so that
+hindsight stays exact.
 """
 
 _REACH = {

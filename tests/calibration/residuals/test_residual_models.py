@@ -175,7 +175,9 @@ def test_bad_input_is_refused() -> None:
 
 
 def test_entering_calibration_does_not_load_scikit_learn() -> None:
-    code = "import sys, calibration, pickenv.calibration.residuals.gate; sys.exit('sklearn' in sys.modules or 'torch' in sys.modules)"
+    code = (
+        "import sys, pickenv.calibration.residuals.gate; sys.exit('sklearn' in sys.modules or 'torch' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], check=False).returncode == 0
 
 
