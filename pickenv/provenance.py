@@ -12,6 +12,7 @@ import numpy as np
 
 import pickenv
 
+
 def versions() -> dict[str, str]:
     """Versions of what computed the numbers."""
     return {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}

@@ -85,8 +85,8 @@ ROOMS = {
     ),
     "plant": room(
         "pickenv/arm",
-        "plant/dynamics plant/plant effects/structure effects/drives effects/hysteresis effects/settling effects/thermal "
-        "effects/ground",
+        "plant/dynamics plant/plant effects/structure effects/drives effects/hysteresis effects/settling "
+        "effects/thermal effects/ground",
         "tests/arm",
         "plant/plant effects/effects effects/backlash effects/thermal effects/ground effects/settling "
         "kinematics/executors plant/orchard_preset plant/gravity_referee",
