@@ -27,4 +27,4 @@ __all__ = [
 ]
 
 if __name__ == "agents":  # in a checkout, by the folder's own name: the same things, and no second copy of a shelf
-    __path__: list[str] = []
+    __path__.clear()

@@ -1,6 +1,7 @@
-"""Calibration: identify an arm from measurements, learn what remains, and correct its commands.
+"""Calibration: identify an arm from measurements, learn what remains, judge it, and correct its commands.
 
-Usable without Gymnasium; imports only `pickenv.arm`. torch is loaded when a network is trained, not before.
+`calibrate` is the whole way, from files or arrays to a `Result`. Usable without Gymnasium; imports only `pickenv.arm`.
+torch is loaded when a network is trained, not before.
 """
 
 from pickenv.calibration.assessment.metrics import (
@@ -12,41 +13,75 @@ from pickenv.calibration.assessment.metrics import (
 )
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.alignment import align
+from pickenv.calibration.identification.extended_kalman_filter import start_filter
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.model.error_model import complete_model, frames_model, link_model
 from pickenv.calibration.model.identifiability import Identifiability, identifiability
 from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
+from pickenv.calibration.model.observations import (
+    DistanceObservations,
+    Observations,
+    PoseObservations,
+    ReflectorObservations,
+    SocketObservations,
+)
+from pickenv.calibration.pipeline.apply import apply_calibration
 from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.export import export, write_arm_toml, write_arm_urdf, write_onnx
 from pickenv.calibration.pipeline.fitting import Fit, fit
-from pickenv.calibration.reading.read import read_measurements
+from pickenv.calibration.pipeline.result import Result, assess
+from pickenv.calibration.pipeline.stages import Choices, calibrate
+from pickenv.calibration.planning.plan import plan_poses
+from pickenv.calibration.reading.description import load_description
+from pickenv.calibration.reading.read import read_measurements, read_observations
+from pickenv.calibration.reading.targets import read_targets
 from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 
 __all__ = [
     "Bpnn",
     "BpnnSettings",
     "Calibration",
+    "Choices",
     "Compensator",
+    "DistanceObservations",
     "ErrorStatistics",
     "Fit",
     "Identifiability",
     "Identification",
     "Measurements",
+    "Observations",
+    "PoseObservations",
+    "ReflectorObservations",
+    "Result",
+    "SocketObservations",
     "align",
+    "apply_calibration",
+    "assess",
     "bootstrap_interval",
+    "calibrate",
     "complete_model",
     "error_statistics",
+    "export",
     "fit",
     "frames_model",
     "held_out_r2",
     "identifiability",
     "identify",
     "link_model",
+    "load_description",
     "paper_eta",
+    "plan_poses",
     "random_joints",
     "read_measurements",
+    "read_observations",
+    "read_targets",
     "simulated_tracker",
+    "start_filter",
     "train_bpnn",
+    "write_arm_toml",
+    "write_arm_urdf",
+    "write_onnx",
 ]
 
 if __name__ == "calibration":  # in a checkout, by the folder's own name: the same things, and no second copy of a shelf
-    __path__: list[str] = []
+    __path__.clear()

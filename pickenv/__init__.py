@@ -1,36 +1,95 @@
 """pickenv: closed-loop picking accuracy as a Gymnasium environment, and the calibration that makes an arm accurate.
 
-Importing it registers the environments; torch, stable-baselines3 and rerun are loaded where they are used.
+    result = pickenv.calibrate("ur5", "tracker.csv", columns="my_tracker.toml")    # measurements in, judged result out
+    plant = pickenv.load_plant("qiao2026")                                         # a simulated true arm
+    env = gymnasium.make("pickenv/Reach-v0", plant="qiao2026")                     # and an environment around it
+    env = pickenv.wrappers.CompensationWrapper(env, result.compensator())          # corrected between policy and arm
+
+Importing it registers the environments. Everything else, torch, stable-baselines3 and rerun above all, is loaded when
+it is first asked for.
 """
 
-from importlib.metadata import PackageNotFoundError, version
+from importlib import import_module as _import_module
+from importlib import metadata as _metadata
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
 
-import gymnasium
+import gymnasium as _gymnasium
 
 from pickenv.errors import InputError
 
+if _TYPE_CHECKING:
+    from pickenv import agents, arm, calibration, envs, harvester, inspect, orchard, study, wrappers
+    from pickenv.agents import load_policy, run_reaches
+    from pickenv.arm import Arm, Plant, load_arm, load_plant
+    from pickenv.calibration import Calibration, Choices, Result, calibrate
+
+__all__ = [
+    "Arm",
+    "Calibration",
+    "Choices",
+    "InputError",
+    "Plant",
+    "Result",
+    "__version__",
+    "agents",
+    "arm",
+    "calibrate",
+    "calibration",
+    "envs",
+    "harvester",
+    "inspect",
+    "load_arm",
+    "load_plant",
+    "load_policy",
+    "orchard",
+    "run_reaches",
+    "study",
+    "wrappers",
+]
+
+_HOMES = {
+    "arm": ("Arm", "Plant", "load_arm", "load_plant"),
+    "calibration": ("Calibration", "Choices", "Result", "calibrate"),
+    "agents": ("load_policy", "run_reaches"),
+}
+
+
+def __getattr__(name: str) -> _Any:
+    """What users need, from the room that has it, loaded when first asked for."""
+    for room, names in _HOMES.items():
+        if name in names:
+            return getattr(_import_module(f"pickenv.{room}"), name)
+    if name in __all__:
+        return _import_module(f"pickenv.{name}")
+    raise AttributeError(f"module 'pickenv' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
+def _register() -> None:
+    """Tell Gymnasium of the environments; their modules are loaded when one is made."""
+    for name, module in (("Reach", "reach"), ("ReachGoal", "reach_goal"), ("ReachIdeal", "reach_ideal")):
+        _gymnasium.register(
+            id=f"pickenv/{name}-v0",
+            entry_point=f"pickenv.envs.reaching.{module}:{name}Env",
+            vector_entry_point=f"pickenv.envs.reaching.vector:{name}VectorEnv",
+            max_episode_steps=60,
+        )
+    _gymnasium.register(
+        id="pickenv/Harvest-v0",
+        entry_point="pickenv.envs.harvesting.harvest_env:HarvestEnv",
+        vector_entry_point="pickenv.envs.harvesting.harvest_vector:HarvestVectorEnv",
+        max_episode_steps=600,
+    )
+    _gymnasium.register(id="pickenv/Pick-v0", entry_point="pickenv.envs.picking.pick:PickEnv", max_episode_steps=400)
+
+
 try:
-    __version__ = version("pickenv")
-except PackageNotFoundError:  # a checkout that was never installed
+    __version__ = _metadata.version("pickenv")
+except _metadata.PackageNotFoundError:  # a checkout that was never installed
     __version__ = "0.0.0"
 
-for _name, _module, _class in (
-    ("Reach", "reach", "Reach"),
-    ("ReachGoal", "reach_goal", "ReachGoal"),
-    ("ReachIdeal", "reach_ideal", "ReachIdeal"),
-):
-    gymnasium.register(
-        id=f"pickenv/{_name}-v0",
-        entry_point=f"pickenv.envs.{_module}:{_class}Env",
-        vector_entry_point=f"pickenv.envs.reaching.vector:{_class}VectorEnv",
-        max_episode_steps=60,
-    )
-gymnasium.register(
-    id="pickenv/Harvest-v0",
-    entry_point="pickenv.envs.harvesting.harvest_env:HarvestEnv",
-    vector_entry_point="pickenv.envs.harvesting.harvest_vector:HarvestVectorEnv",
-    max_episode_steps=600,
-)
-gymnasium.register(id="pickenv/Pick-v0", entry_point="pickenv.envs.picking.pick:PickEnv", max_episode_steps=400)
-
-__all__ = ["InputError", "__version__"]
+_register()

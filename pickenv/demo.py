@@ -22,18 +22,17 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.calibration import (
     BpnnSettings,
+    Choices,
     Compensator,
-    Fit,
     Measurements,
+    Result,
+    calibrate,
     error_statistics,
-    fit,
     held_out_r2,
     random_joints,
     simulated_tracker,
 )
 from pickenv.calibration.model.error_model import residual
-from pickenv.calibration.pipeline.result import assess
-from pickenv.calibration.pipeline.uncertainty import held_out_errors, pose_uncertainty
 from pickenv.files import write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
@@ -91,7 +90,7 @@ class DemoResult:
     Attributes:
         settings: What was run.
         plant: The simulated arm.
-        fit: The calibration and its evidence.
+        calibrated: The calibration, judged.
         identification: Poses used for least squares.
         network: Poses used for the network.
         test: Held-out poses.
@@ -103,7 +102,7 @@ class DemoResult:
 
     settings: DemoSettings
     plant: Plant
-    fit: Fit
+    calibrated: Result
     identification: Measurements
     network: Measurements
     test: Measurements
@@ -129,16 +128,21 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         simulated_tracker(plant, random_joints(nominal, count, poses_rng), poses_rng) for count in counts
     )
     report("measuring", 1, 1)
-    fitted = fit(
+    result = calibrate(
         plant.arm,
         identification,
-        network,
-        known_frames=True,
+        test=test,
+        choices=Choices(
+            terms="none",
+            residual="bpnn",
+            frames="known",
+            learn_from=network,
+            settings=BpnnSettings(epochs=settings.epochs),
+        ),
         rng=network_rng,
-        settings=BpnnSettings(epochs=settings.epochs),
         progress=lambda done, total: report("training network", done, total),
     )
-    calibration = fitted.calibration
+    calibration = result.calibration
     assert calibration.learnt is not None
     r2 = held_out_r2(residual(calibration.identified, test), calibration.learnt.predict(test.joints))
     compensators: dict[str, Compensator | None] = {
@@ -159,14 +163,14 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     return DemoResult(
         settings=settings,
         plant=plant,
-        fit=fitted,
+        calibrated=result,
         identification=identification,
         network=network,
         test=test,
         predicted_r2=r2,
         test_errors=test_errors,
         reaches=reaches,
-        comparison=_comparison(settings, plant, fitted, test, compensators, reaches),
+        comparison=_comparison(settings, plant, result, compensators, reaches),
     )
 
 
@@ -179,15 +183,14 @@ def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Arr
 def _comparison(
     settings: DemoSettings,
     plant: Plant,
-    fitted: Fit,
-    test: Measurements,
+    result: Result,
     compensators: dict[str, Compensator | None],
     reaches: dict[str, Reaches],
 ) -> Comparison:
     """The error field on a regular grid of upright tool poses, and the reaches, for pictures."""
     grid = field_grid(plant.arm.nominal, settings.grid_step, settings.seed)
-    calibration = fitted.calibration
-    uncertainty = pose_uncertainty(fitted.identification, held_out_errors(calibration, test))
+    calibration, uncertainty = result.calibration, result.uncertainty
+    assert uncertainty is not None
     policies = []
     for key, compensator in compensators.items():
         run = reaches[key]
@@ -225,7 +228,7 @@ def _comparison(
 
 def summarise(result: DemoResult) -> dict[str, Any]:
     """The machine-readable summary: `summary.json`."""
-    found = result.fit.identification.identifiability
+    found = result.calibrated.fit.identification.identifiability
     policies = {}
     for key, run in result.reaches.items():
         policies[key] = _figures(run.pose_error, run.noncompensable) | {"success_rate": float(run.success.mean())}
@@ -279,9 +282,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
             result.identification.write_csv(out / "measurements.csv"),
             result.network.write_csv(out / "network_measurements.csv"),
             result.test.write_csv(out / "test_measurements.csv"),
-            assess(result.plant.arm, result.fit, result.identification, result.test).calibration.save(
-                out / "calibration"
-            ),
+            result.calibrated.calibration.save(out / "calibration"),
             save_comparison(out, result.comparison),
             save_trace(out, found, result.settings.seed),
         ]
@@ -297,4 +298,4 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
 def trace(result: DemoResult) -> CalibrationTrace:
     """What the figures and the report of the calibration are made of."""
     sets = {"identification": result.identification, "network": result.network, "test": result.test}
-    return trace_of(result.fit, sets, {LABELS[key]: error for key, error in result.test_errors.items()})
+    return trace_of(result.calibrated.fit, sets, {LABELS[key]: error for key, error in result.test_errors.items()})

@@ -10,13 +10,13 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 DEMO = """
 import pickenv.demo
-fit = pickenv.demo.fit
+calibrate = pickenv.demo.calibrate
 
 def told(*arguments, **options):
     print("fitting", flush=True)
-    return fit(*arguments, **options)
+    return calibrate(*arguments, **options)
 
-pickenv.demo.fit = told
+pickenv.demo.calibrate = told
 from pickenv.cli import main
 main()
 """

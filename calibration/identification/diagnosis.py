@@ -71,7 +71,7 @@ class LeftOut:
         return f"{self.file}: row {self.line} ({part}): {self.position * 1e3:.3g} mm{turned}, {self.sigma:.0f} sigma"
 
 
-def robust_fit(arm: Arm, measurements: Measurements, known: bool = False) -> RobustIdentification:
+def _robust_fit(arm: Arm, measurements: Measurements, known: bool = False) -> RobustIdentification:
     """Geometry from the poses that agree with each other, with base and tool unless known; the same every time.
 
     Raises:
@@ -105,7 +105,7 @@ def checked_rows(
             that the held-out rows come from another set-up.
     """
     try:
-        found = robust_fit(arm, train, known)
+        found = _robust_fit(arm, train, known)
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
     sizes = (found.sizes(train), found.sizes(test))

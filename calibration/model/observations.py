@@ -301,6 +301,11 @@ class SocketObservations:
         return by_geometry, np.concatenate([rest, apart])
 
 
+def as_observations(data: Observations | Measurements) -> Observations:
+    """Poses and positions in the role of observations; other kinds as they are."""
+    return PoseObservations(data) if isinstance(data, Measurements) else data
+
+
 def point_jacobian(pose_jacobian: Array, lever: Array) -> Array:
     """Jacobian ``(..., 3, P)`` of a point that lies ``lever`` ``(..., 3)`` (world axes) from the tool's origin."""
     turn = pose_jacobian[..., 3:, :]

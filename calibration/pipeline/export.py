@@ -6,7 +6,7 @@ geometry and are said to be left out. ONNX needs the extra package ``onnx``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,29 @@ from pickenv.files import write_text, write_whole
 
 OPSET = 17
 """ONNX operator set written; read by every onnxruntime since 2022."""
+
+
+def export(
+    calibration: Calibration,
+    arm: Arm,
+    *,
+    toml: str | Path | None = None,
+    urdf: str | Path | None = None,
+    onnx: str | Path | None = None,
+) -> list[Path]:
+    """Write what other programs take: the corrected arm (TOML, URDF), its learnt network (ONNX); returns what was.
+
+    Raises:
+        InputError: If no file is named, or the calibration has no place in one.
+    """
+    writers: tuple[tuple[str | Path | None, Callable[[str | Path], Path]], ...] = (
+        (toml, lambda path: write_arm_toml(calibration, arm, path)),
+        (urdf, lambda path: write_arm_urdf(calibration, arm, path)),
+        (onnx, lambda path: write_onnx(calibration, path)),
+    )
+    if all(path is None for path, _ in writers):
+        raise InputError("nothing to write; give --toml, --urdf or --onnx with a file name")
+    return [write(path) for path, write in writers if path is not None]
 
 
 def provenance(calibration: Calibration) -> tuple[str, ...]:

@@ -1,25 +1,36 @@
-"""Calibrating an arm: align base and tool, identify the geometry and its terms, learn what remains."""
+"""Fitting an arm to data of any kind: base and tool, then geometry and terms, then what remains.
+
+The middle of the one way from rows to a result (`calibrate`), for whoever holds rows that need no check and no verdict.
+"""
 
 from __future__ import annotations
 
 import platform
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm
-from pickenv.calibration.identification.alignment import align, refuse_another_arm
-from pickenv.calibration.identification.least_squares import Identification, identify_surely
+from pickenv.arm import Arm, Geometry, forward
+from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
+from pickenv.calibration.identification.least_squares import Identification, identify, identify_surely
+from pickenv.calibration.identification.rows import misses, unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import frames_model, geometric_model, with_terms
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import PoseObservations
+from pickenv.calibration.model.observations import (
+    Observations,
+    PoseObservations,
+    ReflectorObservations,
+    SocketObservations,
+    as_observations,
+)
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
-from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, LearntResidual, fit_residual
+from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, QUICK_FITTERS, fit_residual
+from pickenv.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +50,7 @@ class Fit:
 
 def fit(
     arm: Arm,
-    measurements: Measurements,
+    data: Measurements | Observations,
     residual_measurements: Measurements | None = None,
     *,
     known_frames: bool = False,
@@ -49,11 +60,11 @@ def fit(
     settings: BpnnSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fit:
-    """Calibrate an arm: least squares on geometry and terms, then, if data are given, a residual model on what remains.
+    """Fit an arm: least squares on geometry and terms, then, if data are given, a residual model on what remains.
 
     Args:
         arm: The arm.
-        measurements: Poses for the identification (the paper: 100).
+        data: Rows for the identification (the paper: 100), of any kind.
         residual_measurements: Poses for the network (the paper: 200), or None for geometry alone.
         known_frames: True if the instrument measures the arm's own tool in the arm's own base frame (registered, or
             simulated); then the paper's 24 parameters are identified. Else base, tool and Hayati's beta are fitted too,
@@ -65,70 +76,129 @@ def fit(
         progress: Called with (epochs done, epochs in all).
 
     Raises:
-        InputError: If there are too few poses, the data do not fit the arm, or the identification does not converge.
+        InputError: If there are too few rows, the data do not fit the arm, or the identification does not converge.
     """
-    aligned = None
+    observations = as_observations(data)
+    found = identified(arm, observations, framed(arm, observations, known_frames), terms)
+    if residual_measurements is None:
+        return found
+    if rng is None:
+        raise ValueError("give rng, which seeds the residual model")
+    settings = (settings or BpnnSettings()) if residual == "bpnn" else None
+    return learnt(found, residual, residual_measurements, rng, settings, progress)
+
+
+def framed(arm: Arm, data: Observations, known: bool) -> Identification | None:
+    """Base and tool, fitted from anywhere with the data's own unknowns; None where they are known.
+
+    Raises:
+        InputError: If the data do not fit the arm.
+    """
     nominal = arm.nominal
-    model = geometric_model(nominal, known_frames)
-    if not known_frames:
-        aligned = align(nominal, measurements, frames_model(nominal))
-        nominal = aligned.geometry
-    else:
-        refuse_another_arm(nominal, measurements, "with base and tool taken as known")
+    if isinstance(data, PoseObservations):
+        if not known:
+            return align(nominal, data.measurements, frames_model(nominal))
+        refuse_another_arm(nominal, data.measurements, "with base and tool taken as known")
+        return None
+    found = identify(frames_model(nominal), ArmModel.of(_start(arm, data)), [data], max_iterations=100)
+    _refuse_misfit(found, data)
+    return found
+
+
+def identified(arm: Arm, data: Observations, aligned: Identification | None, terms: tuple[Term, ...] = ()) -> Fit:
+    """Geometry and terms by least squares, from where `framed` left base and tool.
+
+    Raises:
+        InputError: If there are too few rows, or the identification does not converge.
+    """
+    nominal = arm.nominal if aligned is None else aligned.geometry
     start = ArmModel.of(nominal, terms)
-    found = identify_surely(with_terms(model, start), start, measurements)
-    learnt: LearntResidual | None = None
-    trained: dict[str, Any] | None = None
-    if residual_measurements is not None:
-        if rng is None:
-            raise ValueError("give rng, which seeds the residual model")
-        trained = {
-            "kind": residual,
-            "data_fingerprint": residual_measurements.fingerprint(),
-            "poses": len(residual_measurements),
-            "settings": asdict(settings or BpnnSettings()) if residual == "bpnn" else None,
-            "generator": _generator_state(rng),
-        }
-        learnt = _learn(residual, found, residual_measurements, rng, settings, progress)
+    found = identify_surely(with_terms(geometric_model(arm.nominal, aligned is None), start), start, [data])
     record = {
-        "source": measurements.source,
-        "data_fingerprint": measurements.fingerprint(),
-        "poses": len(measurements),
-        "kind": measurements.kind,
-        "frames": "known" if known_frames else "fitted",
+        "source": data.source,
+        "poses": len(data.joints),
+        "kind": data.kind,
+        "frames": "known" if aligned is None else "fitted",
         "rank": found.identifiability.rank,
         "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
-        "residual": trained,
-        "versions": _versions("torch", "scikit-learn") if trained else _versions(),
+        "residual": None,
+        "versions": _versions(),
     }
-    calibration = Calibration(arm.name, arm.nominal, nominal, found.arm_model, learnt, record)
-    return Fit(calibration, found, aligned)
+    if found.unknowns:
+        record["unknowns"] = found.unknowns
+    if isinstance(data, PoseObservations):
+        record["data_fingerprint"] = data.measurements.fingerprint()
+    return Fit(Calibration(arm.name, arm.nominal, nominal, found.arm_model, None, record), found, aligned)
 
 
-def _learn(
+def learnt(
+    found: Fit,
     kind: str,
-    found: Identification,
-    measurements: Measurements,
+    data: Measurements,
     rng: np.random.Generator,
-    settings: BpnnSettings | None,
-    progress: Callable[[int, int], None] | None,
-) -> LearntResidual:
-    """A model of what the identified arm leaves (eq (17)); recorded conditions are inputs beside the joints."""
-    targets = PoseObservations(measurements).difference(found.arm_model)
-    fitter = None
-    if kind == "bpnn":
-        chosen = settings or BpnnSettings()
-        fitter = lambda inputs, values, generator: train_bpnn(inputs, values, generator, chosen, progress)  # noqa: E731
-    return fit_residual(
+    settings: BpnnSettings | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Fit:
+    """The fit with a model of what it leaves (eq (17)); recorded conditions are inputs beside the joints.
+
+    Args:
+        found: The fit.
+        kind: Residual model by name.
+        data: Poses to learn from.
+        rng: Seeds the model.
+        settings: The paper's network with these settings, which takes the joints as they are; else, as the other models
+            do, it takes sine and cosine of joints that turn far, and thins rows where there are very many.
+        progress: Called with (epochs done, epochs in all).
+    """
+    record = {
+        "kind": kind,
+        "data_fingerprint": data.fingerprint(),
+        "poses": len(data),
+        "settings": None if settings is None else asdict(settings),
+        "generator": _generator_state(rng),
+    }
+    fitter, span = QUICK_FITTERS.get(kind), PERIODIC_SPAN
+    if settings is not None:
+        fitter, span = (lambda x, y, generator: train_bpnn(x, y, generator, settings, progress)), np.inf
+    model = fit_residual(
         kind,
-        measurements.joints,
-        targets,
-        measurements.prismatic,
+        data.joints,
+        PoseObservations(data).difference(found.calibration.model),
+        data.prismatic,
         rng,
-        conditions=measurements.conditions.inputs(),
+        conditions=data.conditions.inputs(),
         fitter=fitter,
-        periodic_span=np.inf if kind == "bpnn" else PERIODIC_SPAN,  # the paper's network takes the joints as they are
+        periodic_span=span,
     )
+    whole = {**found.calibration.record, "residual": record, "versions": _versions("torch", "scikit-learn")}
+    return replace(found, calibration=replace(found.calibration, learnt=model, record=whole))
+
+
+def _start(arm: Arm, data: Observations) -> Geometry:
+    """Where to start: the reflector seen most often gives the base; wires and sockets need none."""
+    if not isinstance(data, ReflectorObservations):
+        return arm.nominal
+    which = int(np.argmax(data.seen.sum(axis=0)))
+    rows = data.seen[:, which]
+    one = Measurements(data.joints[rows], data.points[rows, which], None, arm.nominal.prismatic, source=data.source)
+    aligned = align(arm.nominal, one, frames_model(arm.nominal), judge=False).geometry
+    refuse_another_arm(aligned, one, f"after fitting base and reflector {which + 1}", arm.nominal)
+    return aligned
+
+
+def _refuse_misfit(found: Identification, data: Observations) -> None:
+    """Refuse wires and sockets that even after the frames' fit miss by a large share of what they span."""
+    left = misses(data, found.arm_model, unknowns_of(found, data))
+    rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+    tool = forward(found.geometry, data.joints).position
+    span = float(np.linalg.norm(tool.std(axis=0)))
+    if isinstance(data, SocketObservations):
+        span = float(np.linalg.norm(tool - tool.mean(axis=0), axis=1).max())
+    if rms > MISFIT * max(span, 0.1):
+        raise InputError(
+            f"{data.source}: after fitting the frames the arm still misses by {rms * 1e3:.0f} mm RMS; check "
+            "the arm, the units, the joint order and signs, and which row belongs to what"
+        )
 
 
 def _generator_state(rng: np.random.Generator) -> Any:

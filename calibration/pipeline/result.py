@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statis
 from pickenv.calibration.assessment.quality import Quality, judge_quality
 from pickenv.calibration.assessment.screen import Block, figure, main_parts, unit_of
 from pickenv.calibration.assessment.states import LOST, MEASURED
+from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.least_squares import describe_absorption
 from pickenv.calibration.identification.rows import misses, unknowns_of
@@ -29,8 +31,9 @@ from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, PoseObservations
+from pickenv.calibration.model.observations import Observations, PoseObservations, as_observations
 from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.export import export
 from pickenv.calibration.pipeline.fitting import Fit
 from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, held_out_errors, pose_uncertainty
 from pickenv.calibration.reading.read import NoiseFloor
@@ -156,6 +159,28 @@ class Result:
             found.append(self._gate(self.gate))
         found.append(self._facts())
         return tuple(block for block in found if block.rows)
+
+    def __str__(self) -> str:
+        """The report."""
+        return self.report()
+
+    def compensator(self) -> Compensator:
+        """The map from joint targets to joint commands; see `Calibration.compensator` for its options."""
+        return self.calibration.compensator()
+
+    def save(self, path: str | Path) -> Path:
+        """Write the calibration, with its verdict, as one file (.npz)."""
+        return self.calibration.save(path)
+
+    def export(self, **files: str | Path) -> list[Path]:
+        """Write what other programs take: ``toml``, ``urdf`` or ``onnx``; see `pickenv.calibration.export`."""
+        return export(self.calibration, self.arm, **files)
+
+    def write_page(self, path: str | Path) -> Path:
+        """Write the report as one HTML page, of poses or positions."""
+        from pickenv.inspect.reports.calibration_report import write_calibration_report
+
+        return write_calibration_report(path, self)
 
     def report(self) -> str:
         """For the terminal: the verdict first."""
@@ -380,11 +405,6 @@ def assess(
         gate=gate,
         left_out=left_out,
     )
-
-
-def as_observations(data: Observations | Measurements) -> Observations:
-    """Poses and positions in the role of observations; other kinds as they are."""
-    return PoseObservations(data) if isinstance(data, Measurements) else data
 
 
 def _left(fit: Fit, data: Observations, train: Observations) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -60,13 +59,9 @@ def calibrate(
 
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
     """
-    import numpy as np
-
-    from pickenv.arm import load_arm
-    from pickenv.calibration.identification.rows import choose, select
     from pickenv.calibration.model.observations import PoseObservations
-    from pickenv.calibration.pipeline.held_out import Choices, judge
-    from pickenv.calibration.reading.read import read_observations
+    from pickenv.calibration.pipeline.stages import Choices
+    from pickenv.calibration.pipeline.stages import calibrate as calibrated
     from pickenv.files import separate, write_text
     from pickenv.inspect.reports.calibration_report import write_calibration_report
 
@@ -74,19 +69,21 @@ def calibrate(
         {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
         {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run},
     )
-    chosen = load_arm(arm)
-    reading = read_observations(files, chosen.nominal, columns)
-    train = reading.observations
-    if test:
-        held_out = read_observations(test, chosen.nominal, columns).observations
-    else:
-        train_rows, held_rows = choose(train, split, test_rows, np.random.default_rng(seed))
-        train, held_out = select(train, np.sort(train_rows)), select(train, np.sort(held_rows))
-    for option, path in (("--report", report), ("--run", run)):
-        if path is not None and not (isinstance(train, PoseObservations) and isinstance(held_out, PoseObservations)):
-            raise InputError(f"{option} shows poses and positions, but {train.source} holds {train.kind}; leave it out")
     choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed, frames=frames)
-    result = replace(judge(chosen, train, held_out, choices), floor=reading.floor, unit=unit)
+    result = calibrated(
+        arm,
+        files,
+        columns=columns,
+        test=test or None,
+        split=split,
+        test_rows=test_rows,
+        choices=choices,
+        unit=unit,
+    )
+    for option, path in (("--report", report), ("--run", run)):
+        if path is not None and not isinstance(result.test, PoseObservations):
+            source, kind = result.train.source, result.train.kind
+            raise InputError(f"{option} shows poses and positions, but {source} holds {kind}; leave it out")
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
     written = []
     if out is not None:

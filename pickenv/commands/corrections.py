@@ -123,11 +123,9 @@ def export(
     """Write the corrected arm as TOML or URDF, and its learnt residual as ONNX, for other programs."""
     from pickenv.arm import load_arm
     from pickenv.calibration.pipeline.calibration import Calibration
-    from pickenv.calibration.pipeline.export import write_arm_toml, write_arm_urdf, write_onnx
+    from pickenv.calibration.pipeline.export import export as exported
     from pickenv.files import separate
 
-    if toml is None and urdf is None and onnx is None:
-        raise InputError("nothing to write; give --toml, --urdf or --onnx with a file name")
     separate(
         {"CALIBRATION": calibration, "--arm": arm},
         {"--toml": toml, "--urdf": urdf, "--onnx": onnx},
@@ -135,9 +133,5 @@ def export(
     chosen = load_arm(arm)
     loaded = Calibration.load(calibration, chosen, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
-    if toml is not None:
-        print(f"wrote {write_arm_toml(loaded, chosen, toml)}")
-    if urdf is not None:
-        print(f"wrote {write_arm_urdf(loaded, chosen, urdf)}")
-    if onnx is not None:
-        print(f"wrote {write_onnx(loaded, onnx)}")
+    for path in exported(loaded, chosen, toml=toml, urdf=urdf, onnx=onnx):
+        print(f"wrote {path}")

@@ -305,5 +305,5 @@ def test_impossible_actions_and_options_are_explained():
 
 
 def test_the_example_runs():
-    result = doctest.testmod(pickenv.envs.pick)
+    result = doctest.testmod(pickenv.envs.picking.pick)
     assert result.attempted > 0 and result.failed == 0

@@ -254,7 +254,7 @@ def test_arguments_survive_json(arguments):
     assert alike(rollout(env, 4), rollout(again, 4))
 
 
-@pytest.mark.parametrize("module", [pickenv.envs.reach, pickenv.wrappers.compensation])
+@pytest.mark.parametrize("module", [pickenv.envs.reaching.reach, pickenv.wrappers.compensation])
 def test_examples_in_docstrings_run(module):
     result = doctest.testmod(module)
     assert result.attempted > 0 and result.failed == 0

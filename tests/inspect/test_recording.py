@@ -229,10 +229,10 @@ def test_an_interrupt_leaves_the_old_file_and_no_half_one(
 def test_a_killed_writer_leaves_no_recording(tmp_path: Path) -> None:
     script = """
 import os, runpy, sys
-from pickenv.inspect import recording
+from pickenv.inspect.recordings import comparison_recording
 module = runpy.run_path(sys.argv[1])
-recording._send_histograms = lambda *_: os._exit(9)
-recording.record_comparison(module["synthetic_comparison"](reaches=5, cells_per_axis=3), sys.argv[2])
+comparison_recording._send_histograms = lambda *_: os._exit(9)
+comparison_recording.record_comparison(module["synthetic_comparison"](reaches=5, cells_per_axis=3), sys.argv[2])
 """
     conftest, path = Path(__file__).with_name("conftest.py"), tmp_path / "errors.rrd"
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}

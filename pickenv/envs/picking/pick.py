@@ -320,7 +320,8 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
                 "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
             )
             return None
-        from pickenv.envs.shared.drawing import Window, pick_pixels
+        from pickenv.envs.picking.pick_drawing import pick_pixels
+        from pickenv.envs.shared.drawing import Window
 
         if self.scene is None:
             raise InputError("render was called before reset; call reset first")

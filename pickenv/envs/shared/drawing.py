@@ -1,7 +1,7 @@
-"""Pictures of a reach and of a canopy: the nominal arm as a ghost, the true arm, and the fruit.
+"""Pictures of a reach: the nominal arm as a ghost, the true arm, and the fruit; and the window that shows them.
 
-matplotlib is loaded here and nowhere else among the environments. Units: m in views of arm and canopy, mm around the
-fruit of a reach.
+matplotlib is loaded by drawings and nowhere else among the environments. Units: m in views of the arm, mm around the
+fruit.
 """
 
 from __future__ import annotations
@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 from pickenv.arm.kinematics.forward import chain_of, frames
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
-from pickenv.envs.picking.pick_scene import PickScene
 from pickenv.envs.shared.simulation import Look
 from pickenv.errors import InputError
 
 GHOST, TRUE, FRUIT = "#9aa5b1", "#1f4e79", "#c0392b"
-LEFT_OUT, MISSED, COLLECTED = "#d5d8dc", "#e59866", "#27ae60"
 SIZE = (9.0, 4.5)
 DPI = 80
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
@@ -34,13 +32,6 @@ DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 def reach_pixels(plant: Plant, target: Array, scene: Look, tolerance_mm: float) -> NDArray[np.uint8]:
     """The picture of a reach as an RGB array ``(360, 720, 3)``."""
     return pixels(draw_reach(plant, target, scene, tolerance_mm))
-
-
-def pick_pixels(
-    plant: Plant, target: Array, command: Array, tool: Array, scene: PickScene, number: int
-) -> NDArray[np.uint8]:
-    """The picture of a canopy as an RGB array ``(360, 720, 3)``; see `draw_pick`."""
-    return pixels(draw_pick(plant, target, command, tool, scene, number))
 
 
 def pixels(figure: Figure) -> NDArray[np.uint8]:
@@ -73,47 +64,6 @@ def draw_reach(plant: Plant, target: Array, scene: Look, tolerance_mm: float) ->
     near.set(xlabel="horizontal miss (mm)", ylabel="vertical miss (mm)")
     near.set_title(f"{scene.distance_mm:.2f} mm, {scene.angle_deg:.2f} deg from the fruit")
     near.legend(loc="upper left", fontsize=8)  # the miss is never on the left
-    return figure
-
-
-def draw_pick(plant: Plant, target: Array, command: Array, tool: Array, scene: PickScene, number: int) -> Figure:
-    """Draw the arm on the left and the canopy, as the arm faces it, on the right.
-
-    Args:
-        plant: The true arm, on single numbers.
-        target: Nominal joint target ``(n,)``, rad or m.
-        command: What the drives got ``(n,)``.
-        tool: True tool position ``(3,)``, m.
-        scene: The fruit.
-        number: The fruit that the arm is after.
-    """
-    figure = Figure(figsize=SIZE, dpi=DPI, layout="constrained")
-    fruit = scene.positions
-    colours = np.full(len(fruit), LEFT_OUT, dtype=object)
-    colours[scene.reachable] = FRUIT
-    colours[scene.attempted] = MISSED
-    colours[scene.attached] = COLLECTED
-    draw_arm(figure, plant, target, command, tool, fruit, colours.tolist())
-    canopy = figure.add_subplot(1, 2, 2)
-    for place, diameter, colour, gone in zip(fruit, scene.diameters, colours, scene.collected, strict=True):
-        face = "none" if gone else colour
-        canopy.add_patch(Circle((place[0], place[2]), diameter / 2, facecolor=face, edgecolor=colour))
-    canopy.plot(*scene.seen[number, [0, 2]], "+", color="black", markersize=9, label="where the camera saw it")
-    canopy.plot(tool[0], tool[2], "x", color=TRUE, markersize=9, label="true tool")
-    for colour, meaning in (
-        (FRUIT, "to pick"),
-        (COLLECTED, "taken"),
-        (MISSED, "missed"),
-        (LEFT_OUT, "not seen or not in reach"),
-    ):
-        canopy.plot([], [], "o", color=colour, label=meaning)
-    points = np.vstack([fruit, tool])[:, [0, 2]]
-    middle, half = (points.max(axis=0) + points.min(axis=0)) / 2, np.ptp(points, axis=0).max() / 2 + 0.15
-    canopy.set(xlim=(middle[0] + half, middle[0] - half), ylim=(middle[1] - half, middle[1] + half), aspect="equal")
-    canopy.set(xlabel="x (m), as the arm faces the trees", ylabel="z (m)")
-    funnel = scene.funnel()
-    canopy.set_title(f"{funnel['collected']} collected whole of {funnel['reachable']} in reach")
-    figure.legend(*canopy.get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=7)
     return figure
 
 

@@ -67,7 +67,7 @@ def library() -> str:
     """The scripts that go last on a page with interactive figures."""
     plotly = (files("plotly") / "package_data" / "plotly.min.js").read_bytes()
     packed = base64.b64encode(gzip.compress(plotly, 9, mtime=0)).decode()
-    ours = (files("pickenv.inspect") / "report.js").read_text(encoding="utf-8")
+    ours = (files("pickenv.inspect.reports") / "report.js").read_text(encoding="utf-8")
     return f'<script type="text/plain" id="plotly">{packed}</script>\n<script>\n{ours}</script>\n'
 
 

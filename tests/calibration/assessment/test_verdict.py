@@ -19,8 +19,8 @@ from pickenv.calibration import Calibration, Measurements, fit, random_joints, r
 from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from pickenv.calibration.identification.rows import choose, select
 from pickenv.calibration.model.observations import PoseObservations
-from pickenv.calibration.pipeline.held_out import Choices, judge
 from pickenv.calibration.pipeline.result import assess
+from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.cli import app
 from pickenv.errors import InputError
 from pickenv.inspect.reports.calibration_report import calibration_page
@@ -173,7 +173,7 @@ def test_every_number_that_terminal_and_page_share_is_equal_on_the_ur5(measured_
     data = PoseObservations(measured_ur5[1])
     rows = choose(data, "random", None, np.random.default_rng(0))
     train, test = (select(data, np.sort(part)) for part in rows)
-    result = judge(load_arm("ur5"), train, test, Choices(terms=terms, residual="none"))
+    result = calibrate(load_arm("ur5"), train, test=test, choices=Choices(terms=terms, residual="none"))
     terminal, page = shared(result)
     assert len(numbers(terminal)) > 60
     told = result.as_dict()
@@ -195,7 +195,7 @@ def test_a_coefficient_counts_as_measured_only_where_the_data_know_it_twice_as_w
     rng = np.random.default_rng(2)
     train, test = (simulated_tracker(dynamic, random_joints(dynamic.geometry, n, rng), rng) for n in (80, 30))
     choices = Choices(terms="gravity", residual="none")
-    result = judge(dynamic.arm, PoseObservations(train), PoseObservations(test), choices)
+    result = calibrate(dynamic.arm, PoseObservations(train), test=PoseObservations(test), choices=choices)
     found, states = result.fit.identification, result.quality.states
     scatter = [item.chi_square / item.degrees_of_freedom for item in (found, result.geometric.identification)]
     prior = found.arm_model.term_tolerances * np.sqrt(scatter[0] / scatter[1])
@@ -215,7 +215,7 @@ def test_a_model_that_does_not_converge_is_never_chosen(dynamic, monkeypatch):
     whole = held_out.identify_terms
     monkeypatch.setattr(held_out, "identify_terms", lambda *a: replace(whole(*a), converged=False))
     choices = Choices(terms="gravity", residual="none")
-    result = judge(dynamic.arm, PoseObservations(train), PoseObservations(test), choices)
+    result = calibrate(dynamic.arm, PoseObservations(train), test=PoseObservations(test), choices=choices)
     assert result.best_model == "geometry" and result.fit.identification.converged
 
 
@@ -226,7 +226,7 @@ def test_a_foreign_option_is_refused(qiao, exact):
     wire = DistanceObservations(joints, np.ones(len(joints)), 1e-4)
     for choices in (Choices(robust=True), Choices(residual="bpnn"), Choices(frames="known")):
         with pytest.raises(InputError, match="is for poses and positions"):
-            judge(qiao, wire, wire, choices)
+            calibrate(qiao, wire, test=wire, choices=choices)
 
 
 def test_the_result_is_saved_before_it_is_printed(dynamic, tmp_path, monkeypatch):
@@ -275,4 +275,4 @@ def test_measured_data_say_fitted_and_simulated_ones_known(dynamic, tmp_path):
     both = choose(PoseObservations(data), "random", None, rng)
     train, test = (select(PoseObservations(data), np.sort(rows)) for rows in both)
     with pytest.raises(InputError, match=r"say.* known, .* fitted; give --frames"):
-        judge(dynamic.arm, train, PoseObservations(replace(test.measurements, frames="fitted")))
+        calibrate(dynamic.arm, train, test=PoseObservations(replace(test.measurements, frames="fitted")))

@@ -7,7 +7,7 @@ from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, complete_model, fit, identify, read_measurements
 from pickenv.calibration.identification.rows import choose, select
 from pickenv.calibration.model.error_model import residual
-from pickenv.calibration.pipeline.held_out import Choices, judge
+from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
 
@@ -84,7 +84,7 @@ def read_set(data_folder, arm, columns, *files):
 def held_out(arm, reading, split="random", seed=0, test_rows=None, **choices):
     rows = choose(reading.observations, split, test_rows, np.random.default_rng(seed))
     train, test = (select(reading.observations, np.sort(part)) for part in rows)
-    return judge(arm, train, test, Choices(**({"terms": "none", "residual": "none"} | choices)))
+    return calibrate(arm, train, test=test, choices=Choices(**({"terms": "none", "residual": "none"} | choices)))
 
 
 def test_ur5_solves_in_milliseconds(tracker, ur5):
@@ -121,7 +121,7 @@ def test_wam_yields_under_its_weight(data_folder):
     """
     arm, grid = read_set(data_folder, "wam", "wam_jacobi2025", "ur5_wam_jacobi2025/WAM/*grid*.csv")
     _, random = read_set(data_folder, "wam", "wam_jacobi2025", "ur5_wam_jacobi2025/WAM/*random*.csv")
-    found = judge(arm, grid.observations, random.observations, Choices(residual="none"))
+    found = calibrate(arm, grid.observations, test=random.observations, choices=Choices(residual="none"))
     assert found.best_model == "geometry+gravity"
     assert found.position[found.best_model].mean <= 2.92
 

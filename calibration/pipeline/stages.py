@@ -1,0 +1,335 @@
+"""The one way from rows to a result, for every kind of measurement and whoever asks.
+
+`STAGES` has its steps in order: check, align, identify, check again, add terms, learn what remains; reading comes
+before, judgement after. Nominal means after base and tool were fitted: an uncalibrated arm is not blamed for where the
+instrument stood. Terms and residual model are chosen within the training rows, so that the held-out figures are those
+of rows never looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from pickenv.arm import Arm, load_arm
+from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_lost, refuse_misses
+from pickenv.calibration.identification.least_squares import Identification, identify
+from pickenv.calibration.identification.rows import choose, misses, select, unknowns_of
+from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
+from pickenv.calibration.model.arm_model import ArmModel, Term
+from pickenv.calibration.model.coverage import Coverage, pose_coverage
+from pickenv.calibration.model.error_model import geometric_model
+from pickenv.calibration.model.measurements import Frames, Measurements
+from pickenv.calibration.model.observations import Observations, PoseObservations, as_observations
+from pickenv.calibration.pipeline.fitting import Fit, framed, identified, learnt
+from pickenv.calibration.pipeline.result import Result, assess
+from pickenv.calibration.reading.read import NoiseFloor, read_observations
+from pickenv.calibration.residuals.bpnn import BpnnSettings
+from pickenv.calibration.residuals.gate import GateReport, judge_residuals
+from pickenv.calibration.residuals.residual_models import FITTERS, QUICK_FITTERS
+from pickenv.errors import InputError
+
+GATE_ROWS = 3000
+"""Residual models are judged on so many training rows at most, taken evenly."""
+
+ENOUGH_FOR_BLOCKS = 40
+"""Fewer training rows than this are not enough to hold blocks out of."""
+
+Data = Observations | Measurements | str | Path | Sequence[str | Path]
+"""Rows: measurements, observations of any kind, or the files that hold them."""
+
+GEOMETRY = "geometry"
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What to do beyond geometry.
+
+    Attributes:
+        terms: "auto", or names of terms joined by "+", or "none".
+        residual: "auto", a residual model's name, or "none".
+        force: Whether a named residual model is used even if it does not win.
+        robust: Whether gross outliers are left out (and listed) instead of refused.
+        seed: Seeds everything random.
+        frames: Whether base and tool are "known" or "fitted"; as the data say when None.
+        learn_from: Poses for the named residual model, which is then used as it is, as the paper does; when None it
+            learns from the training rows, if it wins there.
+        settings: Settings of the network that learns from them; the paper's when None.
+    """
+
+    terms: str = "auto"
+    residual: str = "auto"
+    force: bool = False
+    robust: bool = False
+    seed: int = 0
+    frames: Frames | None = None
+    learn_from: Measurements | None = None
+    settings: BpnnSettings | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """A calibration on its way through the stages.
+
+    Attributes:
+        arm: The arm.
+        choices: What was asked for.
+        train: Rows to fit, in the order measured.
+        test: Rows to judge by.
+        rng: Draws for the residual model that will be used.
+        progress: Called with (epochs done, epochs in all) while the paper's network trains.
+        left_out: Rows far off that were left out.
+        aligned: Evidence of the base and tool fit; None where they are known.
+        coverage: What the poses hide; None for measurements of other kinds.
+        fits: What was fitted so far, by name, in order; the last will be used.
+        terms: Terms that are part of it.
+        term_choice: How they were chosen.
+        gate: The residual models' verdicts.
+    """
+
+    arm: Arm
+    choices: Choices
+    train: Observations
+    test: Observations
+    rng: np.random.Generator
+    progress: Callable[[int, int], None] | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    aligned: Identification | None = None
+    coverage: Coverage | None = None
+    fits: Mapping[str, Fit] = field(default_factory=dict)
+    terms: tuple[Term, ...] = ()
+    term_choice: TermChoice | None = None
+    gate: GateReport | None = None
+
+    @property
+    def poses(self) -> tuple[Measurements, Measurements] | None:
+        """Training and held-out poses or positions; None for other kinds."""
+        if isinstance(self.train, PoseObservations) and isinstance(self.test, PoseObservations):
+            return self.train.measurements, self.test.measurements
+        return None
+
+    @property
+    def best(self) -> tuple[str, Fit]:
+        """The last of the fits, and its name."""
+        return list(self.fits.items())[-1]
+
+    def with_fit(self, name: str, fit: Fit) -> Work:
+        """The work with one more fit."""
+        return replace(self, fits={**self.fits, name: fit})
+
+
+def calibrate(
+    arm: Arm | str,
+    data: Data,
+    *,
+    columns: str | Path | None = None,
+    test: Data | None = None,
+    split: str = "random",
+    test_rows: int | None = None,
+    choices: Choices | None = None,
+    unit: str | None = None,
+    rng: np.random.Generator | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Result:
+    """Calibrate an arm from measurements of any kind, and judge the result on rows that it never saw.
+
+        result = pickenv.calibrate("ur5", "tracker.csv", columns="my_tracker.toml")
+        print(result.report())
+        result.calibration.save("ur5.npz")
+
+    Args:
+        arm: The arm, its name, or its file (TOML, or URDF as ``file.urdf#tip``).
+        data: Measurements, observations of any kind, or files that hold them (CSV or YAML, all of one layout).
+        columns: Description of the files' columns, by name or path; our own columns when left out.
+        test: Rows to judge by; some of ``data`` when left out.
+        split: How those are held out: "random" or "blocked".
+        test_rows: How many; a fifth when left out.
+        choices: Terms, residual model, frames, robustness and seed; the defaults choose by the data.
+        unit: Serial number of the robot, kept in the calibration.
+        rng: Draws for the residual model; from the seed when left out.
+        progress: Called with (epochs done, epochs in all) while the paper's network trains.
+
+    Raises:
+        InputError: Names the file, row, column, unit or joint at fault: if a file cannot be read, the data do not fit
+            the arm, rows are far off, held out or not, or show too few parameters, a name is unknown, an option does
+            not apply to this kind of measurement, or the identification does not converge.
+    """
+    choices = choices or Choices()
+    arm = load_arm(arm) if isinstance(arm, str) else arm
+    train, floor = _rows(arm, data, columns)
+    if test is None:
+        rows = choose(train, split, test_rows, np.random.default_rng(choices.seed))
+        train, held_out = (select(train, np.sort(part)) for part in rows)
+    else:
+        held_out, _ = _rows(arm, test, columns)
+    work = Work(arm, choices, train, held_out, rng or np.random.default_rng(choices.seed), progress)
+    for stage in STAGES:
+        work = stage(work)
+    (_, geometric), *steps = work.fits.items()
+    result = assess(
+        arm,
+        work.best[1],
+        work.train,
+        work.test,
+        geometric=geometric,
+        steps=dict(steps),
+        terms=work.term_choice,
+        gate=work.gate,
+        left_out=work.left_out,
+        coverage=work.coverage,
+    )
+    return replace(result, floor=floor, unit=unit)
+
+
+def _rows(arm: Arm, data: Data, columns: str | Path | None) -> tuple[Observations, NoiseFloor | None]:
+    """Rows, and what their files say about noise."""
+    if isinstance(data, str | Path):
+        data = [data]
+    if isinstance(data, Sequence):
+        reading = read_observations(data, arm.nominal, columns)
+        return reading.observations, reading.floor
+    return as_observations(data), None
+
+
+def _check(work: Work) -> Work:
+    """Refuse options that do not apply; leave rows that are far off out, or refuse them."""
+    choices, poses = work.choices, work.poses
+    if poses is None:
+        _refuse_options(work.train, choices)
+        return work
+    train, test = poses
+    if choices.frames is None and train.frames != test.frames:
+        raise InputError(
+            f"{train.source} says that base and tool are {train.frames}, {test.source} that they are {test.frames}; "
+            "give --frames"
+        )
+    frames = choices.frames or train.frames
+    train, test, left_out = checked_rows(work.arm, train, test, known=frames == "known", robust=choices.robust)
+    return replace(
+        work,
+        choices=replace(choices, frames=frames),
+        train=PoseObservations(train),
+        test=PoseObservations(test),
+        left_out=left_out,
+    )
+
+
+def _refuse_options(train: Observations, choices: Choices) -> None:
+    """Refuse what is there for poses and positions only."""
+    given = {"--robust": choices.robust, "--frames known": choices.frames == "known"}
+    given[f"--residual {choices.residual}"] = choices.residual not in ("auto", "none")
+    for option, wanted in given.items():
+        if wanted:
+            raise InputError(
+                f"{option} is for poses and positions, but {train.source} holds {train.kind}; leave it out"
+            )
+
+
+def _align(work: Work) -> Work:
+    """Base and tool, where they are not known."""
+    return replace(work, aligned=framed(work.arm, work.train, work.choices.frames == "known"))
+
+
+def _identify(work: Work) -> Work:
+    """The geometry, by least squares."""
+    return work.with_fit(GEOMETRY, identified(work.arm, work.train, work.aligned))
+
+
+def _check_again(work: Work) -> Work:
+    """Refuse poses that hide too much, and rows of other kinds that the fitted arm misses by far."""
+    _, geometric = work.best
+    if work.poses is None:
+        found = geometric.identification
+        missed = [misses(part, found.arm_model, unknowns_of(found, work.train)) for part in (work.train, work.test)]
+        refuse_misses(work.train, work.test, (missed[0], missed[1]))
+        return work
+    start, train = geometric.calibration.nominal, work.poses[0]
+    coverage = pose_coverage(geometric_model(start, work.aligned is None), start, train)
+    refuse_lost(coverage, start, train)
+    return replace(work, coverage=coverage)
+
+
+def _add_terms(work: Work) -> Work:
+    """As many of the wanted terms, in their order, as converge; "auto" chooses them within the training rows."""
+    (name, geometric), wanted, choice = work.best, work.choices.terms, None
+    known = work.aligned is None
+    if wanted == "auto":
+        wanted = "none"
+        if len(work.train.joints) >= ENOUGH_FOR_BLOCKS:
+            choice = choose_terms(work.arm, geometric.calibration.nominal, work.train, known)
+            wanted = choice.chosen
+    names = wanted.split("+")
+    while terms := terms_of("+".join(names) or "none", work.arm, work.train):
+        found = identify_terms(terms, geometric.identification, work.train, known)
+        if found.converged:
+            kinds = sorted({term.specification()["kind"] for term in terms})
+            record = {**geometric.calibration.record, "terms": kinds}
+            calibration = replace(geometric.calibration, model=found.arm_model, record=record)
+            work = work.with_fit(f"{name}+{'+'.join(names)}", Fit(calibration, found, geometric.aligned))
+            break
+        names.pop()
+    return replace(work, terms=terms, term_choice=choice)
+
+
+def _learn(work: Work) -> Work:
+    """A residual model: the named one from poses of its own, or one that wins within the training rows."""
+    choices, poses = work.choices, work.poses
+    if choices.learn_from is not None:
+        settings = (choices.settings or BpnnSettings()) if choices.residual == "bpnn" else None
+        return _with_residual(work, choices.residual, choices.learn_from, settings)
+    if poses is None or choices.residual == "none":
+        return work
+    if choices.residual != "auto" and choices.residual not in FITTERS:
+        raise InputError(f"unknown residual model '{choices.residual}'; give auto, none or one of {', '.join(FITTERS)}")
+    train = poses[0]
+    selected: str | None = None
+    if len(train) >= ENOUGH_FOR_BLOCKS:
+        names = tuple(FITTERS) if choices.residual == "auto" else (choices.residual,)
+        work = replace(work, gate=_verdicts(work, train, names))
+        selected = work.gate.selected if work.gate else None
+    if choices.force and choices.residual != "auto":
+        selected = choices.residual
+    return work if selected is None else _with_residual(work, selected, train, None)
+
+
+def _with_residual(work: Work, kind: str, data: Measurements, settings: BpnnSettings | None) -> Work:
+    name, best = work.best
+    return work.with_fit(f"{name}+{kind}", learnt(best, kind, data, work.rng, settings, work.progress))
+
+
+def _verdicts(work: Work, train: Measurements, names: tuple[str, ...]) -> GateReport:
+    """Verdicts on residual models within the training rows."""
+    data = train.select(np.unique(np.linspace(0, len(train) - 1, GATE_ROWS).astype(int)))
+    start, known = work.best[1].calibration.nominal, work.aligned is None
+
+    def refit(rows: Measurements) -> ArmModel:
+        bare = identify(geometric_model(start, known), start, rows)
+        if not work.terms:
+            return bare.arm_model
+        return identify_terms(work.terms, bare, PoseObservations(rows), known).arm_model
+
+    rng = np.random.default_rng(work.choices.seed)
+    return _most_successful(judge_residuals(data, refit, rng, models=names, fitters=QUICK_FITTERS))
+
+
+def _most_successful(report: GateReport) -> GateReport:
+    """The report with the model selected that wins most on both: the blocks held out, and the inner ones.
+
+    Both lie within the training rows here, so both may rank; a model that shone on one of them by luck counts half.
+    """
+    ranked = [
+        (verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms, verdict)
+        for verdict in report.verdicts
+        if verdict.accepted and verdict.inner_rms is not None and verdict.geometric_inner_rms is not None
+    ]
+    if report.selected is None or not ranked:
+        return report
+    best = min(ranked, key=lambda pair: pair[0])[1]
+    return replace(report, selected=best.model, blocked_rms=best.blocked_rms)
+
+
+STAGES: tuple[Callable[[Work], Work], ...] = (_check, _align, _identify, _check_again, _add_terms, _learn)
+"""The stages between reading and judgement, in order."""
