@@ -10,9 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from pickenv.commands import corrections as calibrations
-from pickenv.commands import inspection, plants, reports
-from pickenv.commands import learning as agents
+import pickenv
+from pickenv.commands import corrections, inspection, learning, plants, reports
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
 from pickenv.commands.guard import INTERRUPTED, guarded
@@ -22,13 +21,22 @@ app = typer.Typer(
     name="pickenv",
     help="Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
 
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"pickenv {pickenv.__version__}")
+        raise typer.Exit
+
+
 @app.callback()
-def _front() -> None:
+def _front(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
     """Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms."""
 
 
@@ -63,7 +71,6 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
         yield report
 
 
-@app.command()
 def demo(
     out: Annotated[Path, typer.Option(help="Run folder to write.")] = Path("runs/demo"),
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
@@ -123,19 +130,23 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     console.print("wrote:", *(str(path) for path in written), sep="\n  ", highlight=False, soft_wrap=True)
 
 
-app.command()(calibrate)
-app.command("plan-poses")(calibrations.plan_poses)
-app.command()(calibrations.apply)
-app.command()(calibrations.export)
-app.command()(plants.effects)
-app.command()(plants.iso9283)
-app.command()(agents.train)
-app.command()(agents.evaluate)
-app.command()(reports.figures)
-app.command()(reports.report)
-app.command()(inspection.inspect)
-app.command()(study)
-app.command()(check)
+COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
+    "Measure and correct a robot": (calibrate, corrections.plan_poses, corrections.apply, corrections.export, check),
+    "Simulate, learn and judge": (
+        demo,
+        plants.effects,
+        plants.iso9283,
+        learning.train,
+        learning.evaluate,
+        study,
+    ),
+    "Look at what came out": (inspection.inspect, reports.figures, reports.report),
+}
+"""Commands by what they are for, in the order in which `pickenv --help` shows them."""
+
+for _purpose, _commands in COMMANDS.items():
+    for _command in _commands:
+        app.command(rich_help_panel=_purpose)(_command)
 
 
 def main() -> None:

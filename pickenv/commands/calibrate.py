@@ -39,7 +39,9 @@ def calibrate(
     terms: Annotated[
         str, typer.Option(help="Parametric terms: auto, none, or gravity, periodic, thermal joined by +.")
     ] = "auto",
-    residual: Annotated[str, typer.Option(help="Residual model: auto, none, bpnn, rbf, gp, trees or blend.")] = "auto",
+    residual: Annotated[
+        Literal["auto", "none", "bpnn", "rbf", "gp", "trees", "blend"], typer.Option(help="Residual model.")
+    ] = "auto",
     force: Annotated[
         bool, typer.Option("--force", help="Use the named residual model even if it does not win.")
     ] = False,

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import typer
 
-from pickenv.errors import InputError
 from pickenv.reservations import DO_NOT_USE, obey
 
 ARM = typer.Option(help="Arm name or arm file (.toml, .urdf).", show_default=False)
@@ -24,15 +23,16 @@ CALIBRATION = typer.Argument(help="Calibration file (.npz).", show_default=False
 def plan_poses(
     arm: Annotated[str, ARM],
     n: Annotated[int, typer.Option("--n", help="Poses to measure.", min=1)] = 30,
-    kind: Annotated[str, typer.Option(help="What will be measured: pose or position.")] = "pose",
+    kind: Annotated[Literal["pose", "position"], typer.Option(help="What will be measured.")] = "pose",
     criterion: Annotated[
-        str, typer.Option(help="d-optimal, or test-poses to be accurate at the poses of --at.")
+        Literal["d-optimal", "test-poses"], typer.Option(help="test-poses: to be accurate at the poses of --at.")
     ] = "d-optimal",
     at: Annotated[
         Path | None, typer.Option(help="CSV of joints or tool poses where accuracy matters.", show_default=False)
     ] = None,
     frames: Annotated[
-        str, typer.Option(help="fitted: base and tool will be fitted too; known: the arm's own parameters alone.")
+        Literal["fitted", "known"],
+        typer.Option(help="fitted: base and tool will be fitted too; known: the arm's own parameters alone."),
     ] = "fitted",
     candidates: Annotated[int, typer.Option(help="Poses to choose from.", min=10)] = 2000,
     seed: Annotated[int, typer.Option(help="Seed of candidates and exchange.", min=0)] = 0,
@@ -47,8 +47,6 @@ def plan_poses(
     from pickenv.files import separate, write_text
 
     separate({"--at": at, "--arm": arm}, {"--out": out, "--json": json_file})
-    if frames not in ("fitted", "known"):
-        raise InputError(f"frames is '{frames}'; give fitted or known")
     chosen = load_arm(arm)
     planned = plan(
         chosen,
@@ -75,7 +73,8 @@ def apply(
     arm: Annotated[str, ARM],
     out: Annotated[Path, typer.Option(help="Write the corrected commands (.csv).")] = Path("commands.csv"),
     frame: Annotated[
-        str, typer.Option(help="Frame of pose targets: controller, or instrument (where the calibration was measured).")
+        Literal["controller", "instrument"],
+        typer.Option(help="Frame of pose targets; instrument: where the calibration was measured."),
     ] = "controller",
     payload_kg: Annotated[float | None, typer.Option(help="Mass held, where the calibration asks for it.")] = None,
     temperature_k: Annotated[float | None, typer.Option(help="Temperature rise above the reference, likewise.")] = None,

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -22,7 +22,7 @@ NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback ca
 
 def train(
     context: typer.Context,
-    algo: Annotated[str, typer.Option(help="Algorithm: ppo, sac or tqc.")] = "ppo",
+    algo: Annotated[Literal["ppo", "sac", "tqc"], typer.Option(help="Algorithm.")] = "ppo",
     env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
     compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
     allow: Annotated[
@@ -32,7 +32,9 @@ def train(
     plant: Annotated[
         str | None, typer.Option(help="Plant preset or plant file; the environment's if left out.")
     ] = None,
-    feedback: Annotated[str, typer.Option(help="encoders or camera.")] = "encoders",
+    feedback: Annotated[
+        Literal["encoders", "camera"], typer.Option(help="What the policy sees beside its joints.")
+    ] = "encoders",
     camera_noise: Annotated[float, typer.Option(help="Noise of the camera's view of the gap, mm per axis.")] = 0.0,
     fruit_noise: Annotated[float, typer.Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
     randomise: Annotated[

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -16,12 +16,14 @@ import typer
 def study(
     config: Annotated[Path, typer.Argument(help="Study (.toml); scripts/tolerance_study.toml shows every key.")],
     quick: Annotated[bool, typer.Option("--quick", help="40 arms and 20 fruit at most.")] = False,
-    executor: Annotated[str, typer.Option(help="serial, joblib, ray or batched.")] = "joblib",
+    executor: Annotated[
+        Literal["serial", "joblib", "ray", "batched"], typer.Option(help="What computes the arms.")
+    ] = "joblib",
     workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
     address: Annotated[
         str | None, typer.Option(help="Ray cluster, host:port or ray://host:port; a local one if left out.")
     ] = None,
-    device: Annotated[str, typer.Option(help="Where batched computes: cpu or cuda.")] = "cpu",
+    device: Annotated[Literal["cpu", "cuda"], typer.Option(help="Where batched computes.")] = "cpu",
     out: Annotated[Path, typer.Option(help="Results folder; a study that it holds already goes on.")] = Path(
         "runs/study"
     ),

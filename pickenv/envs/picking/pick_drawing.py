@@ -61,5 +61,3 @@ def draw_pick(plant: Plant, target: Array, command: Array, tool: Array, scene: P
     canopy.set_title(f"{funnel['collected']} collected whole of {funnel['reachable']} in reach")
     figure.legend(*canopy.get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=7)
     return figure
-
-
