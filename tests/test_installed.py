@@ -48,7 +48,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     if tried.returncode:
         pytest.skip(f"no package index to take hatchling from: {tried.stderr.strip().splitlines()[-1]}")
-    code = f"import sys; sys.path.insert(0, {str(folder / 'hatchling')!r}); from hatchling.cli import hatchling as go; go()"
+    tools = str(folder / "hatchling")
+    code = f"import sys; sys.path.insert(0, {tools!r}); import hatchling.cli; hatchling.cli.hatchling()"
     run(sys.executable, "-c", code, "build", "-d", folder / "dist", cwd=ROOT)
     return folder
 
