@@ -163,7 +163,11 @@ def _run() -> Any:
     except Exception as error:  # typer carries its own copy of click, so usage errors are known by what they offer
         if not hasattr(error, "exit_code") or not hasattr(error, "show"):
             raise
-        error.show()
+        if type(error).__name__ == "NoArgsIsHelpError":
+            error.show()
+        else:
+            said = " ".join(str(error.format_message()).replace("Value error, ", "").split())
+            print(f"error: {said} See `pickenv --help`.", file=sys.stderr)
         return error.exit_code
     if code == INTERRUPTED:  # typer turns Ctrl-C into this return value
         raise KeyboardInterrupt

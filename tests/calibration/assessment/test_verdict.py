@@ -208,12 +208,12 @@ def test_a_coefficient_counts_as_measured_only_where_the_data_know_it_twice_as_w
 
 
 def test_a_model_that_does_not_converge_is_never_chosen(dynamic, monkeypatch):
-    from pickenv.calibration.pipeline import held_out
+    from pickenv.calibration.pipeline import stages
 
     rng = np.random.default_rng(2)
     train, test = (simulated_tracker(dynamic, random_joints(dynamic.geometry, n, rng), rng) for n in (80, 30))
-    whole = held_out.identify_terms
-    monkeypatch.setattr(held_out, "identify_terms", lambda *a: replace(whole(*a), converged=False))
+    whole = stages.identify_terms
+    monkeypatch.setattr(stages, "identify_terms", lambda *a: replace(whole(*a), converged=False))
     choices = Choices(terms="gravity", residual="none")
     result = calibrate(dynamic.arm, PoseObservations(train), test=PoseObservations(test), choices=choices)
     assert result.best_model == "geometry" and result.fit.identification.converged

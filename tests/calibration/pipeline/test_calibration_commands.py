@@ -1,23 +1,18 @@
 """The commands around a calibration, as people call them: plan-poses, apply, export and the report page."""
 
 import json
+import re
 
 import numpy as np
 import pytest
-import typer
 from typer.testing import CliRunner
 
 from pickenv.arm import load_arm
 from pickenv.calibration import BpnnSettings, fit, random_joints, simulated_tracker
 from pickenv.calibration.pipeline.result import assess
-from pickenv.commands import corrections as calibrations
+from pickenv.cli import app
 from pickenv.errors import InputError
 from pickenv.inspect.reports.calibration_report import write_calibration_report
-
-app = typer.Typer()
-app.command("plan-poses")(calibrations.plan_poses)
-app.command()(calibrations.apply)
-app.command()(calibrations.export)
 
 
 def call(*words, code=0):
@@ -53,8 +48,8 @@ def test_poses_are_planned_and_written(folder):
 def test_poses_are_planned_for_targets(folder):
     words = ("--criterion", "test-poses", "--at", folder / "targets.csv", "--kind", "position", "--frames", "known")
     assert "error to expect at the test poses" in call("plan-poses", "--arm", "qiao2026", "--n", 20, *words)
-    with pytest.raises(InputError, match="frames is 'lost'"):
-        call("plan-poses", "--arm", "qiao2026", "--frames", "lost")
+    refused = CliRunner().invoke(app, ["plan-poses", "--arm", "qiao2026", "--frames", "lost"])
+    assert refused.exit_code == 2 and "'lost' is not one of 'fitted', 'known'" in re.sub(r"[\s│]+", " ", refused.output)
 
 
 def test_targets_become_commands(folder):
