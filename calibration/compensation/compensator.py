@@ -20,18 +20,9 @@ from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgelss
 
 from pickenv.arm import Geometry, displace_pose, forward
-from pickenv.arm.kinematics.forward import (
-    Chain,
-    Frame,
-    Scalar,
-    attach,
-    chain_of,
-    frames,
-    split_joints,
-    tool_frame,
-    turn_between,
-)
+from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, attach, chain_of, frames, split_joints, tool_frame
 from pickenv.arm.kinematics.geometry import Array, Pose
+from pickenv.arm.kinematics.pose_error import frame_error
 from pickenv.arm.kinematics.task_space import RANK_TOLERANCE
 from pickenv.calibration.compensation.truncated_solve import TruncatedSolver
 from pickenv.errors import InputError
@@ -144,7 +135,7 @@ def corrected(
         tool = attach(links[-1], identified.tool)
         columns = _jacobian_columns(nominal, links, tool)
         solve = solve or _solver(m, columns)
-        error = error_components(m, tool, wanted)
+        error = frame_error(m, tool, wanted)
         if residual is not None:
             if learnt is None:
                 learnt = residual(_moved(m, command, solve(error, columns), limits))
@@ -199,30 +190,3 @@ def _truncated_step(inverse: Array, error: Sequence[float], columns: Sequence[Se
     """`TruncatedSolver.solve` for one pose, without the overhead of many."""
     step: list[float] = (inverse @ (np.array(columns) @ error)).tolist()
     return step
-
-
-def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
-    """A frame moved by a pose error of six components: `pickenv.arm.displace_pose`, by Rodrigues' formula."""
-    dx, dy, dz, wx, wy, wz = error
-    square = wx * wx + wy * wy + wz * wz + 1e-40
-    angle = m.sqrt(square)
-    first, half = m.sin(angle) / angle, m.sin(0.5 * angle)
-    second = 2.0 * half * half / square
-    turned: list[Scalar] = []
-    for i in (0, 3, 6):
-        x, y, z = frame[i : i + 3]
-        along = second * (wx * x + wy * y + wz * z)
-        turned.append(x + first * (wy * z - wz * y) + wx * along - second * square * x)
-        turned.append(y + first * (wz * x - wx * z) + wy * along - second * square * y)
-        turned.append(z + first * (wx * y - wy * x) + wz * along - second * square * z)
-    return (*turned, frame[9] + dx, frame[10] + dy, frame[11] + dz)
-
-
-def error_components(m: ModuleType, reference: Frame, actual: Frame) -> list[Scalar]:
-    """`pickenv.arm.kinematics.pose_error` on components; errors of half a turn do not occur in a calibration."""
-    apx, apy, apz = actual[9:]
-    bpx, bpy, bpz = reference[9:]
-    sx, sy, sz, cosine = turn_between(reference, actual)
-    sine = m.sqrt(sx * sx + sy * sy + sz * sz + 1e-40)
-    scale = m.atan2(sine, cosine) / sine
-    return [apx - bpx, apy - bpy, apz - bpz, scale * sx, scale * sy, scale * sz]

@@ -20,9 +20,10 @@ from torch import Tensor
 
 from pickenv.arm.kinematics.forward import Frame, chain_of, tool_frame
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.kinematics.pose_error import frame_error
 from pickenv.arm.plant.plant import Plant, placed_chain
 from pickenv.arm.plant.plant_batch import plant_at, plants_on
-from pickenv.calibration.compensation.compensator import Compensator, corrected, error_components
+from pickenv.calibration.compensation.compensator import Compensator, corrected
 from pickenv.errors import InputError
 from pickenv.study.design.config import RAW, Setting
 from pickenv.study.design.protocol import TRACKER, Protocol, carrying
@@ -117,7 +118,7 @@ def _outcomes(
         if key not in known:
             known[key] = _commands(protocol, setting, placed, noise, wanted, place)
         given = known[key]
-        error = error_components(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, given.joints))
+        error = frame_error(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, given.joints))
         position, attitude = (_norms(part, len(arms)) for part in (error[:3], error[3:]))
         status = [reach_status(int(missed), protocol.config) for missed in given.missed]
         steps = given.steps.tolist()

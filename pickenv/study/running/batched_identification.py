@@ -18,8 +18,8 @@ from torch import Tensor
 
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, attach, chain_of, frames
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
+from pickenv.arm.kinematics.pose_error import displaced_frame, frame_error
 from pickenv.arm.plant.plant import Plant, placed_chain
-from pickenv.calibration.compensation.compensator import displaced_frame, error_components
 from pickenv.calibration.identification.least_squares import OFFSET, identify
 from pickenv.calibration.model.error_model import ErrorModel, row_weights
 from pickenv.study.design.config import Setting
@@ -129,7 +129,7 @@ def _links(chain: Chain, tracker: _Tracker) -> tuple[list[Frame], Frame]:
 
 def _residual(tracker: _Tracker, tool: Frame, measured: Frame) -> Tensor:
     """Whitened differences ``(N, 6P)`` of measured and predicted poses."""
-    error = torch.stack(error_components(torch, tool, measured))
+    error = torch.stack(frame_error(torch, tool, measured))
     return (error * tracker.weights[:, None, None]).permute(2, 0, 1).flatten(1)
 
 
