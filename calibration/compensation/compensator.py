@@ -17,13 +17,14 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dgelss
 
 from pickenv.arm import Geometry, displace_pose, forward
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, attach, chain_of, frames, split_joints, tool_frame
+from pickenv.arm.kinematics.backend import clipped
+from pickenv.arm.kinematics.forward import Chain, Scalar, attach, chain_of, frames, split_joints, tool_frame
 from pickenv.arm.kinematics.geometry import Array, Pose
+from pickenv.arm.kinematics.jacobians import joint_columns
 from pickenv.arm.kinematics.pose_error import frame_error
-from pickenv.arm.kinematics.task_space import RANK_TOLERANCE
+from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.calibration.compensation.truncated_solve import TruncatedSolver
 from pickenv.errors import InputError
 
@@ -133,7 +134,7 @@ def corrected(
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
-        columns = _jacobian_columns(nominal, links, tool)
+        columns = joint_columns(nominal, links, tool)
         solve = solve or _solver(m, columns)
         error = frame_error(m, tool, wanted)
         if residual is not None:
@@ -148,8 +149,7 @@ def _moved(
     m: ModuleType, joints: Sequence[Scalar], step: Sequence[Scalar], limits: Sequence[tuple[float, float]]
 ) -> list[Scalar]:
     """Joints after a step, within their limits."""
-    moved = [(q + dq, low, high) for q, dq, (low, high) in zip(joints, step, limits, strict=True)]
-    return [min(max(q, low), high) if m is math else m.clip(q, low, high) for q, low, high in moved]
+    return [clipped(m, q + dq, low, high) for q, dq, (low, high) in zip(joints, step, limits, strict=True)]
 
 
 Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
@@ -157,36 +157,13 @@ Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
 
 def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
     """What turns pose errors into the joint steps that remove them, for a Jacobian with these columns or like it."""
-    return partial(_truncated_step, _truncated_gram(columns)) if m is math else TruncatedSolver(columns, m=m).solve
-
-
-def _jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[list[Scalar]]:
-    """Columns of the joint Jacobian, six components each: position (m) and rotation vector (rad) in world axes."""
-    columns: list[list[Scalar]] = []
-    px, py, pz = tool[9:12]
-    for prismatic, link in zip(geometry.slides, links[1:], strict=True):
-        zx, zy, zz, ox, oy, oz = link[6:12]
-        if prismatic:
-            columns.append([zx, zy, zz, 0.0, 0.0, 0.0])
-        else:
-            rx, ry, rz = px - ox, py - oy, pz - oz
-            columns.append([zy * rz - zz * ry, zz * rx - zx * rz, zx * ry - zy * rx, zx, zy, zz])
-    if geometry.coupling is None:
-        return columns
-    gathered = [[0.0] * 6 for _ in range(geometry.joints)]
-    for joint, ratio, column in zip(geometry.coupling.joint, geometry.coupling.ratio, columns, strict=True):
-        gathered[joint] = [total + ratio * part for total, part in zip(gathered[joint], column, strict=True)]
-    return gathered
-
-
-def _truncated_gram(columns: Sequence[Sequence[float]]) -> Array:
-    """The pseudo-inverse ``(n, n)`` of J^T J, truncated as `pickenv.arm.kinematics.task_space.truncated_inverse` truncates that of J."""
-    n = len(columns)
-    inverse = dgelss(np.array(columns).T, np.eye(max(n, 6), 6), cond=RANK_TOLERANCE)[1][:n]
-    return np.asarray(inverse @ inverse.T)
+    if m is not math:
+        return TruncatedSolver(columns, m=m).solve
+    inverse = truncated_inverse(np.array(columns).T)
+    return partial(_truncated_step, inverse @ inverse.T)
 
 
 def _truncated_step(inverse: Array, error: Sequence[float], columns: Sequence[Sequence[float]]) -> list[float]:
-    """`TruncatedSolver.solve` for one pose, without the overhead of many."""
+    """`TruncatedSolver.solve` for one pose, given the truncated inverse of J^T J."""
     step: list[float] = (inverse @ (np.array(columns) @ error)).tolist()
     return step

@@ -17,7 +17,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import LENGTH_TOLERANCE, ErrorModel
 from pickenv.calibration.model.gauge import identifiable_parameters
-from pickenv.calibration.model.identifiability import RANK_TOLERANCE, Identifiability, identifiability
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability, identifiability
 from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.observations import Observations, PoseObservations
 from pickenv.errors import InputError
@@ -115,7 +115,7 @@ def identify(
     *,
     max_iterations: int = 20,
     row_factors: Array | None = None,
-    rank_tolerance: float = RANK_TOLERANCE,
+    rank_tolerance: float = REDUNDANCY_TOLERANCE,
 ) -> Identification:
     """Identify the model's parameters by rank-aware, weighted Gauss-Newton.
 
@@ -126,7 +126,7 @@ def identify(
         data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
         max_iterations: Steps at most; three or four are usual.
         row_factors: Factors on the whitened rows ``(rows,)``, in the order of the data; for robust weights.
-        rank_tolerance: What counts as redundant, see `pickenv.calibration.model.identifiability.RANK_TOLERANCE`.
+        rank_tolerance: What counts as redundant, see `pickenv.calibration.model.identifiability.REDUNDANCY_TOLERANCE`.
 
     Returns:
         The identification; ``converged`` is False if the last step was not negligible.
@@ -147,7 +147,7 @@ def identify_surely(
         InputError: As `identify`, or if it does not converge even so.
     """
     for factor in (1.0, 3.0, 10.0):
-        found = identify(model, start, data, max_iterations=60, rank_tolerance=factor * RANK_TOLERANCE)
+        found = identify(model, start, data, max_iterations=60, rank_tolerance=factor * REDUNDANCY_TOLERANCE)
         if found.converged:
             return found
     raise InputError(

@@ -16,8 +16,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, attach, chain_of, frames
+from pickenv.arm.kinematics.forward import Chain, Frame, attach, chain_of, frames
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
+from pickenv.arm.kinematics.jacobians import link_column
 from pickenv.arm.kinematics.pose_error import displaced_frame, frame_error
 from pickenv.arm.plant.plant import Plant, placed_chain
 from pickenv.calibration.identification.least_squares import OFFSET, identify
@@ -134,25 +135,13 @@ def _residual(tracker: _Tracker, tool: Frame, measured: Frame) -> Tensor:
 
 
 def _jacobian(nominal: Geometry, tracker: _Tracker, links: Sequence[Frame], tool: Frame) -> Tensor:
-    """Whitened derivatives ``(N, 6P, K)`` by the identifiable parameters, in tolerances; one for all arms if N is 1.
-
-    `pickenv.arm.parameter_jacobian` in components.
-    """
+    """Whitened derivatives ``(N, 6P, K)`` by the identifiable parameters, in tolerances; one for all arms if N is 1."""
     model = tracker.model
     shape = torch.broadcast_shapes(*(value.shape for value in tool[9:]))
     columns = torch.zeros((6, *shape, len(model.columns)), dtype=torch.float64, device=tracker.weights.device)
     for k, column in enumerate(model.columns.tolist()):
         kind, joint = divmod(column, nominal.joints)
-        # alpha and a move along the x axis of the frame before the link, theta and d along the z axis of its own.
-        frame, axis = (
-            (links[joint], slice(0, 3)) if LINK_PARAMETERS[kind] in ("alpha", "a") else (links[joint + 1], slice(6, 9))
-        )
-        x, y, z = frame[axis]
-        if LINK_PARAMETERS[kind] in ("a", "d"):
-            derivative: Sequence[Scalar] = (x, y, z)
-        else:
-            u, v, w = (at - origin for at, origin in zip(tool[9:], frame[9:], strict=True))
-            derivative = (y * w - z * v, z * u - x * w, x * v - y * u, x, y, z)
+        derivative = link_column(LINK_PARAMETERS[kind], links[joint], links[joint + 1], tool[9:], ())
         for row, value in enumerate(derivative):
             columns[row, ..., k] = value
     scaled = columns * tracker.weights[:, None, None, None] * torch.as_tensor(model.tolerance).to(columns)

@@ -12,7 +12,7 @@ from pickenv.calibration import Measurements, complete_model, identify, link_mod
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import describe_absorption, identify_surely, is_angle
 from pickenv.calibration.model.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
-from pickenv.calibration.model.identifiability import RANK_TOLERANCE
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
 from pickenv.errors import InputError
 
 PAPER_DROPS = {"a2", "a3", "a5", "d3", "d4", "theta2", "d6"}
@@ -227,7 +227,7 @@ def test_what_wanders_is_identified_again_with_fewer_and_fewer_parameters(qiao, 
     found = identify(link_model(qiao.nominal), qiao.nominal, data)
 
     def wandering(*_, rank_tolerance, **__):
-        asked.append(rank_tolerance / RANK_TOLERANCE)
+        asked.append(rank_tolerance / REDUNDANCY_TOLERANCE)
         return replace(found, converged=len(asked) > settles)
 
     monkeypatch.setattr(least_squares, "identify", wandering)
