@@ -31,7 +31,6 @@ from pickenv.calibration import (
     random_joints,
     simulated_tracker,
 )
-from pickenv.calibration.model.error_model import residual
 from pickenv.calibration.pipeline.result import assess
 from pickenv.calibration.pipeline.uncertainty import held_out_errors, pose_uncertainty
 from pickenv.files import write_text
@@ -140,7 +139,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     )
     calibration = fitted.calibration
     assert calibration.learnt is not None
-    r2 = held_out_r2(residual(calibration.identified, test), calibration.learnt.predict(test.joints))
+    r2 = held_out_r2(test.difference(calibration.identified), calibration.learnt.predict(test.joints))
     compensators: dict[str, Compensator | None] = {
         "raw": None,
         "ls": calibration.compensator(with_residual=False),

@@ -136,7 +136,7 @@ def corrected(
         tool = attach(links[-1], identified.tool)
         columns = joint_columns(nominal, links, tool)
         solve = solve or _solver(m, columns)
-        error = frame_error(m, tool, wanted)
+        error: Sequence[Scalar] = frame_error(m, tool, wanted)
         if residual is not None:
             if learnt is None:
                 learnt = residual(_moved(m, command, solve(error, columns), limits))

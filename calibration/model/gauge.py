@@ -15,14 +15,14 @@ from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ErrorModel
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Dropped, Identifiability, identifiability
-from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.observations import Equations
 
 BASE = tuple(f"base_{name}" for name in FRAME_PARAMETERS)
 
 
 def identifiable_parameters(
     model: ErrorModel,
-    sets: Sequence[Observations],
+    sets: Sequence[Equations],
     arm: ArmModel,
     unknowns: Sequence[Array],
     matrix: Array,

@@ -16,7 +16,6 @@ from pickenv.calibration.identification.least_squares import Identification, ide
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import frames_model, geometric_model, with_terms
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import PoseObservations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, LearntResidual, fit_residual
@@ -114,7 +113,7 @@ def _learn(
     progress: Callable[[int, int], None] | None,
 ) -> LearntResidual:
     """A model of what the identified arm leaves (eq (17)); recorded conditions are inputs beside the joints."""
-    targets = PoseObservations(measurements).difference(found.arm_model)
+    targets = measurements.difference(found.arm_model)
     fitter = None
     if kind == "bpnn":
         chosen = settings or BpnnSettings()

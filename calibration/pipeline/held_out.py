@@ -16,13 +16,13 @@ from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.diagnosis import checked_rows, refuse_lost, refuse_misses
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.identification.rows import misses, unknowns_of
+from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.coverage import pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Frames, Measurements
-from pickenv.calibration.model.observations import Observations, PoseObservations
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.pipeline.fitting import Fit, fit
 from pickenv.calibration.pipeline.other_kinds import fit_kind
 from pickenv.calibration.pipeline.result import Result, assess
@@ -69,12 +69,12 @@ def judge(arm: Arm, train: Observations, test: Observations, choices: Choices | 
             unknown, or an option does not apply to this kind of measurement.
     """
     choices = choices or Choices()
-    if isinstance(train, PoseObservations) and isinstance(test, PoseObservations):
-        return _judge_poses(arm, train.measurements, test.measurements, choices)
+    if isinstance(train, Measurements) and isinstance(test, Measurements):
+        return _judge_poses(arm, train, test, choices)
     _refuse_options(train, choices)
     geometric = fit_kind(arm, train)
     found = geometric.identification
-    missed = [misses(part, found.arm_model, unknowns_of(found, train)) for part in (train, test)]
+    missed = [part.misses(found.arm_model, unknowns_of(found, train)) for part in (train, test)]
     refuse_misses(train, test, (missed[0], missed[1]))
     chosen = _chosen_terms(arm, train, geometric, choices)
     name, best, _ = _with_terms(geometric, chosen.chosen if chosen else choices.terms, arm, train)
@@ -126,9 +126,8 @@ def _judge_poses(arm: Arm, train: Measurements, test: Measurements, choices: Cho
     start = geometric.calibration.nominal
     coverage = pose_coverage(geometric_model(start, known), start, train)
     refuse_lost(coverage, start, train)
-    data = PoseObservations(train)
-    chosen = _chosen_terms(arm, data, geometric, choices)
-    name, best, terms = _with_terms(geometric, chosen.chosen if chosen else choices.terms, arm, data)
+    chosen = _chosen_terms(arm, train, geometric, choices)
+    name, best, terms = _with_terms(geometric, chosen.chosen if chosen else choices.terms, arm, train)
     steps = {} if best is geometric else {name: best}
     gate, selected = _gate(train, best, terms, choices)
     if selected is not None:
@@ -137,8 +136,8 @@ def _judge_poses(arm: Arm, train: Measurements, test: Measurements, choices: Cho
     return assess(
         arm,
         best,
-        PoseObservations(train),
-        PoseObservations(test),
+        train,
+        test,
         geometric=geometric,
         steps=steps,
         terms=chosen,
@@ -164,7 +163,7 @@ def _gate(
 
     def refit(rows: Measurements) -> ArmModel:
         bare = identify(geometric_model(start, known), start, rows)
-        return identify_terms(terms, bare, PoseObservations(rows), known).arm_model if terms else bare.arm_model
+        return identify_terms(terms, bare, rows, known).arm_model if terms else bare.arm_model
 
     report = judge_residuals(data, refit, np.random.default_rng(choices.seed), models=names, fitters=quick_fitters())
     report = surest(report)
@@ -203,7 +202,7 @@ def quick_fitters() -> dict[str, Fitter]:
 
 def _with_residual(best: Fit, train: Measurements, name: str, seed: int) -> Fit:
     """The calibration with a residual model learnt from all training rows."""
-    left = PoseObservations(train).difference(best.calibration.model)
+    left = train.difference(best.calibration.model)
     learnt = fit_residual(
         name,
         train.joints,

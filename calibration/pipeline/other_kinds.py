@@ -7,7 +7,7 @@ import numpy as np
 from pickenv.arm import Arm, Geometry, forward
 from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_surely
-from pickenv.calibration.identification.rows import misses, unknowns_of
+from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import complete_model, frames_model
 from pickenv.calibration.model.measurements import Measurements
@@ -61,7 +61,7 @@ def starting_geometry(arm: Arm, observations: Observations) -> Geometry:
 
 def _refuse_misfit(framed: Identification, observations: Observations) -> None:
     """Refuse wires and sockets that even after the frames' fit miss by a large share of what they span."""
-    left = misses(observations, framed.arm_model, unknowns_of(framed, observations))
+    left = observations.misses(framed.arm_model, unknowns_of(framed, observations))
     rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
     tool = forward(framed.geometry, observations.joints).position
     span = float(np.linalg.norm(tool.std(axis=0)))

@@ -63,8 +63,8 @@ def calibrate(
     import numpy as np
 
     from pickenv.arm import load_arm
-    from pickenv.calibration.identification.rows import choose, select
-    from pickenv.calibration.model.observations import PoseObservations
+    from pickenv.calibration.identification.rows import choose
+    from pickenv.calibration.model.measurements import Measurements
     from pickenv.calibration.pipeline.held_out import Choices, judge
     from pickenv.calibration.reading.read import read_observations
     from pickenv.files import separate, write_text
@@ -81,9 +81,9 @@ def calibrate(
         held_out = read_observations(test, chosen.nominal, columns).observations
     else:
         train_rows, held_rows = choose(train, split, test_rows, np.random.default_rng(seed))
-        train, held_out = select(train, np.sort(train_rows)), select(train, np.sort(held_rows))
+        train, held_out = train.select(np.sort(train_rows)), train.select(np.sort(held_rows))
     for option, path in (("--report", report), ("--run", run)):
-        if path is not None and not (isinstance(train, PoseObservations) and isinstance(held_out, PoseObservations)):
+        if path is not None and not (isinstance(train, Measurements) and isinstance(held_out, Measurements)):
             raise InputError(f"{option} shows poses and positions, but {train.source} holds {train.kind}; leave it out")
     choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed, frames=frames)
     result = replace(judge(chosen, train, held_out, choices), floor=reading.floor, unit=unit)
@@ -108,20 +108,18 @@ def calibrate(
 
 def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
-    from pickenv.calibration.model.observations import PoseObservations
+    from pickenv.calibration.model.measurements import Measurements
     from pickenv.files import write_text
     from pickenv.inspect.reports.calibration_report import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_trace
 
-    assert isinstance(result.train, PoseObservations) and isinstance(result.test, PoseObservations)
+    assert isinstance(result.train, Measurements) and isinstance(result.test, Measurements)
     stages = list(result.errors.values())
     errors = {"nominal": stages[0], "calibrated": stages[1]}
     if len(stages) > 2:
         errors[result.best_model] = stages[-1]
-    trace = trace_of(
-        result.fit, {"identification": result.train.measurements, "test": result.test.measurements}, errors
-    )
+    trace = trace_of(result.fit, {"identification": result.train, "test": result.test}, errors)
     with recorded_run(folder, "calibration", command, seed):
         return [
             result.calibration.save(folder / "calibration"),

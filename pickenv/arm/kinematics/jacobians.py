@@ -97,8 +97,9 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
         tool[component] = value
     jacobian = np.zeros((6, 5 * n + 12, *shape))
     twist = [_per_link(values, shape) for values in (np.cos(geometry.alpha), np.sin(geometry.alpha), geometry.a)]
+    before, after, origin = tuple(links[:, :-1]), tuple(links[:, 1:]), tuple(tool)
     for k, kind in enumerate(LINK_PARAMETERS):
-        for row, value in enumerate(link_column(kind, links[:, :-1], links[:, 1:], tool, twist)):
+        for row, value in enumerate(link_column(kind, before, after, origin, twist)):
             jacobian[row, k * n : (k + 1) * n] = value
     position, turn = jacobian[:3], jacobian[3:]
     base, hand = 5 * n, 5 * n + 6

@@ -119,7 +119,7 @@ def displace_pose(pose: Pose, error: ArrayLike) -> Pose:
     if pose.position.ndim == error.ndim == 1:
         moved = np.array(displaced_frame(math, frame_of(pose), error.tolist()))
         return Pose(moved[9:], moved[:9].reshape(3, 3).T)
-    return pose_of(displaced_frame(np, _components(pose), np.ascontiguousarray(np.moveaxis(error, -1, 0))))
+    return pose_of(displaced_frame(np, _components(pose), list(np.ascontiguousarray(np.moveaxis(error, -1, 0)))))
 
 
 def _components(pose: Pose) -> Frame:

@@ -21,8 +21,8 @@ from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.kinematics.jacobians import link_column
 from pickenv.arm.kinematics.pose_error import displaced_frame, frame_error
 from pickenv.arm.plant.plant import Plant, placed_chain
-from pickenv.calibration.identification.least_squares import OFFSET, identify
-from pickenv.calibration.model.error_model import ErrorModel, row_weights
+from pickenv.calibration.identification.least_squares import identify, judged_step
+from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.study.design.config import Setting
 from pickenv.study.design.protocol import Protocol, seen_by
 
@@ -95,13 +95,8 @@ def identify_batch(
         moved_weighted = _residual(tracker, tool, measured)
         rms = _rms(moved_weighted)
         # From here on as in `pickenv.calibration.identification.least_squares`, arm by arm; what it would shorten is left to it.
-        rows, parameters = weighted.shape[1], step.shape[1]
-        scatter = (weighted**2).sum(1) / max(rows - parameters, 1)
-        offset = ((matrix @ step[:, :, None])[..., 0] ** 2).sum(1) / (parameters * scatter.clip(min=1e-300))
-        negligible = (step.abs().amax(1) < 1e-5) | (offset < OFFSET**2)
-        better = rms <= history * (1 + 1e-9)  # not so where it is NaN
+        _, negligible, better, finished = judged_step(step, (matrix @ step[:, :, None])[..., 0], weighted, history, rms)
         accepted = running & sound & better
-        finished = negligible | (history - rms < 1e-7 * rms)
         converged |= running & sound & torch.where(better, finished, negligible)
         steps += accepted
         geometry = _chosen(accepted.cpu().numpy(), moved, geometry)
@@ -119,7 +114,7 @@ def _tracker(protocol: Protocol, setting: Setting, place: Place) -> _Tracker:
     kept = identify(model, protocol.nominal, reference, max_iterations=1).identifiability.kept
     identifiable = ErrorModel(model.columns[kept], tuple(model.names[k] for k in kept), model.tolerance[kept])
     joints = [place(column[:, None].copy()) for column in reference.joints.T]
-    return _Tracker(joints, place(row_weights(reference)), identifiable)
+    return _Tracker(joints, place(reference.row_weights), identifiable)
 
 
 def _links(chain: Chain, tracker: _Tracker) -> tuple[list[Frame], Frame]:
