@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,10 @@ PACKAGES = ("pickenv", "calibration", "agents")
 """The packages whose code makes numbers; they are installed side by side."""
 
 
-def versions() -> dict[str, str]:
-    """Versions of what computed the numbers."""
-    return {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
+def versions(*packages: str) -> dict[str, str]:
+    """Versions of what computed the numbers: pickenv, NumPy, Python and the named packages."""
+    found = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    return found | {name: version(name) for name in packages}
 
 
 @cache

@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("pickenv", "calibration", "agents")
 
 GROUND = (
+    "pickenv.bootstrap",
     "pickenv.files",
     "pickenv.limits",
     "pickenv.locks",

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -19,6 +17,7 @@ from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, LearntResidual, fit_residual
+from pickenv.provenance import versions
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +97,7 @@ def fit(
         "rank": found.identifiability.rank,
         "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
         "residual": trained,
-        "versions": _versions("torch", "scikit-learn") if trained else _versions(),
+        "versions": versions("scipy", *(("torch", "scikit-learn") if trained else ())),
     }
     calibration = Calibration(arm.name, arm.nominal, nominal, found.arm_model, learnt, record)
     return Fit(calibration, found, aligned)
@@ -139,14 +138,3 @@ def _generator_state(rng: np.random.Generator) -> Any:
         return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
     return plain(rng.bit_generator.state)
-
-
-def _versions(*more: str) -> dict[str, str]:
-    """Versions of what computed the calibration."""
-    found = {"python": platform.python_version()}
-    for name in ("pickenv", "numpy", "scipy", *more):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:  # a checkout that was never installed
-            found[name] = "not installed"
-    return found

@@ -6,8 +6,7 @@ squares does not run straight to its minimum are handed to it. Components are ``
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -30,6 +29,7 @@ from pickenv.study.design.protocol import TRACKER, Protocol, carrying
 from pickenv.study.results.outcomes import Outcomes, chunk_table, reach_status
 from pickenv.study.running.arm_by_arm import evaluate_arm
 from pickenv.study.running.batched_identification import Place, identify_batch
+from pickenv.threads import torch_on_one_thread
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
 """Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""
@@ -58,7 +58,7 @@ def evaluate_batch(protocol: Protocol, chunk: int, device: str = "cpu") -> pa.Ta
     arms = protocol.config.arms_of(chunk)
     size = max(1, BLOCKS[device] // max(protocol.config.fruit, len(protocol.poses)))
     blocks = [range(first, min(first + size, arms.stop)) for first in range(arms.start, arms.stop, size)]
-    with _one_thread():
+    with torch_on_one_thread():
         return pa.concat_tables([_evaluate_block(protocol, block, place) for block in blocks])
 
 
@@ -67,7 +67,7 @@ def judge_ideally(protocol: Protocol, setting: Setting, plants: Plant) -> Outcom
     place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
     count = len(plants.geometry.alpha)
     noise = np.zeros((count, setting.poses, 6)) if setting.poses else None
-    with _one_thread():
+    with torch_on_one_thread():
         (found,) = _outcomes(protocol, [setting], plants, range(count), noise, place)
     return found
 
@@ -82,17 +82,6 @@ def check_device(device: str) -> None:
         raise InputError(f"unknown device '{device}'; give one of {', '.join(BLOCKS)}")
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch sees no CUDA device on this machine; give --device cpu")
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Blocks are too small to be shared between cores; whole chunks are (``--workers``)."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _evaluate_block(protocol: Protocol, arms: range, place: Place) -> pa.Table:
