@@ -1,7 +1,7 @@
-"""What the simulation asks of Python floats, NumPy arrays and torch tensors beside sin, cos and sqrt.
+"""The arithmetic that the simulation runs on: Python floats, NumPy arrays or torch tensors.
 
-An executor bundles the namespace that kinematics runs on with the few operations that the three spell differently, and
-with 64-bit integer arithmetic modulo 2^64 for the random streams. torch is imported when its executor is asked for.
+An executor bundles the namespace of kinematics (`pickenv.arm.kinematics.backend` has what the three spell differently) with
+64-bit integers modulo 2^64 for the random streams. torch is imported when its executor is asked for.
 """
 
 from __future__ import annotations
