@@ -21,7 +21,6 @@ from pickenv.calibration.model.measurements import Measurements, random_joints, 
 from pickenv.calibration.model.observations import (
     DistanceObservations,
     Observations,
-    PoseObservations,
     ReflectorObservations,
     SocketObservations,
 )
@@ -50,7 +49,6 @@ __all__ = [
     "Identification",
     "Measurements",
     "Observations",
-    "PoseObservations",
     "ReflectorObservations",
     "Result",
     "SocketObservations",

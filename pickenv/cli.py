@@ -166,7 +166,8 @@ def _run() -> Any:
         if type(error).__name__ == "NoArgsIsHelpError":
             error.show()
         else:
-            said = " ".join(str(error.format_message()).replace("Value error, ", "").split())
+            usage: Any = error
+            said = " ".join(str(usage.format_message()).replace("Value error, ", "").split())
             print(f"error: {said} See `pickenv --help`.", file=sys.stderr)
         return error.exit_code
     if code == INTERRUPTED:  # typer turns Ctrl-C into this return value

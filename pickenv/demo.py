@@ -32,7 +32,6 @@ from pickenv.calibration import (
     random_joints,
     simulated_tracker,
 )
-from pickenv.calibration.model.error_model import residual
 from pickenv.files import write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
@@ -144,7 +143,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     )
     calibration = result.calibration
     assert calibration.learnt is not None
-    r2 = held_out_r2(residual(calibration.identified, test), calibration.learnt.predict(test.joints))
+    r2 = held_out_r2(test.difference(calibration.identified), calibration.learnt.predict(test.joints))
     compensators: dict[str, Compensator | None] = {
         "raw": None,
         "ls": calibration.compensator(with_residual=False),

@@ -6,6 +6,7 @@ import hashlib
 import os
 import platform
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,10 @@ import numpy as np
 import pickenv
 
 
-def versions() -> dict[str, str]:
-    """Versions of what computed the numbers."""
-    return {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
+def versions(*packages: str) -> dict[str, str]:
+    """Versions of what computed the numbers: pickenv, NumPy, Python and the named packages."""
+    found = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    return found | {name: version(name) for name in packages}
 
 
 @cache

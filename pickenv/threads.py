@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from functools import lru_cache
 from typing import Any
 
@@ -18,3 +19,16 @@ def single_threaded() -> AbstractContextManager[Any]:
     """A context in which NumPy's linear algebra runs on one thread."""
     context: AbstractContextManager[Any] = _controller().limit(limits=1, user_api="blas")
     return context
+
+
+@contextmanager
+def torch_on_one_thread() -> Iterator[None]:
+    """Torch on one thread: small networks and blocks lose time to more, and one adds in one order."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

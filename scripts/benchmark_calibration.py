@@ -37,7 +37,6 @@ from pickenv.arm.files.urdf import urdf_text
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import Measurements, align, complete_model, frames_model, identify, read_measurements
 from pickenv.calibration.identification.least_squares import Identification
-from pickenv.calibration.model.error_model import residual, row_weights
 from pickenv.calibration.model.splits import random_split
 from pickenv.errors import InputError
 from pickenv.files import write_text
@@ -112,7 +111,9 @@ def read_task(data: Path, seed: int) -> Task:
 
 def accuracy(geometry: Geometry, task: Task) -> dict[str, float]:
     """Errors on the rows that the fit has not seen, mm."""
-    held_out, random = (np.linalg.norm(residual(geometry, rows), axis=1) * 1e3 for rows in (task.held_out, task.random))
+    held_out, random = (
+        np.linalg.norm(rows.difference(geometry), axis=1) * 1e3 for rows in (task.held_out, task.random)
+    )
     return {"held_out_rms_mm": float(np.sqrt(np.mean(held_out**2))), "random_poses_mean_mm": float(np.mean(random))}
 
 
@@ -162,7 +163,7 @@ def run_pickenv(task: Task, runs: int) -> tuple[dict[str, Any], Identification, 
 def run_scipy(task: Task, aligned: Identification, found: Identification, runs: int) -> dict[str, Any]:
     """SciPy's solver on our vectorised kinematics and on the parameters that our rank analysis kept."""
     model, kept = complete_model(task.nominal), found.identifiability.kept
-    columns, scale, weight = model.columns[kept], model.tolerance[kept], row_weights(task.train)
+    columns, scale, weight = model.columns[kept], model.tolerance[kept], task.train.row_weights
 
     def moved(values: Array) -> Geometry:
         delta = np.zeros(len(task.nominal.parameter_names))
@@ -170,7 +171,7 @@ def run_scipy(task: Task, aligned: Identification, found: Identification, runs: 
         return aligned.geometry.displaced(delta)
 
     def errors(values: Array) -> Array:
-        return np.asarray((residual(moved(values), task.train) * weight).ravel())
+        return np.asarray((task.train.difference(moved(values)) * weight).ravel())
 
     with single_threaded():
         result, seconds = timed(lambda: least_squares(errors, np.zeros(len(columns)), jac="2-point"), runs)

@@ -40,7 +40,8 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.compensation.compensator import ResidualModel
 from pickenv.calibration.identification.extended_kalman_filter import filter_measurements
-from pickenv.calibration.model.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.files import write_text
 
@@ -99,10 +100,10 @@ def table_4(run: Protocol, settings: BpnnSettings) -> tuple[dict[str, Array], di
     }
 
     def bpnn(geometry: Geometry) -> ResidualModel:
-        return train_bpnn(run.network.joints, residual(geometry, run.network), run.rng, settings)
+        return train_bpnn(run.network.joints, run.network.difference(geometry), run.rng, settings)
 
     def rbf(geometry: Geometry) -> ResidualModel:
-        targets = residual(geometry, run.network)
+        targets = run.network.difference(geometry)
         return fit_residual("rbf", run.network.joints, targets, nominal.prismatic, run.rng)
 
     rows: dict[str, tuple[str, Callable[[Geometry], ResidualModel] | None]] = {
@@ -118,7 +119,7 @@ def table_4(run: Protocol, settings: BpnnSettings) -> tuple[dict[str, Array], di
         else:
             errors[name] = compensated_errors(run, geometry, learnt)
         if learnt is not None:
-            r2[name] = held_out_r2(residual(geometry, run.test), learnt.predict(run.test.joints)).tolist()
+            r2[name] = held_out_r2(run.test.difference(geometry), learnt.predict(run.test.joints)).tolist()
     return errors, r2
 
 
@@ -130,14 +131,20 @@ def paper_model(geometry: Geometry) -> ErrorModel:
     return ErrorModel(full.columns[keep], names, full.tolerance[keep])
 
 
+def linearised(model: ErrorModel, geometry: Geometry, data: Measurements) -> tuple[Array, Array]:
+    """Eq (8) stacked, whitened and in tolerances, and what it shall explain."""
+    arm, none = ArmModel.of(geometry), np.zeros(0)
+    return data.jacobian(arm, none)[0][:, model.columns] * model.tolerance, data.residual(arm, none)
+
+
 def naive_normal_equations(
     model: ErrorModel, start: Geometry, data: Measurements, iterations: int = 5
 ) -> Geometry | None:
     """Eq (11) as printed, (J^T J)^-1 J^T dP, iterated, without any truncation; None where J^T J is singular."""
     geometry = start
     for _ in range(iterations):
-        jacobian = stacked_jacobian(model, geometry, data)
-        right = jacobian.T @ weighted_residual(geometry, data)
+        jacobian, left = linearised(model, geometry, data)
+        right = jacobian.T @ left
         try:
             step = np.linalg.solve(jacobian.T @ jacobian, right)
         except np.linalg.LinAlgError:
@@ -152,8 +159,8 @@ def minimum_norm(model: ErrorModel, start: Geometry, data: Measurements, iterati
     """All parameters by the truncated pseudo-inverse: the minimum-norm solution, which Table 2's 24 column is."""
     geometry = start
     for _ in range(iterations):
-        jacobian = stacked_jacobian(model, geometry, data)
-        step = np.linalg.lstsq(jacobian, weighted_residual(geometry, data), rcond=1e-4)[0]
+        jacobian, left = linearised(model, geometry, data)
+        step = np.linalg.lstsq(jacobian, left, rcond=1e-4)[0]
         delta = np.zeros(len(geometry.parameter_names))
         delta[model.columns] = step * model.tolerance
         geometry = geometry.displaced(delta)
@@ -180,7 +187,7 @@ def tables_2_and_3(seed: int) -> dict[str, Any]:
             if geometry is None:
                 rows[name] = None
                 continue
-            values, left = parameter_vector(geometry), residual(geometry, run.test)
+            values, left = parameter_vector(geometry), run.test.difference(geometry)
             rows[name] = {
                 "parameters": dict(zip(full.names, values.tolist(), strict=True)),
                 "largest_change_mm": float(np.abs((geometry.d - nominal.d) * 1e3).max()),
@@ -308,14 +315,14 @@ def table_4_twin(run: Protocol, settings: BpnnSettings) -> tuple[dict[str, Array
     """Raw, LS and LS+BPNN on the simulated twin of Table 6."""
     nominal = run.plant.arm.nominal
     geometry = identify(link_model(nominal), nominal, run.identification).geometry
-    network = train_bpnn(run.network.joints, residual(geometry, run.network), run.rng, settings)
+    network = train_bpnn(run.network.joints, run.network.difference(geometry), run.rng, settings)
     raw = pose_error(forward(nominal, run.test.joints), run.plant.tool_pose(run.test.joints))
     errors = {
         "raw": raw,
         "LS": compensated_errors(run, geometry, None),
         "LS+BPNN": compensated_errors(run, geometry, network),
     }
-    return errors, held_out_r2(residual(geometry, run.test), network.predict(run.test.joints)).tolist()
+    return errors, held_out_r2(run.test.difference(geometry), network.predict(run.test.joints)).tolist()
 
 
 def row_of(errors: Array) -> list[float]:

@@ -19,6 +19,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 ROOT = Path(__file__).parents[1]
 
 GROUND = (
+    "pickenv.bootstrap",
     "pickenv.files",
     "pickenv.limits",
     "pickenv.locks",

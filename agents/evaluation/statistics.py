@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
-
-RESAMPLES = 2000
+from pickenv.bootstrap import interval95, resampled
 
 Statistic = Callable[[Array], Array]
 """From values ``(..., n)`` to one number each ``(...)``."""
@@ -31,29 +30,11 @@ def interquartile_mean(values: Array) -> Array:
     return mean(ordered[..., quarter : ordered.shape[-1] - quarter])
 
 
-def resampled(values: Array, statistic: Statistic, rng: np.random.Generator, *, arms_too: bool = True) -> Array:
-    """Bootstrap replicates ``(RESAMPLES,)`` of a statistic of values ``(arms, episodes)``.
-
-    Args:
-        values: One row per arm.
-        statistic: What is computed of all values of a replicate.
-        rng: Draws the replicates.
-        arms_too: Whether arms are resampled, for what would happen on other arms; else only episodes, within each arm.
-    """
-    arms, episodes = values.shape
-    found = np.empty(RESAMPLES)
-    rows = np.arange(arms)[:, None]
-    for i in range(RESAMPLES):
-        chosen = rng.integers(0, arms, (arms, 1)) if arms_too and arms > 1 else rows
-        found[i] = statistic(values[chosen, rng.integers(0, episodes, (arms, episodes))].ravel())
-    return found
-
-
 def interval(
     values: Array, rng: np.random.Generator, statistic: Statistic = mean, *, arms_too: bool = True
 ) -> tuple[float, float]:
-    """Bootstrap 95 % interval of a statistic of values ``(arms, episodes)``."""
-    low, high = np.percentile(resampled(values, statistic, rng, arms_too=arms_too), [2.5, 97.5])
+    """Bootstrap 95 % interval of a statistic of values ``(arms, episodes)``; see `pickenv.bootstrap.resampled`."""
+    low, high = interval95(resampled(values, statistic, rng, clusters_too=arms_too))
     return float(low), float(high)
 
 

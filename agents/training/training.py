@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,7 +25,8 @@ from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.limits import check_limit
 from pickenv.locks import locked
-from pickenv.provenance import file_sha256
+from pickenv.provenance import file_sha256, versions
+from pickenv.threads import torch_on_one_thread
 
 ENVIRONMENTS: dict[str, type[ReachVectorEnv]] = {
     "pickenv/Reach-v0": ReachVectorEnv,
@@ -160,7 +159,7 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
 
     out = Path(out)
     path = out / CHECKPOINT
-    with locked(out), one_thread():
+    with locked(out), torch_on_one_thread():
         begun = read_checkpoint(path) if resume else None
         if begun is not None:
             if begun.training != training:
@@ -298,7 +297,11 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy:
         squashed=not on_policy,
         weights=tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),
         biases=tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
-        record={"training": asdict(training), "steps": int(model.num_timesteps), "versions": _versions()},
+        record={
+            "training": asdict(training),
+            "steps": int(model.num_timesteps),
+            "versions": versions("gymnasium", "stable-baselines3", "torch"),
+        },
     )
 
 
@@ -319,22 +322,3 @@ def judge(policy: LearnedPolicy, training: Training, episodes: int = 256, steps:
 def write_evaluations(out: Path, rows: list[dict[str, float]]) -> None:
     """Write the evaluations of a run."""
     write_text(out / "evaluations.json", json.dumps(rows, indent=2) + "\n")
-
-
-def _versions() -> dict[str, str]:
-    from importlib.metadata import version
-
-    return {name: version(name) for name in ("gymnasium", "numpy", "stable-baselines3", "torch")}
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Torch on one thread: networks this small lose time to more, and one adds in one order."""
-    import torch
-
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.bootstrap import RESAMPLES, interval95, resampled
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class ErrorStatistics:
 
 
 def error_statistics(
-    errors: ArrayLike, *, rng: np.random.Generator | None = None, resamples: int = 2000
+    errors: ArrayLike, *, rng: np.random.Generator | None = None, resamples: int = RESAMPLES
 ) -> ErrorStatistics:
     """Statistics of error vectors ``(N, k)``, or of norms ``(N,)`` (then ``axis_rms`` is empty).
 
@@ -75,15 +76,11 @@ def error_statistics(
 
 
 def bootstrap_interval(
-    values: ArrayLike, *, rng: np.random.Generator | None = None, resamples: int = 2000
+    values: ArrayLike, *, rng: np.random.Generator | None = None, resamples: int = RESAMPLES
 ) -> tuple[float, float]:
     """Percentile bootstrap 95 % interval of the mean of ``values`` ``(N,)``; paired when given differences."""
     values = np.asarray(values, dtype=float)
-    rng = rng or np.random.default_rng(0)
-    chunk = max(1, 2**22 // max(len(values), 1))  # 32 MiB of indices at a time
-    sizes = [min(chunk, resamples - done) for done in range(0, resamples, chunk)]
-    means = np.concatenate([values[rng.integers(0, len(values), (size, len(values)))].mean(axis=1) for size in sizes])
-    low, high = np.percentile(means, [2.5, 97.5])
+    low, high = interval95(resampled(values[None], np.mean, rng or np.random.default_rng(0), resamples))
     return float(low), float(high)
 
 

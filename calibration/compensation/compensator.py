@@ -17,22 +17,14 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dgelss
 
 from pickenv.arm import Geometry, displace_pose, forward
-from pickenv.arm.kinematics.forward import (
-    Chain,
-    Frame,
-    Scalar,
-    attach,
-    chain_of,
-    frames,
-    split_joints,
-    tool_frame,
-    turn_between,
-)
+from pickenv.arm.kinematics.backend import clipped
+from pickenv.arm.kinematics.forward import Chain, Scalar, attach, chain_of, frames, split_joints, tool_frame
 from pickenv.arm.kinematics.geometry import Array, Pose
-from pickenv.arm.kinematics.task_space import RANK_TOLERANCE
+from pickenv.arm.kinematics.jacobians import joint_columns
+from pickenv.arm.kinematics.pose_error import frame_error
+from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.calibration.compensation.truncated_solve import TruncatedSolver
 from pickenv.errors import InputError
 
@@ -142,9 +134,9 @@ def corrected(
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
-        columns = _jacobian_columns(nominal, links, tool)
+        columns = joint_columns(nominal, links, tool)
         solve = solve or _solver(m, columns)
-        error = error_components(m, tool, wanted)
+        error: Sequence[Scalar] = frame_error(m, tool, wanted)
         if residual is not None:
             if learnt is None:
                 learnt = residual(_moved(m, command, solve(error, columns), limits))
@@ -157,8 +149,7 @@ def _moved(
     m: ModuleType, joints: Sequence[Scalar], step: Sequence[Scalar], limits: Sequence[tuple[float, float]]
 ) -> list[Scalar]:
     """Joints after a step, within their limits."""
-    moved = [(q + dq, low, high) for q, dq, (low, high) in zip(joints, step, limits, strict=True)]
-    return [min(max(q, low), high) if m is math else m.clip(q, low, high) for q, low, high in moved]
+    return [clipped(m, q + dq, low, high) for q, dq, (low, high) in zip(joints, step, limits, strict=True)]
 
 
 Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
@@ -166,63 +157,13 @@ Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
 
 def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
     """What turns pose errors into the joint steps that remove them, for a Jacobian with these columns or like it."""
-    return partial(_truncated_step, _truncated_gram(columns)) if m is math else TruncatedSolver(columns, m=m).solve
-
-
-def _jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[list[Scalar]]:
-    """Columns of the joint Jacobian, six components each: position (m) and rotation vector (rad) in world axes."""
-    columns: list[list[Scalar]] = []
-    px, py, pz = tool[9:12]
-    for prismatic, link in zip(geometry.slides, links[1:], strict=True):
-        zx, zy, zz, ox, oy, oz = link[6:12]
-        if prismatic:
-            columns.append([zx, zy, zz, 0.0, 0.0, 0.0])
-        else:
-            rx, ry, rz = px - ox, py - oy, pz - oz
-            columns.append([zy * rz - zz * ry, zz * rx - zx * rz, zx * ry - zy * rx, zx, zy, zz])
-    if geometry.coupling is None:
-        return columns
-    gathered = [[0.0] * 6 for _ in range(geometry.joints)]
-    for joint, ratio, column in zip(geometry.coupling.joint, geometry.coupling.ratio, columns, strict=True):
-        gathered[joint] = [total + ratio * part for total, part in zip(gathered[joint], column, strict=True)]
-    return gathered
-
-
-def _truncated_gram(columns: Sequence[Sequence[float]]) -> Array:
-    """The pseudo-inverse ``(n, n)`` of J^T J, truncated as `task_space.truncated_inverse` truncates that of J."""
-    n = len(columns)
-    inverse = dgelss(np.array(columns).T, np.eye(max(n, 6), 6), cond=RANK_TOLERANCE)[1][:n]
-    return np.asarray(inverse @ inverse.T)
+    if m is not math:
+        return TruncatedSolver(columns, m=m).solve
+    inverse = truncated_inverse(np.array(columns).T)
+    return partial(_truncated_step, inverse @ inverse.T)
 
 
 def _truncated_step(inverse: Array, error: Sequence[float], columns: Sequence[Sequence[float]]) -> list[float]:
-    """`TruncatedSolver.solve` for one pose, without the overhead of many."""
+    """`TruncatedSolver.solve` for one pose, given the truncated inverse of J^T J."""
     step: list[float] = (inverse @ (np.array(columns) @ error)).tolist()
     return step
-
-
-def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
-    """A frame moved by a pose error of six components: `pickenv.arm.displace_pose`, by Rodrigues' formula."""
-    dx, dy, dz, wx, wy, wz = error
-    square = wx * wx + wy * wy + wz * wz + 1e-40
-    angle = m.sqrt(square)
-    first, half = m.sin(angle) / angle, m.sin(0.5 * angle)
-    second = 2.0 * half * half / square
-    turned: list[Scalar] = []
-    for i in (0, 3, 6):
-        x, y, z = frame[i : i + 3]
-        along = second * (wx * x + wy * y + wz * z)
-        turned.append(x + first * (wy * z - wz * y) + wx * along - second * square * x)
-        turned.append(y + first * (wz * x - wx * z) + wy * along - second * square * y)
-        turned.append(z + first * (wx * y - wy * x) + wz * along - second * square * z)
-    return (*turned, frame[9] + dx, frame[10] + dy, frame[11] + dz)
-
-
-def error_components(m: ModuleType, reference: Frame, actual: Frame) -> list[Scalar]:
-    """`pickenv.arm.kinematics.pose_error` on components; errors of half a turn do not occur in a calibration."""
-    apx, apy, apz = actual[9:]
-    bpx, bpy, bpz = reference[9:]
-    sx, sy, sz, cosine = turn_between(reference, actual)
-    sine = m.sqrt(sx * sx + sy * sy + sz * sz + 1e-40)
-    scale = m.atan2(sine, cosine) / sine
-    return [apx - bpx, apy - bpy, apz - bpz, scale * sx, scale * sy, scale * sz]

@@ -14,7 +14,7 @@ from types import ModuleType
 import numpy as np
 
 from pickenv.arm.kinematics.forward import Scalar
-from pickenv.arm.kinematics.task_space import RANK_TOLERANCE
+from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE
 
 RIDGE = 16.0
 """Added to the diagonal of J^T J so that it can be factorised where it is singular: roundings of its trace."""
@@ -38,7 +38,7 @@ class TruncatedSolver:
         m: ``numpy`` or ``torch``.
     """
 
-    def __init__(self, columns: Columns, tolerance: float = RANK_TOLERANCE, m: ModuleType = np) -> None:
+    def __init__(self, columns: Columns, tolerance: float = DIRECTION_TOLERANCE, m: ModuleType = np) -> None:
         self.columns, self._m = columns, m
         n = len(columns)
         gram = [[_dot(columns[i], columns[j]) for j in range(i + 1)] for i in range(n)]

@@ -15,7 +15,7 @@ import numpy as np
 from pickenv.arm import Geometry, Pose, forward, rotation_matrix
 from pickenv.arm.kinematics.geometry import Array, identity_pose
 from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.model.error_model import ErrorModel, residual
+from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
@@ -58,7 +58,7 @@ def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *,
 
 def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float]:
     """RMS position error as a share of the measured positions' spread, and RMS attitude error in rad (0 without)."""
-    left = residual(geometry, measurements)
+    left = measurements.difference(geometry)
     spread = max(float(np.linalg.norm(measurements.position.std(axis=0))), 1e-12)
     turn = np.sqrt(np.mean(np.sum(left[:, 3:] ** 2, axis=1)))
     return float(np.sqrt(np.mean(np.sum(left[:, :3] ** 2, axis=1)))) / spread, float(turn)

@@ -22,7 +22,6 @@ from pickenv.calibration.identification.robust import (
     robust_align,
     robust_identify,
 )
-from pickenv.calibration.identification.rows import rows_of_misses
 from pickenv.calibration.model.coverage import Coverage
 from pickenv.calibration.model.error_model import frames_model, geometric_model
 from pickenv.calibration.model.measurements import Measurements
@@ -211,7 +210,7 @@ def refuse_misses(train: Observations, test: Observations, misses: tuple[Array, 
     for data, size in zip((train, test), sizes, strict=True):
         far = size > limit
         worst = max(worst, float(size[far].max(initial=0.0)))
-        places += [origins_of(data).place(int(row)) for row in np.unique(rows_of_misses(data)[far])]
+        places += [origins_of(data).place(int(row)) for row in np.unique(data.rows_of_misses[far])]
     if places:
         raise InputError(
             f"{named(places)} {'misses' if len(places) == 1 else 'miss'} by up to {worst * 1e3:.3g} mm where half of "

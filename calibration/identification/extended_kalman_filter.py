@@ -99,7 +99,7 @@ def start_filter(
     Raises:
         InputError: If the poses are so few that they would leave parameters out that others identify.
     """
-    arm = start if isinstance(start, ArmModel) else ArmModel.of(start)
+    arm = ArmModel.of(start)
     found = _identifiable(model, arm, joints, full_pose, None)
     return _diffuse(model, arm, found, prior)
 
@@ -334,7 +334,7 @@ def filter_measurements(
         InputError: If there are too few poses for what is to be identified.
     """
     begin = time.perf_counter()
-    arm = start if isinstance(start, ArmModel) else ArmModel.of(start)
+    arm = ArmModel.of(start)
     found = _identifiable(model, arm, measurements.joints, measurements.rotation is not None, measurements.conditions)
     state = _diffuse(model, arm, found, prior)
     noise = noise or MeasurementNoise(measurements.position_std, measurements.attitude_std)

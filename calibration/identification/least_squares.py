@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,9 +18,9 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import LENGTH_TOLERANCE, ErrorModel
 from pickenv.calibration.model.gauge import identifiable_parameters
-from pickenv.calibration.model.identifiability import RANK_TOLERANCE, Identifiability, identifiability
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability, identifiability
 from pickenv.calibration.model.measurements import Measurements, random_joints
-from pickenv.calibration.model.observations import Observations, PoseObservations
+from pickenv.calibration.model.observations import Equations
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
 
@@ -111,11 +112,11 @@ def describe_absorption(absorbed_by: dict[str, float]) -> str:
 def identify(
     model: ErrorModel,
     start: Geometry | ArmModel,
-    data: Measurements | Sequence[Observations],
+    data: Measurements | Sequence[Equations],
     *,
     max_iterations: int = 20,
     row_factors: Array | None = None,
-    rank_tolerance: float = RANK_TOLERANCE,
+    rank_tolerance: float = REDUNDANCY_TOLERANCE,
 ) -> Identification:
     """Identify the model's parameters by rank-aware, weighted Gauss-Newton.
 
@@ -126,7 +127,7 @@ def identify(
         data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
         max_iterations: Steps at most; three or four are usual.
         row_factors: Factors on the whitened rows ``(rows,)``, in the order of the data; for robust weights.
-        rank_tolerance: What counts as redundant, see `pickenv.calibration.model.identifiability.RANK_TOLERANCE`.
+        rank_tolerance: What counts as redundant, see `pickenv.calibration.model.identifiability.REDUNDANCY_TOLERANCE`.
 
     Returns:
         The identification; ``converged`` is False if the last step was not negligible.
@@ -139,7 +140,7 @@ def identify(
 
 
 def identify_surely(
-    model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Observations]
+    model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Equations]
 ) -> Identification:
     """`identify`; where that wanders among parameters that the data hardly show, again without those.
 
@@ -147,7 +148,7 @@ def identify_surely(
         InputError: As `identify`, or if it does not converge even so.
     """
     for factor in (1.0, 3.0, 10.0):
-        found = identify(model, start, data, max_iterations=60, rank_tolerance=factor * RANK_TOLERANCE)
+        found = identify(model, start, data, max_iterations=60, rank_tolerance=factor * REDUNDANCY_TOLERANCE)
         if found.converged:
             return found
     raise InputError(
@@ -160,14 +161,14 @@ def identify_surely(
 def _identify(
     model: ErrorModel,
     start: Geometry | ArmModel,
-    data: Measurements | Sequence[Observations],
+    data: Measurements | Sequence[Equations],
     max_iterations: int,
     row_factors: Array | None,
     rank_tolerance: float,
 ) -> Identification:
     begin = time.perf_counter()
     sets = observations_of(data)
-    arm = start if isinstance(start, ArmModel) else ArmModel.of(start)
+    arm = ArmModel.of(start)
     unknowns = [part.start(arm) for part in sets]
     own = tuple(name for part in sets for name in part.unknowns())
     names = own + model.names
@@ -190,25 +191,22 @@ def _identify(
         moved, moved_unknowns = _moved(arm, unknowns, model, change)
         moved_weighted = _weighted(sets, moved, moved_unknowns, factors)
         rms = _rms(moved_weighted)
-        # A shortened step proves nothing, and flat directions may wander: what counts is what the whole step would
-        # still explain, per parameter and against the scatter (relative offset, Bates and Watts 1981).
-        scatter = float(weighted @ weighted) / max(len(weighted) - len(kept), 1)
-        offset = float(np.sum((matrix[:, kept] @ whole) ** 2)) / (max(len(kept), 1) * max(scatter, 1e-300))
-        negligible = np.max(np.abs(whole), initial=0.0) < 1e-5 or offset < OFFSET**2
-        if rms > history[-1] * (1 + 1e-9):
-            if negligible:  # worse by rounding alone: this is the minimum
+        # A shortened step proves nothing: what counts is what the whole one would still explain.
+        progress = judged_step(whole, matrix[:, kept] @ whole, weighted, history[-1], rms)
+        if not progress.better:
+            if progress.negligible:  # worse by rounding alone: this is the minimum
                 converged = True
                 break
             # Levenberg: a step that makes it worse is shortened until it helps.
             damping = max(damping * 10.0, 1e-3)
             if damping > 1e9:  # terms move with the geometry, which the Jacobian leaves out: judge by what is left
-                converged = offset < (30 * OFFSET) ** 2
+                converged = bool(progress.offset < (30 * OFFSET) ** 2)
                 break
             continue
         arm, unknowns, weighted = moved, moved_unknowns, moved_weighted
         history.append(rms)
         iterates.append(arm)
-        if negligible or (damping == 0.0 and history[-2] - rms < 1e-7 * rms):
+        if progress.negligible or (damping == 0.0 and progress.finished):
             converged = True
             break
         matrix = _system(model, sets, arm, unknowns, tolerance, factors)
@@ -233,12 +231,46 @@ def _identify(
     )
 
 
-def observations_of(data: Measurements | Sequence[Observations]) -> tuple[Observations, ...]:
+class Progress(NamedTuple):
+    """What a Gauss-Newton step achieved, of one arm or of many ``(...)``.
+
+    Attributes:
+        offset: Squared: what the whole step would still explain, per parameter and against the scatter (relative
+            offset, Bates and Watts 1981); directions that the data hardly show may wander without it.
+        negligible: Whether a further step would move nothing that matters.
+        better: Whether the residual did not grow, but for rounding; not so where it is NaN.
+        finished: Whether an undamped step that was better led to the minimum.
+    """
+
+    offset: Any
+    negligible: Any
+    better: Any
+    finished: Any
+
+
+def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: Any) -> Progress:
+    """The stop rule, on NumPy arrays or torch tensors.
+
+    Args:
+        step: The whole step, in tolerances ``(..., K)``.
+        explained: The Jacobian times the step ``(..., R)``.
+        weighted: Whitened residuals before the step ``(..., R)``.
+        before: Their root mean square ``(...)``.
+        after: That after the step.
+    """
+    rows, parameters = weighted.shape[-1], step.shape[-1]
+    scatter = (weighted**2).sum(-1) / max(rows - parameters, 1)
+    offset = (explained**2).sum(-1) / (max(parameters, 1) * (scatter + 1e-300))
+    negligible = (abs(step) < 1e-5).all(-1) | (offset < OFFSET**2)
+    return Progress(offset, negligible, after <= before * (1 + 1e-9), negligible | (before - after < 1e-7 * after))
+
+
+def observations_of(data: Measurements | Sequence[Equations]) -> tuple[Equations, ...]:
     """Poses and positions in the role of observations; other kinds as they are."""
-    return (PoseObservations(data),) if isinstance(data, Measurements) else tuple(data)
+    return (data,) if isinstance(data, Measurements) else tuple(data)
 
 
-def _weighted(sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array], factors: Array | float) -> Array:
+def _weighted(sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array], factors: Array | float) -> Array:
     """Whitened residuals of all data."""
     stacked = np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)])
     return stacked if isinstance(factors, float) else stacked * factors[:, 0]
@@ -246,7 +278,7 @@ def _weighted(sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Ar
 
 def _system(
     model: ErrorModel,
-    sets: Sequence[Observations],
+    sets: Sequence[Equations],
     arm: ArmModel,
     unknowns: Sequence[Array],
     tolerance: Array,
@@ -302,29 +334,27 @@ def _covariance(matrix: Array, weighted: Array, found: Identifiability, toleranc
 
 
 def _enough_poses(
-    model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], found: Identifiability, rows: int
+    model: ErrorModel, arm: ArmModel, sets: Sequence[Equations], found: Identifiability, rows: int
 ) -> None:
     """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
     if rows >= 2 * len(found.names):
         return  # whatever the rank elsewhere, there are enough
     part = sets[0]
-    if len(sets) > 1 or not isinstance(part, PoseObservations):
+    if len(sets) > 1 or not isinstance(part, Measurements):
         full = found.rank
     else:
-        count, measured = 60, part.measurements
+        count = 60
         probe = replace(
-            measured,
+            part,
             joints=random_joints(arm.geometry, count, np.random.default_rng(0)),
             position=np.zeros((count, 3)),
-            rotation=None if measured.rotation is None else np.broadcast_to(np.eye(3), (count, 3, 3)),
+            rotation=None if part.rotation is None else np.broadcast_to(np.eye(3), (count, 3, 3)),
             conditions=Conditions(),
         )
         geometric = model.columns < len(arm.geometry.parameter_names)
         names = tuple(name for name, keep in zip(model.names, geometric, strict=True) if keep)
         links = ErrorModel(model.columns[geometric], names, model.tolerance[geometric])
-        matrix = _system(
-            links, [PoseObservations(probe)], ArmModel.of(arm.geometry), [np.zeros(0)], links.tolerance, 1.0
-        )
+        matrix = _system(links, [probe], ArmModel.of(arm.geometry), [np.zeros(0)], links.tolerance, 1.0)
         full = identifiability(matrix, links.names, links.tolerance, count).rank
     if rows <= full or (found.rank < full and rows < 2 * full):
         poses = sum(len(part.joints) for part in sets)

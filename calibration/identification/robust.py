@@ -20,7 +20,6 @@ from pickenv.calibration.identification.least_squares import Identification, ide
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import PoseObservations
 from pickenv.calibration.model.splits import Rows
 from pickenv.errors import InputError
 
@@ -119,7 +118,7 @@ def robust_identify(
     """
     if loss not in LOSSES:
         raise InputError(f"unknown loss '{loss}'; give one of {', '.join(LOSSES)}")
-    arm = start if isinstance(start, ArmModel) else ArmModel.of(start)
+    arm = ArmModel.of(start)
     weights = _judged(arm, measurements).weights(loss)
     settled, rounds = False, 0
     while True:
@@ -221,7 +220,7 @@ def _judged(arm: ArmModel, measurements: Measurements) -> Sizes:
 
 def _sizes(arm: ArmModel, measurements: Measurements, scales: tuple[float, float | None] | None) -> Sizes:
     """Sizes in given standard deviations, or robust ones that never fall below the instrument's own uncertainty."""
-    left = PoseObservations(measurements).difference(arm)
+    left = measurements.difference(arm)
     position = np.linalg.norm(left[:, :3], axis=1)
     attitude = None if measurements.rotation is None else np.linalg.norm(left[:, 3:], axis=1)
     if scales is None:

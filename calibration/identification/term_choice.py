@@ -12,7 +12,7 @@ import numpy as np
 
 from pickenv.arm import Arm, Geometry
 from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.identification.rows import blocks, misses, select, unknowns_of
+from pickenv.calibration.identification.rows import blocks, unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import geometric_model, with_terms
 from pickenv.calibration.model.observations import Observations
@@ -99,18 +99,18 @@ def choose_terms(arm: Arm, aligned: Geometry, observations: Observations, known:
         known: Whether base and tool are known.
     """
     count = len(observations.joints)
-    data = select(observations, np.unique(np.linspace(0, count - 1, ROWS).astype(int)))
+    data = observations.select(np.unique(np.linspace(0, count - 1, ROWS).astype(int)))
     folds = []
     for train, test in blocks(data, FOLDS):
-        here = select(data, train)
-        folds.append((identify(geometric_model(aligned, known), aligned, [here]), here, select(data, test)))
+        here = data.select(train)
+        folds.append((identify(geometric_model(aligned, known), aligned, [here]), here, data.select(test)))
 
     def score(name: str) -> float:
         missed = []
         for bare, here, there in folds:
             terms = terms_of(name, arm, data)
             found = identify_terms(terms, bare, here, known) if terms else bare
-            missed.append(misses(there, found.arm_model, unknowns_of(found, there)))
+            missed.append(there.misses(found.arm_model, unknowns_of(found, there)))
         return float(np.sqrt(np.mean(np.sum(np.concatenate(missed) ** 2, axis=1))))
 
     chosen, scores = "none", {"none": score("none")}

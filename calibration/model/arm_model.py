@@ -84,8 +84,10 @@ class ArmModel:
     coefficients: Array = field(default_factory=lambda: np.zeros(0))
 
     @staticmethod
-    def of(geometry: Geometry, terms: tuple[Term, ...] = ()) -> ArmModel:
-        """A model whose terms start at zero."""
+    def of(geometry: Geometry | ArmModel, terms: tuple[Term, ...] = ()) -> ArmModel:
+        """A model whose terms start at zero; a model is left as it is."""
+        if isinstance(geometry, ArmModel):
+            return geometry
         return ArmModel(geometry, terms, np.zeros(sum(len(term.names(geometry)) for term in terms)))
 
     @property

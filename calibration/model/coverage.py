@@ -12,7 +12,8 @@ import numpy as np
 
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.error_model import ErrorModel, stacked_jacobian
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.identifiability import identifiability
 from pickenv.calibration.model.measurements import Measurements, random_joints
 
@@ -79,7 +80,7 @@ def pose_coverage(
             measurements.position_std,
             measurements.attitude_std,
         )
-        matrix = stacked_jacobian(model, geometry, data)
+        matrix = data.jacobian(ArmModel.of(geometry), np.zeros(0))[0][:, model.columns] * model.tolerance
         found = identifiability(matrix, model.names, model.tolerance, len(joints))
         return {item.name for item in found.dropped}
 

@@ -1,4 +1,4 @@
-"""The error model: which parameters of a geometry are identified, on what scale, and their stacked Jacobian.
+"""The error model: which parameters of a geometry are identified, and on what scale.
 
 Complete for any serial chain: four modified DH parameters per joint, Hayati's beta where consecutive axes are parallel,
 base and tool pose. Rows are weighted by the measurement's uncertainty and columns by a parameter's tolerance, because
@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Geometry, forward, parameter_jacobian, pose_error
-from pickenv.arm.kinematics.geometry import Array, Pose
+from pickenv.arm import Geometry
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.measurements import Measurements
 
 LENGTH_TOLERANCE = 1e-3
 """Scale of a length's deviation, m."""
@@ -93,34 +92,3 @@ def _model(geometry: Geometry, names: list[str]) -> ErrorModel:
     columns = np.array([index[name] for name in names])
     tolerance = np.where(geometry.parameter_is_angle[columns], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
     return ErrorModel(columns, tuple(names), tolerance)
-
-
-def stacked_jacobian(model: ErrorModel, geometry: Geometry, measurements: Measurements) -> Array:
-    """Jacobian of all observations by the model's parameters in tolerances, rows in standard uncertainties.
-
-    Returns:
-        Array ``(N * rows_per_pose, P)``: eq (8) for each pose, stacked, weighted and scaled.
-    """
-    jacobian = parameter_jacobian(geometry, measurements.joints)[..., model.columns] * model.tolerance
-    return (jacobian[:, : measurements.rows_per_pose] * row_weights(measurements)[:, None]).reshape(
-        -1, len(model.columns)
-    )
-
-
-def weighted_residual(geometry: Geometry, measurements: Measurements) -> Array:
-    """Measured minus predicted pose of every observation, in standard uncertainties, ``(N * rows_per_pose,)``."""
-    return (residual(geometry, measurements) * row_weights(measurements)).ravel()
-
-
-def residual(geometry: Geometry, measurements: Measurements) -> Array:
-    """Measured minus predicted pose ``(N, rows_per_pose)``: m, and rad (rotation vector), in the measurement frame."""
-    predicted = forward(geometry, measurements.joints)
-    if measurements.rotation is None:
-        return np.asarray(measurements.position - predicted.position)
-    return pose_error(predicted, Pose(measurements.position, measurements.rotation))
-
-
-def row_weights(measurements: Measurements) -> Array:
-    """One over the standard uncertainty of each row of a pose."""
-    std = np.repeat([measurements.position_std, measurements.attitude_std], 3)[: measurements.rows_per_pose]
-    return np.asarray(1.0 / std)

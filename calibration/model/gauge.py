@@ -14,21 +14,21 @@ import numpy as np
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ErrorModel
-from pickenv.calibration.model.identifiability import RANK_TOLERANCE, Dropped, Identifiability, identifiability
-from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Dropped, Identifiability, identifiability
+from pickenv.calibration.model.observations import Equations
 
 BASE = tuple(f"base_{name}" for name in FRAME_PARAMETERS)
 
 
 def identifiable_parameters(
     model: ErrorModel,
-    sets: Sequence[Observations],
+    sets: Sequence[Equations],
     arm: ArmModel,
     unknowns: Sequence[Array],
     matrix: Array,
     names: tuple[str, ...],
     tolerance: Array,
-    rank_tolerance: float = RANK_TOLERANCE,
+    rank_tolerance: float = REDUNDANCY_TOLERANCE,
 ) -> Identifiability:
     """`identifiability` of the stacked system, with the base held still where no instrument has a frame.
 
@@ -40,7 +40,7 @@ def identifiable_parameters(
         matrix: Stacked, scaled Jacobian ``(rows, own + P)``, the data's own unknowns first.
         names: Names of its columns.
         tolerance: Their scale, m or rad.
-        rank_tolerance: See `pickenv.calibration.model.identifiability.RANK_TOLERANCE`.
+        rank_tolerance: See `pickenv.calibration.model.identifiability.REDUNDANCY_TOLERANCE`.
     """
     poses = sum(len(part.joints) for part in sets)
     if any(part.framed for part in sets):

@@ -14,7 +14,7 @@ from scipy.linalg import solve_triangular
 
 from pickenv.arm.kinematics.geometry import Array
 
-RANK_TOLERANCE = 1e-3
+REDUNDANCY_TOLERANCE = 1e-3
 """A parameter is redundant when what it adds, for a deviation of one tolerance, is below this share of the largest."""
 
 
@@ -69,7 +69,7 @@ class Identifiability:
 
 
 def identifiability(
-    matrix: Array, names: tuple[str, ...], tolerance: Array, poses: int, rank_tolerance: float = RANK_TOLERANCE
+    matrix: Array, names: tuple[str, ...], tolerance: Array, poses: int, rank_tolerance: float = REDUNDANCY_TOLERANCE
 ) -> Identifiability:
     """Find a largest identifiable subset of parameters.
 
@@ -78,7 +78,7 @@ def identifiability(
         names: Parameter names.
         tolerance: The columns' scale, m or rad.
         poses: Number of poses that the rows come from.
-        rank_tolerance: See `RANK_TOLERANCE`.
+        rank_tolerance: See `REDUNDANCY_TOLERANCE`.
     """
     r = matrix if matrix.shape[0] <= matrix.shape[1] else np.asarray(np.linalg.qr(matrix, mode="r"))
     largest = float(np.max(np.linalg.norm(r, axis=0)))

@@ -16,9 +16,9 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Geometry, Plant, Pose, rotation_vector
+from pickenv.arm import Geometry, Plant, Pose, pose_error, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.arm_model import Conditions
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.origins import Origins, origins_of
 from pickenv.files import write_whole
 
@@ -40,7 +40,7 @@ FRAMES_COLUMN = "frames"
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """A data set: N poses of an arm with n joints.
+    """A data set: N poses of an arm with n joints; the commonest of `Observations`.
 
     Attributes:
         joints: Commanded joint displacements ``(N, n)``, rad or m.
@@ -95,6 +95,59 @@ class Measurements:
             conditions=self.conditions.select(rows),
             origins=origins_of(self).select(rows),
         )
+
+    @property
+    def row_weights(self) -> Array:
+        """One over the standard uncertainty of each row of a pose."""
+        return np.asarray(1.0 / np.repeat([self.position_std, self.attitude_std], 3)[: self.rows_per_pose])
+
+    def difference(self, model: Geometry | ArmModel) -> Array:
+        """Measured minus predicted pose ``(N, rows_per_pose)``: m, and rad (rotation vector), the instrument's axes."""
+        predicted = ArmModel.of(model).pose(self.joints, self.conditions)
+        if self.rotation is None:
+            return np.asarray(self.position - predicted.position)
+        return pose_error(predicted, Pose(self.position, self.rotation))
+
+    @property
+    def framed(self) -> bool:
+        """Poses and positions are stated in the instrument's frame."""
+        return True
+
+    @property
+    def groups(self) -> NDArray[np.int64]:
+        """All rows are of one group."""
+        return np.zeros(len(self), dtype=np.int64)
+
+    @property
+    def rows_of_misses(self) -> NDArray[np.int64]:
+        """One miss per pose."""
+        return np.arange(len(self))
+
+    def unknowns(self) -> tuple[str, ...]:
+        """None: base and tool are parameters of the geometry."""
+        return ()
+
+    def start(self, model: ArmModel) -> Array:
+        """Nothing to start."""
+        return np.zeros(0)
+
+    def residual(self, model: ArmModel, unknowns: Array) -> Array:
+        """Measured minus predicted pose, in standard uncertainties."""
+        return np.asarray((self.difference(model) * self.row_weights).ravel())
+
+    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
+        """Eq (8), stacked and weighted."""
+        jacobian = model.jacobian(self.joints, self.conditions)[:, : self.rows_per_pose] * self.row_weights[:, None]
+        flat = jacobian.reshape(-1, jacobian.shape[-1])
+        return flat, np.zeros((len(flat), 0))
+
+    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+        """Measured minus predicted positions."""
+        return self.difference(model)[:, :3]
+
+    def readings(self) -> Array:
+        """The measured positions."""
+        return self.position
 
     def positions_only(self) -> Measurements:
         """The same data set without attitudes."""

@@ -1,4 +1,4 @@
-"""Kinds of measurement beyond poses and positions: reflector groups, draw-wire lengths, balls in sockets.
+"""What a data set must answer, and its kinds beyond `Measurements`: reflector groups, draw-wire lengths, sockets.
 
 Each kind brings unknowns of its own (where the reflectors sit, the wire is anchored, the sockets are), which are
 identified together with the arm. Rows are whitened by their covariance, so any mix may be stacked. SI units.
@@ -6,25 +6,27 @@ identified together with the arm. Rows are whitened by their covariance, so any 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import pose_error
 from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.error_model import row_weights
-from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.origins import Origins
+from pickenv.calibration.model.origins import Origins, origins_of
 
 NONE_KNOWN = Conditions()
 """Neither payload nor temperature nor torques were recorded."""
 
 
-class Observations(Protocol):
-    """What the least squares asks of a data set of any kind."""
+Rows = NDArray[np.int64]
+
+Kind = TypeVar("Kind", bound="Observations")
+
+
+class Equations(Protocol):
+    """What the least squares asks of a data set of any kind, and of what is expected before measuring."""
 
     @property
     def joints(self) -> Array:
@@ -73,67 +75,30 @@ class Observations(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class PoseObservations:
-    """Poses or positions in one frame: `Measurements` in the role of `Observations`."""
-
-    measurements: Measurements
+class Observations(Equations, Protocol):
+    """A data set of any kind: rows that can be chosen, told apart, and compared with a model in metres."""
 
     @property
-    def joints(self) -> Array:
-        """Joints ``(N, n)``."""
-        return self.measurements.joints
+    def groups(self) -> Rows:
+        """Rows of one number belong together ``(N,)``, and a split takes its share of each (sockets)."""
+        ...
 
     @property
-    def source(self) -> str:
-        """Where the data come from."""
-        return self.measurements.source
+    def rows_of_misses(self) -> Rows:
+        """The row that each of `misses` belongs to ``(R,)``."""
+        ...
 
-    @property
-    def conditions(self) -> Conditions:
-        """Payload, temperature and torques, where known."""
-        return self.measurements.conditions
+    def select(self, rows: Rows) -> Self:
+        """The data set that holds only the given rows."""
+        ...
 
-    @property
-    def origins(self) -> Origins | None:
-        """File and line of each row; None where they come from no file."""
-        return self.measurements.origins
+    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+        """Measured minus predicted positions ``(R, 3)``, or lengths ``(R, 1)``, m."""
+        ...
 
-    @property
-    def kind(self) -> str:
-        """Either "pose" or "position"."""
-        return self.measurements.kind
-
-    @property
-    def framed(self) -> bool:
-        """Poses and positions are stated in the instrument's frame."""
-        return True
-
-    def unknowns(self) -> tuple[str, ...]:
-        """None: base and tool are parameters of the geometry."""
-        return ()
-
-    def start(self, model: ArmModel) -> Array:
-        """Nothing to start."""
-        return np.zeros(0)
-
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted pose, in standard uncertainties."""
-        return np.asarray((self.difference(model) * row_weights(self.measurements)).ravel())
-
-    def difference(self, model: ArmModel) -> Array:
-        """Measured minus predicted pose ``(N, rows_per_pose)``, m and rad."""
-        predicted = model.pose(self.joints, self.conditions)
-        if self.measurements.rotation is None:
-            return np.asarray(self.measurements.position - predicted.position)
-        return pose_error(predicted, Pose(self.measurements.position, self.measurements.rotation))
-
-    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Eq (8), stacked and weighted."""
-        rows = self.measurements.rows_per_pose
-        jacobian = model.jacobian(self.joints, self.conditions)[:, :rows] * row_weights(self.measurements)[:, None]
-        flat = jacobian.reshape(-1, jacobian.shape[-1])
-        return flat, np.zeros((len(flat), 0))
+    def readings(self) -> Array:
+        """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +124,28 @@ class ReflectorObservations:
     kind: str = "reflectors"
     framed: bool = True
     origins: Origins | None = None
+
+    @property
+    def groups(self) -> Rows:
+        """All rows are of one group."""
+        return np.zeros(len(self.joints), dtype=np.int64)
+
+    @property
+    def rows_of_misses(self) -> Rows:
+        """One miss per reflector seen."""
+        return np.nonzero(self.seen)[0]
+
+    def select(self, rows: Rows) -> Self:
+        """The data set that holds only the given rows."""
+        return _selected(self, rows, "points", "seen", *(["covariance"] if self.covariance.ndim > 2 else []))
+
+    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+        """One per reflector seen."""
+        return np.asarray((self.points - self.predict(model, unknowns))[self.seen])
+
+    def readings(self) -> Array:
+        """The points seen."""
+        return np.where(self.seen[..., None], self.points, 0.0).reshape(len(self.joints), -1)
 
     def unknowns(self) -> tuple[str, ...]:
         """Reflector positions in the tool's frame."""
@@ -218,6 +205,28 @@ class DistanceObservations:
     framed: bool = False
     origins: Origins | None = None
 
+    @property
+    def groups(self) -> Rows:
+        """All rows are of one group."""
+        return np.zeros(len(self.joints), dtype=np.int64)
+
+    @property
+    def rows_of_misses(self) -> Rows:
+        """One miss per length."""
+        return np.arange(len(self.joints))
+
+    def select(self, rows: Rows) -> Self:
+        """The data set that holds only the given rows."""
+        return _selected(self, rows, "length")
+
+    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+        """Measured minus predicted lengths."""
+        return np.asarray(self.residual(model, unknowns)[:, None] * self.std)
+
+    def readings(self) -> Array:
+        """The lengths."""
+        return self.length[:, None]
+
     def unknowns(self) -> tuple[str, ...]:
         """The anchor."""
         return ("anchor_x", "anchor_y", "anchor_z")
@@ -270,6 +279,28 @@ class SocketObservations:
     framed: bool = False
     origins: Origins | None = None
 
+    @property
+    def groups(self) -> Rows:
+        """Each socket's rows are a group, so that each is trained on."""
+        return self.socket
+
+    @property
+    def rows_of_misses(self) -> Rows:
+        """One miss per ball."""
+        return np.arange(len(self.joints))
+
+    def select(self, rows: Rows) -> Self:
+        """The data set that holds only the given rows."""
+        return _selected(self, rows, "socket")
+
+    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+        """Socket minus ball."""
+        return np.asarray(self.residual(model, unknowns)[: 3 * len(self.joints)].reshape(-1, 3) * self.std)
+
+    def readings(self) -> Array:
+        """The sockets' numbers."""
+        return self.socket[:, None].astype(float)
+
     def unknowns(self) -> tuple[str, ...]:
         """Positions of the sockets."""
         return tuple(f"socket{i + 1}_{axis}" for i in range(int(self.socket.max()) + 1) for axis in "xyz")
@@ -301,9 +332,11 @@ class SocketObservations:
         return by_geometry, np.concatenate([rest, apart])
 
 
-def as_observations(data: Observations | Measurements) -> Observations:
-    """Poses and positions in the role of observations; other kinds as they are."""
-    return PoseObservations(data) if isinstance(data, Measurements) else data
+def _selected(data: Kind, rows: Rows, *names: str) -> Kind:
+    """Some rows of a data set whose arrays of these names hold one entry per row."""
+    changed: dict[str, Any] = {name: getattr(data, name)[rows] for name in ("joints", *names)}
+    changed |= {"conditions": data.conditions.select(rows), "origins": origins_of(data).select(rows)}
+    return replace(data, **changed)  # type: ignore[type-var]
 
 
 def point_jacobian(pose_jacobian: Array, lever: Array) -> Array:

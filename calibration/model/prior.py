@@ -20,7 +20,7 @@ EXPECTED = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Parameters expected near those of a reference model; fits among `Observations`.
+    """Parameters expected near those of a reference model; fits among `Equations`.
 
     Attributes:
         reference: The model expected.

@@ -21,7 +21,6 @@ from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, Term
 from pickenv.calibration.model.error_model import link_model, with_terms
 from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
-from pickenv.calibration.model.observations import PoseObservations
 from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, ThermalTerm
 from pickenv.calibration.residuals.residual_models import Fitter, LearntResidual, fit_residual
 from pickenv.errors import InputError
@@ -182,7 +181,7 @@ def conditions_study(
     with_effects = identify(with_terms(model, start), start, train).arm_model
 
     def learnt(arm: ArmModel, data: Measurements, told: bool, rng: np.random.Generator) -> LearntResidual:
-        targets = PoseObservations(data).difference(arm)
+        targets = data.difference(arm)
         inputs = data.conditions.inputs() if told else None
         return fit_residual(
             chosen.residual, data.joints, targets, data.prismatic, rng, conditions=inputs, fitter=fitter
@@ -206,7 +205,7 @@ def conditions_study(
     for case, data in cases.items():
         errors[case] = {}
         for method, (arm, residual, told) in models.items():
-            left = PoseObservations(data).difference(arm)
+            left = data.difference(arm)
             if residual is not None:
                 left = left - residual.predict(data.joints, data.conditions.inputs() if told else None)
             errors[case][method] = np.linalg.norm(left[:, :3], axis=1) * 1e3

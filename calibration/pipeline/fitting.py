@@ -5,10 +5,8 @@ The middle of the one way from rows to a result (`calibrate`), for whoever holds
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -16,21 +14,16 @@ import numpy as np
 from pickenv.arm import Arm, Geometry, forward
 from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_surely
-from pickenv.calibration.identification.rows import misses, unknowns_of
+from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import frames_model, geometric_model, with_terms
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import (
-    Observations,
-    PoseObservations,
-    ReflectorObservations,
-    SocketObservations,
-    as_observations,
-)
+from pickenv.calibration.model.observations import Observations, ReflectorObservations, SocketObservations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, QUICK_FITTERS, fit_residual
 from pickenv.errors import InputError
+from pickenv.provenance import versions
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +43,7 @@ class Fit:
 
 def fit(
     arm: Arm,
-    data: Measurements | Observations,
+    data: Observations,
     residual_measurements: Measurements | None = None,
     *,
     known_frames: bool = False,
@@ -78,8 +71,7 @@ def fit(
     Raises:
         InputError: If there are too few rows, the data do not fit the arm, or the identification does not converge.
     """
-    observations = as_observations(data)
-    found = identified(arm, observations, framed(arm, observations, known_frames), terms)
+    found = identified(arm, data, framed(arm, data, known_frames), terms)
     if residual_measurements is None:
         return found
     if rng is None:
@@ -95,10 +87,10 @@ def framed(arm: Arm, data: Observations, known: bool) -> Identification | None:
         InputError: If the data do not fit the arm.
     """
     nominal = arm.nominal
-    if isinstance(data, PoseObservations):
+    if isinstance(data, Measurements):
         if not known:
-            return align(nominal, data.measurements, frames_model(nominal))
-        refuse_another_arm(nominal, data.measurements, "with base and tool taken as known")
+            return align(nominal, data, frames_model(nominal))
+        refuse_another_arm(nominal, data, "with base and tool taken as known")
         return None
     found = identify(frames_model(nominal), ArmModel.of(_start(arm, data)), [data], max_iterations=100)
     _refuse_misfit(found, data)
@@ -122,12 +114,12 @@ def identified(arm: Arm, data: Observations, aligned: Identification | None, ter
         "rank": found.identifiability.rank,
         "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
         "residual": None,
-        "versions": _versions(),
+        "versions": versions("scipy"),
     }
     if found.unknowns:
         record["unknowns"] = found.unknowns
-    if isinstance(data, PoseObservations):
-        record["data_fingerprint"] = data.measurements.fingerprint()
+    if isinstance(data, Measurements):
+        record["data_fingerprint"] = data.fingerprint()
     return Fit(Calibration(arm.name, arm.nominal, nominal, found.arm_model, None, record), found, aligned)
 
 
@@ -163,14 +155,14 @@ def learnt(
     model = fit_residual(
         kind,
         data.joints,
-        PoseObservations(data).difference(found.calibration.model),
+        data.difference(found.calibration.model),
         data.prismatic,
         rng,
         conditions=data.conditions.inputs(),
         fitter=fitter,
         periodic_span=span,
     )
-    whole = {**found.calibration.record, "residual": record, "versions": _versions("torch", "scikit-learn")}
+    whole = {**found.calibration.record, "residual": record, "versions": versions("scipy", "torch", "scikit-learn")}
     return replace(found, calibration=replace(found.calibration, learnt=model, record=whole))
 
 
@@ -188,7 +180,7 @@ def _start(arm: Arm, data: Observations) -> Geometry:
 
 def _refuse_misfit(found: Identification, data: Observations) -> None:
     """Refuse wires and sockets that even after the frames' fit miss by a large share of what they span."""
-    left = misses(data, found.arm_model, unknowns_of(found, data))
+    left = data.misses(found.arm_model, unknowns_of(found, data))
     rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
     tool = forward(found.geometry, data.joints).position
     span = float(np.linalg.norm(tool.std(axis=0)))
@@ -210,14 +202,3 @@ def _generator_state(rng: np.random.Generator) -> Any:
         return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
     return plain(rng.bit_generator.state)
-
-
-def _versions(*more: str) -> dict[str, str]:
-    """Versions of what computed the calibration."""
-    found = {"python": platform.python_version()}
-    for name in ("pickenv", "numpy", "scipy", *more):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:  # a checkout that was never installed
-            found[name] = "not installed"
-    return found

@@ -25,13 +25,13 @@ from pickenv.calibration.assessment.states import LOST, MEASURED
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.least_squares import describe_absorption
-from pickenv.calibration.identification.rows import misses, unknowns_of
+from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, PoseObservations, as_observations
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.export import export
 from pickenv.calibration.pipeline.fitting import Fit
@@ -129,9 +129,9 @@ class Result:
         held-out error contains and a reach does not.
         """
         low, high = self.best.mean_ci95
-        if not isinstance(self.test, PoseObservations):
+        if not isinstance(self.test, Measurements):
             return low, high
-        noise = 3.0 * (self.test.measurements.position_std * 1e3) ** 2
+        noise = 3.0 * (self.test.position_std * 1e3) ** 2
         return low * float(np.sqrt(max(0.0, 1.0 - noise / max(self.best.rms**2, 1e-300)))), high
 
     @property
@@ -331,8 +331,8 @@ class Result:
 def assess(
     arm: Arm,
     fit: Fit,
-    train: Observations | Measurements,
-    test: Observations | Measurements,
+    train: Observations,
+    test: Observations,
     *,
     geometric: Fit | None = None,
     steps: Mapping[str, Fit] | None = None,
@@ -355,7 +355,6 @@ def assess(
         left_out: Rows left out.
         coverage: What the poses hide, where it was computed already.
     """
-    train, test = as_observations(train), as_observations(test)
     bare = geometric or replace(fit, calibration=fit.calibration.without_residual())
     nominal = ArmModel.of(bare.calibration.nominal)
     aligned = bare.aligned
@@ -364,17 +363,17 @@ def assess(
     if steps is None and learnt is not None:
         stages[f"geometry+{learnt.kind}"] = fit
     errors = {name: _left(stage, test, train) for name, stage in stages.items()}
-    if isinstance(test, PoseObservations) and isinstance(train, PoseObservations):
+    if isinstance(test, Measurements) and isinstance(train, Measurements):
         before = test.difference(nominal)
         if coverage is None:
             start = bare.calibration.nominal
-            coverage = pose_coverage(geometric_model(start, aligned is None), start, train.measurements)
+            coverage = pose_coverage(geometric_model(start, aligned is None), start, train)
         uncertainty = pose_uncertainty(fit.identification, list(errors.values())[-1])
-        said = "stated noise" if train.measurements.std_stated else "noise assumed, since none is stated,"
-        noise = f"{said} of {train.measurements.position_std * 1e3:.4g} mm"
+        said = "stated noise" if train.std_stated else "noise assumed, since none is stated,"
+        noise = f"{said} of {train.position_std * 1e3:.4g} mm"
     else:
         assert aligned is not None
-        before = misses(test, aligned.arm_model, unknowns_of(aligned, train))
+        before = test.misses(aligned.arm_model, unknowns_of(aligned, train))
         uncertainty, noise = None, "noise stated or assumed"
     after = list(errors.values())[-1]
     unlearnt = replace(fit, calibration=fit.calibration.without_residual())
@@ -409,6 +408,6 @@ def assess(
 
 def _left(fit: Fit, data: Observations, train: Observations) -> Array:
     """What a calibration leaves of data ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad."""
-    if isinstance(data, PoseObservations):
-        return held_out_errors(fit.calibration, data.measurements)
-    return misses(data, fit.identification.arm_model, unknowns_of(fit.identification, train))
+    if isinstance(data, Measurements):
+        return held_out_errors(fit.calibration, data)
+    return data.misses(fit.identification.arm_model, unknowns_of(fit.identification, train))

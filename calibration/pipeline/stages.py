@@ -17,13 +17,13 @@ import numpy as np
 from pickenv.arm import Arm, load_arm
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_lost, refuse_misses
 from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.identification.rows import choose, misses, select, unknowns_of
+from pickenv.calibration.identification.rows import choose, unknowns_of
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Frames, Measurements
-from pickenv.calibration.model.observations import Observations, PoseObservations, as_observations
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.pipeline.fitting import Fit, framed, identified, learnt
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
@@ -38,7 +38,7 @@ GATE_ROWS = 3000
 ENOUGH_FOR_BLOCKS = 40
 """Fewer training rows than this are not enough to hold blocks out of."""
 
-Data = Observations | Measurements | str | Path | Sequence[str | Path]
+Data = Observations | str | Path | Sequence[str | Path]
 """Rows: measurements, observations of any kind, or the files that hold them."""
 
 GEOMETRY = "geometry"
@@ -107,8 +107,8 @@ class Work:
     @property
     def poses(self) -> tuple[Measurements, Measurements] | None:
         """Training and held-out poses or positions; None for other kinds."""
-        if isinstance(self.train, PoseObservations) and isinstance(self.test, PoseObservations):
-            return self.train.measurements, self.test.measurements
+        if isinstance(self.train, Measurements) and isinstance(self.test, Measurements):
+            return self.train, self.test
         return None
 
     @property
@@ -162,7 +162,7 @@ def calibrate(
     train, floor = _rows(arm, data, columns)
     if test is None:
         rows = choose(train, split, test_rows, np.random.default_rng(choices.seed))
-        train, held_out = (select(train, np.sort(part)) for part in rows)
+        train, held_out = (train.select(np.sort(part)) for part in rows)
     else:
         held_out, _ = _rows(arm, test, columns)
     work = Work(arm, choices, train, held_out, rng or np.random.default_rng(choices.seed), progress)
@@ -191,7 +191,7 @@ def _rows(arm: Arm, data: Data, columns: str | Path | None) -> tuple[Observation
     if isinstance(data, Sequence):
         reading = read_observations(data, arm.nominal, columns)
         return reading.observations, reading.floor
-    return as_observations(data), None
+    return data, None
 
 
 def _check(work: Work) -> Work:
@@ -208,13 +208,7 @@ def _check(work: Work) -> Work:
         )
     frames = choices.frames or train.frames
     train, test, left_out = checked_rows(work.arm, train, test, known=frames == "known", robust=choices.robust)
-    return replace(
-        work,
-        choices=replace(choices, frames=frames),
-        train=PoseObservations(train),
-        test=PoseObservations(test),
-        left_out=left_out,
-    )
+    return replace(work, choices=replace(choices, frames=frames), train=train, test=test, left_out=left_out)
 
 
 def _refuse_options(train: Observations, choices: Choices) -> None:
@@ -243,7 +237,7 @@ def _check_again(work: Work) -> Work:
     _, geometric = work.best
     if work.poses is None:
         found = geometric.identification
-        missed = [misses(part, found.arm_model, unknowns_of(found, work.train)) for part in (work.train, work.test)]
+        missed = [part.misses(found.arm_model, unknowns_of(found, work.train)) for part in (work.train, work.test)]
         refuse_misses(work.train, work.test, (missed[0], missed[1]))
         return work
     start, train = geometric.calibration.nominal, work.poses[0]
@@ -309,7 +303,7 @@ def _verdicts(work: Work, train: Measurements, names: tuple[str, ...]) -> GateRe
         bare = identify(geometric_model(start, known), start, rows)
         if not work.terms:
             return bare.arm_model
-        return identify_terms(work.terms, bare, PoseObservations(rows), known).arm_model
+        return identify_terms(work.terms, bare, rows, known).arm_model
 
     rng = np.random.default_rng(work.choices.seed)
     return _most_successful(judge_residuals(data, refit, rng, models=names, fitters=QUICK_FITTERS))

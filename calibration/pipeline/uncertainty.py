@@ -18,7 +18,6 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import PoseObservations
 from pickenv.calibration.pipeline.calibration import Calibration
 
 
@@ -99,7 +98,7 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
 
 def held_out_errors(calibration: Calibration, data: Measurements) -> Array:
     """Measured minus predicted ``(N, 6)`` or ``(N, 3)``, m and rad, with terms and the learnt residual, where any."""
-    errors = PoseObservations(data).difference(calibration.model)
+    errors = data.difference(calibration.model)
     if calibration.learnt is not None:
         inputs = data.conditions.inputs() if calibration.learnt.inputs.conditions else None
         learnt = calibration.learnt.predict(data.joints, inputs)

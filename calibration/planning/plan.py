@@ -18,7 +18,7 @@ from scipy.linalg import qr
 from pickenv.arm import Arm, Geometry, parameter_jacobian
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.error_model import ErrorModel, link_model
-from pickenv.calibration.model.identifiability import RANK_TOLERANCE
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns, random_joints, write_table
 from pickenv.calibration.model.observability import Observability, observability
 from pickenv.calibration.planning.exchange import exchange
@@ -209,7 +209,7 @@ def design_of(
     triangle = np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")
     r, order = qr(triangle, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(r))
-    kept = np.sort(order[: int(np.sum(diagonal > RANK_TOLERANCE * diagonal[0]))])
+    kept = np.sort(order[: int(np.sum(diagonal > REDUNDANCY_TOLERANCE * diagonal[0]))])
     base = ErrorModel(model.columns[kept], tuple(model.names[k] for k in kept), model.tolerance[kept])
     return Design(joints, rows[..., kept], base, weight, kind)
 

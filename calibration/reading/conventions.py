@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.alignment import align
-from pickenv.calibration.model.error_model import frames_model, residual
+from pickenv.calibration.model.error_model import frames_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.errors import InputError
 
@@ -81,6 +81,6 @@ def _left(geometry: Geometry, data: Measurements) -> tuple[float, float]:
         fitted = align(geometry, data, frames_model(geometry), judge=False).geometry
     except (InputError, np.linalg.LinAlgError):
         return np.inf, np.inf
-    left = residual(fitted, data)
+    left = data.difference(fitted)
     means = np.linalg.norm(left[:, :3], axis=1).mean() * 1e3, np.degrees(np.linalg.norm(left[:, 3:], axis=1).mean())
     return float(means[0]), float(means[1])

@@ -22,7 +22,6 @@ from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames
 from pickenv.calibration.model.observations import (
     DistanceObservations,
     Observations,
-    PoseObservations,
     ReflectorObservations,
     SocketObservations,
 )
@@ -92,7 +91,7 @@ class Reading:
     @property
     def measurements(self) -> Measurements | None:
         """The data as poses or positions; None where they are of another kind."""
-        return self.observations.measurements if isinstance(self.observations, PoseObservations) else None
+        return self.observations if isinstance(self.observations, Measurements) else None
 
 
 def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> Measurements:
@@ -144,12 +143,9 @@ def read_observations(paths: Sequence[str | Path], geometry: Geometry, columns: 
     lines = np.concatenate([np.array(table.lines, dtype=np.int64) for table in tables])
     origins = Origins(tuple(table.where for table in tables), groups, lines)
     refuse_repeated_joints(given, joints, geometry)
-    frames: Frames = _frames(tables) if description is None else "fitted"
+    frames = {"frames": _frames(tables)} if description is None else {}
     found: Any = READERS[first.kind](tables, given, joints, conditions, geometry, source)
-    if isinstance(found, PoseObservations):
-        found = PoseObservations(replace(found.measurements, origins=origins, frames=frames))
-    else:
-        found = replace(found, origins=origins)
+    found = replace(found, origins=origins, **frames)
     refuse_duplicates(joints, found, origins)
     return Reading(found, _floor(tables, given), groups)
 
@@ -203,7 +199,7 @@ def _poses(
     conditions: Conditions,
     geometry: Geometry,
     source: str,
-) -> PoseObservations:
+) -> Measurements:
     """Poses or positions; unnamed attitude conventions are refused with what each would leave."""
     first, pairs = given[0], list(zip(tables, given, strict=True))
     position = np.concatenate([t.values(d.position) * TO_SI[d.position_unit] for t, d in pairs])
@@ -220,18 +216,16 @@ def _poses(
                 "name one of them, or the maker's, as convention in [rotation]"
             )
         rotation = rotations(first.convention, values)
-    return PoseObservations(
-        Measurements(
-            joints=joints,
-            position=position,
-            rotation=rotation,
-            prismatic=geometry.prismatic,
-            position_std=first.position_std,
-            std_stated=first.std_stated,
-            attitude_std=first.attitude_std,
-            source=source,
-            conditions=conditions,
-        )
+    return Measurements(
+        joints=joints,
+        position=position,
+        rotation=rotation,
+        prismatic=geometry.prismatic,
+        position_std=first.position_std,
+        std_stated=first.std_stated,
+        attitude_std=first.attitude_std,
+        source=source,
+        conditions=conditions,
     )
 
 

@@ -7,13 +7,7 @@ import numpy as np
 from pickenv.arm import Geometry
 from pickenv.arm.files.arm_file import TO_SI
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.observations import (
-    DistanceObservations,
-    Observations,
-    PoseObservations,
-    ReflectorObservations,
-    SocketObservations,
-)
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.reading.csv_table import Table
 from pickenv.calibration.reading.description import ColumnDescription
@@ -60,16 +54,7 @@ def refuse_origin(table: Table, description: ColumnDescription) -> None:
 
 def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> None:
     """Refuse rows that repeat another to the last digit: they count twice, and leak into what is held out."""
-    rows = [joints]
-    if isinstance(found, PoseObservations):
-        rows.append(found.measurements.position)
-    elif isinstance(found, ReflectorObservations):
-        rows.append(np.where(found.seen[..., None], found.points, 0.0).reshape(len(joints), -1))
-    elif isinstance(found, DistanceObservations):
-        rows.append(found.length[:, None])
-    elif isinstance(found, SocketObservations):
-        rows.append(found.socket[:, None].astype(float))
-    whole = np.concatenate(rows, axis=1)
+    whole = np.concatenate([joints, found.readings()], axis=1)
     _, first, inverse, count = np.unique(whole, axis=0, return_index=True, return_inverse=True, return_counts=True)
     again = np.setdiff1d(np.arange(len(whole)), first)
     if len(again):

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.residuals.standardising import spread
 from pickenv.errors import InputError
+from pickenv.threads import torch_on_one_thread
 
 
 @dataclass(frozen=True)
@@ -169,15 +170,10 @@ def train_bpnn(
     output_mean, output_std = residuals.mean(axis=0), spread(residuals, 1e-12)
     x = torch.as_tensor((joints - input_mean) / input_std, dtype=torch.float32)
     y = torch.as_tensor((residuals - output_mean) / output_std, dtype=torch.float32)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # layers this small lose time to threads, and one thread adds in one order
-    try:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(int(rng.integers(2**63)))
-            model = _network(x.shape[1], y.shape[1], settings)
-            loss = _train(model, x, y, rng, settings, progress)
-    finally:
-        torch.set_num_threads(threads)
+    with torch_on_one_thread(), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(rng.integers(2**63)))
+        model = _network(x.shape[1], y.shape[1], settings)
+        loss = _train(model, x, y, rng, settings, progress)
     weights, biases = _folded(model)
     return Bpnn(input_mean, input_std, weights, biases, output_mean, output_std, loss)
 

@@ -16,7 +16,6 @@ from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import PoseObservations
 from pickenv.calibration.model.splits import Rows, blocked_split, random_split
 from pickenv.calibration.residuals.residual_models import FITTERS, Fitter, fit_residual
 from pickenv.errors import InputError
@@ -225,9 +224,7 @@ class _Trial:
     def of(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> _Trial:
         train, test = measurements.select(train_rows), measurements.select(test_rows)
         found = refit(train)
-        arm = found if isinstance(found, ArmModel) else ArmModel.of(found)
-        left = (PoseObservations(train).difference(arm), PoseObservations(test).difference(arm))
-        return _Trial(train, test, *left, test_rows)
+        return _Trial(train, test, train.difference(found), test.difference(found), test_rows)
 
 
 def _compared(before: Array, after: Array, margin: float) -> tuple[bool, str]:

@@ -61,7 +61,7 @@ def calibrate(
 
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
     """
-    from pickenv.calibration.model.observations import PoseObservations
+    from pickenv.calibration.model.measurements import Measurements
     from pickenv.calibration.pipeline.stages import Choices
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
     from pickenv.files import separate, write_text
@@ -83,7 +83,7 @@ def calibrate(
         unit=unit,
     )
     for option, path in (("--report", report), ("--run", run)):
-        if path is not None and not isinstance(result.test, PoseObservations):
+        if path is not None and not isinstance(result.test, Measurements):
             source, kind = result.train.source, result.train.kind
             raise InputError(f"{option} shows poses and positions, but {source} holds {kind}; leave it out")
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
@@ -107,20 +107,18 @@ def calibrate(
 
 def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
-    from pickenv.calibration.model.observations import PoseObservations
+    from pickenv.calibration.model.measurements import Measurements
     from pickenv.files import write_text
     from pickenv.inspect.reports.calibration_report import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_trace
 
-    assert isinstance(result.train, PoseObservations) and isinstance(result.test, PoseObservations)
+    assert isinstance(result.train, Measurements) and isinstance(result.test, Measurements)
     stages = list(result.errors.values())
     errors = {"nominal": stages[0], "calibrated": stages[1]}
     if len(stages) > 2:
         errors[result.best_model] = stages[-1]
-    trace = trace_of(
-        result.fit, {"identification": result.train.measurements, "test": result.test.measurements}, errors
-    )
+    trace = trace_of(result.fit, {"identification": result.train, "test": result.test}, errors)
     with recorded_run(folder, "calibration", command, seed):
         return [
             result.calibration.save(folder / "calibration"),

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.bootstrap import interval95, resampled
 from pickenv.errors import InputError
 from pickenv.harvester.harvest import Harvest, Round
 from pickenv.harvester.machine import Machine
@@ -80,12 +81,13 @@ def summary(machine: Machine, harvests: Sequence[Harvest], rng: np.random.Genera
     }
     table = {name: np.array(values) for name, values in columns.items()}
     n, arms = len(harvests), machine.arms
-    draws = rng.integers(n, size=(RESAMPLES, n))
+    whole = np.stack(list(table.values()), axis=1)
+    sums = resampled(np.arange(n)[None], lambda trees: whole[trees].sum(axis=0), rng, RESAMPLES)
+    replicates = dict(zip(table, sums.T, strict=True))
 
     def measure(make: Callable[[dict[str, Array]], Array]) -> Measure:
         value = float(make({name: column.sum() for name, column in table.items()}))
-        spread = make({name: column[draws].sum(axis=1) for name, column in table.items()})
-        low, high = np.nanquantile(np.broadcast_to(spread, RESAMPLES), [0.025, 0.975])
+        low, high = interval95(make(replicates))
         return Measure(value, float(low), float(high))
 
     closest = float(table["closest"].min())

@@ -6,10 +6,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, forward, load_plant, pose_error, rotation_matrix
-from pickenv.arm.kinematics.forward import frame_of
-from pickenv.envs.shared.backends import FLOATS, NUMPY
-from pickenv.envs.shared.simulation import attitude_difference, goal_attempt
+from pickenv.arm import forward, load_plant, pose_error, rotation_matrix
+from pickenv.envs.shared.backends import FLOATS
+from pickenv.envs.shared.simulation import goal_attempt
 from pickenv.envs.shared.streams import seed_word
 from pickenv.errors import InputError
 
@@ -275,20 +274,3 @@ def test_an_arm_without_error_at_its_goal_has_no_error_of_any_kind_and_the_highe
         assert max(np.max(np.abs(info[name])) for name in names) < 1e-12
         assert np.max(np.abs(reward)) < 1e-12
     many.close()
-
-
-AXES = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, -1], [-1, 0, 1], [1, 2, 3], [3, -1, 2], [-2, 3, 1]]
-
-
-@pytest.mark.parametrize("axis", AXES)
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, 3.0, math.pi])
-def test_the_difference_of_two_attitudes_is_the_turn_between_them(axis, angle):
-    """Half a turn about any axis too, where the sine says nothing."""
-    vector = angle * np.array(axis) / np.linalg.norm(axis)
-    turn = np.round(rotation_matrix(vector), 15) if angle == math.pi else rotation_matrix(vector)
-    frames = [frame_of(Pose(np.zeros(3), rotation)) for rotation in (np.eye(3), turn)]
-    single = np.array(attitude_difference(FLOATS, *frames))
-    batch = attitude_difference(NUMPY, *([np.full(2, value) for value in frame] for frame in frames))
-    np.testing.assert_allclose(np.array(batch).T, [single, single], atol=1e-12)
-    sign = np.sign(single @ vector) if angle == math.pi else 1.0  # either way round is half a turn
-    np.testing.assert_allclose(sign * single, vector, atol=1e-7)

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from types import ModuleType
 
+import numpy as np
+
 from pickenv.arm.kinematics.forward import Scalar
 
 
@@ -22,10 +24,12 @@ def exponential(m: ModuleType, value: Scalar) -> Scalar:
 
 
 def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    """``value`` held between ``low`` and ``high``, three numbers of one kind."""
+    """``value`` held between ``low`` and ``high``, both plain floats or both of its kind."""
     if m is math:
-        return min(max(value, low), high)
-    return m.minimum(m.maximum(value, low), high)
+        return low if value < low else high if value > high else value
+    if m is np:
+        return m.minimum(m.maximum(value, low), high)
+    return m.clip(value, low, high)
 
 
 def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
@@ -33,6 +37,11 @@ def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
     if m is math or isinstance(condition, bool):
         return yes if condition else no
     return m.where(condition, yes, no)
+
+
+def possible(m: ModuleType, condition: Scalar) -> bool:
+    """Whether a rare case may be present; torch always says yes, so that nothing waits for the device."""
+    return bool(condition) if m is math else bool(np.any(condition)) if m is np else True
 
 
 def nearest_whole(m: ModuleType, value: Scalar) -> Scalar:

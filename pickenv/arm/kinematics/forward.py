@@ -160,39 +160,6 @@ def tool_frame(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexur
     return attach(frames(m, chain, q, flexure)[-1], chain.tool)
 
 
-def turn_between(reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar, Scalar]:
-    """Sine of the angle times the axis of R_actual R_reference^T (world axes, three components), and the cosine."""
-    axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
-    bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
-    # Half the sum of the cross products of corresponding axes.
-    sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
-    sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
-    sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
-    cosine = 0.5 * (
-        axx * bxx + axy * bxy + axz * bxz + ayx * byx + ayy * byy + ayz * byz + azx * bzx + azy * bzy + azz * bzz - 1.0
-    )
-    return sx, sy, sz, cosine
-
-
-def frame_error(reference: Sequence[float], actual: Sequence[float]) -> tuple[float, ...]:
-    """`pose_error` on two frames of Python floats: (x, y, z, rx, ry, rz), m and rad, world axes."""
-    apx, apy, apz = actual[9:]
-    bpx, bpy, bpz = reference[9:]
-    sx, sy, sz, cosine = turn_between(reference, actual)
-    sine = math.sqrt(sx * sx + sy * sy + sz * sz)
-    if sine > 1e-7:
-        scale = math.atan2(sine, cosine) / sine
-    elif cosine > 0.0:
-        scale = 1.0
-    else:  # half a turn: the axis is in the symmetric part, which SciPy handles
-        from pickenv.arm.kinematics.pose_error import rotation_vector
-
-        turn = np.reshape(actual[:9], (3, 3)).T @ np.reshape(reference[:9], (3, 3))
-        rx, ry, rz = rotation_vector(turn).tolist()
-        return (apx - bpx, apy - bpy, apz - bpz, rx, ry, rz)
-    return (apx - bpx, apy - bpy, apz - bpz, scale * sx, scale * sy, scale * sz)
-
-
 def split_joints(geometry_joints: int, q: ArrayLike) -> list[Array]:
     """Check joints ``(..., n)`` and return them as n arrays ``(...,)``.
 

@@ -17,7 +17,7 @@ from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.arm.kinematics.jacobians import joint_jacobian
 from pickenv.arm.kinematics.pose_error import pose_error
-from pickenv.arm.kinematics.task_space import RANK_TOLERANCE, noncompensable_error, truncated_inverse
+from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE, noncompensable_error, truncated_inverse
 
 STEP_LIMIT = 0.4
 """Largest Gauss-Newton step, in half-ranges of a joint or 0.4 rad, so that a step stays where the Jacobian holds."""
@@ -52,7 +52,7 @@ def inverse(
     *,
     position_tolerance: float = 1e-5,
     attitude_tolerance: float = 1e-5,
-    rank_tolerance: float = RANK_TOLERANCE,
+    rank_tolerance: float = DIRECTION_TOLERANCE,
     max_iterations: int = 100,
     restarts: int = 4,
 ) -> InverseSolution:

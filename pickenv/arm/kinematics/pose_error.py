@@ -1,15 +1,28 @@
 """Differences of poses: position in metres and attitude as a rotation vector, both in world axes.
 
-Euler angles are never used: they inflate attitude errors (Qiao 2026 digest, fact 10).
+In components (floats, NumPy arrays or torch tensors, see `pickenv.arm.kinematics.forward`), with a NumPy face on
+top. Euler angles are never used: they inflate attitude errors (Qiao 2026 digest, fact 10).
 """
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from pickenv.arm.kinematics.backend import chosen, possible
+from pickenv.arm.kinematics.forward import Frame, Scalar, frame_of, pose_of
 from pickenv.arm.kinematics.geometry import Array, Pose
+
+TINY = 1e-7
+"""Below this sine of its angle a small rotation's vector is the sine vector, to the last digit."""
+
+REVERSED = -0.99
+"""Below this cosine, from 172 degrees, the rotation's axis is read from the symmetric part: the sine has lost it."""
 
 
 def rotation_vector(rotation: ArrayLike) -> Array:
@@ -26,6 +39,68 @@ def rotation_matrix(vector: ArrayLike) -> Array:
     return flat.reshape(*vector.shape[:-1], 3, 3)
 
 
+def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """Rotation vector of R_actual R_reference^T in world axes, three components in rad, up to half a turn.
+
+    Args:
+        m: ``math``, ``numpy`` or ``torch``.
+        reference: A frame, or its first nine components.
+        actual: The same of the other.
+    """
+    axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
+    bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
+    # Half the sum of the cross products of corresponding axes is sin(angle) times the axis of R_actual R_reference^T.
+    sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
+    sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
+    sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
+    xx = axx * bxx + ayx * byx + azx * bzx
+    yy = axy * bxy + ayy * byy + azy * bzy
+    zz = axz * bxz + ayz * byz + azz * bzz
+    cosine = 0.5 * (xx + yy + zz - 1.0)
+    sine = m.sqrt(sx * sx + sy * sy + sz * sz)
+    angle = m.atan2(sine, cosine)
+    scale = chosen(m, sine <= TINY, 1.0, angle / (sine + 1e-30))
+    vector = scale * sx, scale * sy, scale * sz
+    reverse = cosine < REVERSED
+    if not possible(m, reverse):
+        return vector
+    # Half of R + R^T, less the cosine on its diagonal, is (1 - cosine) a a^T: its largest column gives the axis a.
+    xy = 0.5 * (axx * bxy + ayx * byy + azx * bzy + axy * bxx + ayy * byx + azy * bzx)
+    xz = 0.5 * (axx * bxz + ayx * byz + azx * bzz + axz * bxx + ayz * byx + azz * bzx)
+    yz = 0.5 * (axy * bxz + ayy * byz + azy * bzz + axz * bxy + ayz * byy + azz * bzy)
+    x_largest, y_largest = (xx >= yy) & (xx >= zz), yy >= zz
+    ux = chosen(m, x_largest, xx - cosine, chosen(m, y_largest, xy, xz))
+    uy = chosen(m, x_largest, xy, chosen(m, y_largest, yy - cosine, yz))
+    uz = chosen(m, x_largest, xz, chosen(m, y_largest, yz, zz - cosine))
+    scale = angle / m.sqrt(ux * ux + uy * uy + uz * uz + 1e-30)
+    scale = chosen(m, ux * sx + uy * sy + uz * sz < 0.0, -scale, scale)
+    return tuple(chosen(m, reverse, scale * u, v) for u, v in zip((ux, uy, uz), vector, strict=True))
+
+
+def frame_error(m: ModuleType, reference: Frame, actual: Frame) -> tuple[Scalar, ...]:
+    """`pose_error` of frames: (x, y, z, rx, ry, rz), m and rad, world axes."""
+    apx, apy, apz = actual[9:]
+    bpx, bpy, bpz = reference[9:]
+    return (apx - bpx, apy - bpy, apz - bpz, *rotation_between(m, reference, actual))
+
+
+def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
+    """The frame that differs from ``frame`` by six components in the sense of `frame_error`: Rodrigues' formula."""
+    dx, dy, dz, wx, wy, wz = error
+    square = wx * wx + wy * wy + wz * wz + 1e-40
+    angle = m.sqrt(square)
+    first, half = m.sin(angle) / angle, m.sin(0.5 * angle)
+    second = 2.0 * half * half / square
+    turned: list[Scalar] = []
+    for i in (0, 3, 6):
+        x, y, z = frame[i : i + 3]
+        along = second * (wx * x + wy * y + wz * z)
+        turned.append(x + first * (wy * z - wz * y) + wx * along - second * square * x)
+        turned.append(y + first * (wz * x - wx * z) + wy * along - second * square * y)
+        turned.append(z + first * (wx * y - wy * x) + wz * along - second * square * z)
+    return (*turned, frame[9] + dx, frame[10] + dy, frame[11] + dz)
+
+
 def pose_error(reference: Pose, actual: Pose) -> Array:
     """Error of ``actual`` against ``reference``.
 
@@ -33,11 +108,23 @@ def pose_error(reference: Pose, actual: Pose) -> Array:
         Array ``(..., 6)``: position difference in m, then the rotation vector of R_actual R_reference^T in rad, both
         in world axes.
     """
-    turn = actual.rotation @ np.swapaxes(reference.rotation, -1, -2)
-    return np.concatenate([actual.position - reference.position, rotation_vector(turn)], axis=-1)
+    m = math if reference.position.ndim == actual.position.ndim == 1 else np
+    error = frame_error(m, _components(reference), _components(actual))
+    return np.stack(np.broadcast_arrays(*error), axis=-1)
 
 
 def displace_pose(pose: Pose, error: ArrayLike) -> Pose:
     """The pose that differs from ``pose`` by ``error`` ``(..., 6)`` in the sense of `pose_error`."""
     error = np.asarray(error, dtype=float)
-    return Pose(pose.position + error[..., :3], rotation_matrix(error[..., 3:]) @ pose.rotation)
+    if pose.position.ndim == error.ndim == 1:
+        moved = np.array(displaced_frame(math, frame_of(pose), error.tolist()))
+        return Pose(moved[9:], moved[:9].reshape(3, 3).T)
+    return pose_of(displaced_frame(np, _components(pose), list(np.ascontiguousarray(np.moveaxis(error, -1, 0)))))
+
+
+def _components(pose: Pose) -> Frame:
+    """The twelve components of poses ``(...)``: arrays, or floats of a single pose."""
+    if pose.position.ndim == 1:
+        return frame_of(pose)
+    axes = np.ascontiguousarray(np.moveaxis(pose.rotation, (-1, -2), (0, 1)))
+    return (*axes.reshape(9, *axes.shape[2:]), *np.moveaxis(pose.position, -1, 0))

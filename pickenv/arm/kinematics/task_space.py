@@ -1,28 +1,35 @@
 """Which part of a pose error the joints can remove, and how: the truncated pseudo-inverse of the joint Jacobian.
 
 The hybrid picking arm has six joints but task rank 5 everywhere (J1, J2 and J4 are parallel, J5 and J6 too), so J^-1 of
-Qiao 2026 eq (15) does not exist: singular values below `RANK_TOLERANCE` of the largest are cut off, and the attitude
-error along the missing direction is reported apart. One radian is weighed as one metre.
+Qiao 2026 eq (15) does not exist: singular values below `DIRECTION_TOLERANCE` of the largest are cut off, and the
+attitude error along the missing direction is reported apart. One radian is weighed as one metre.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dgelss
 
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.arm.kinematics.jacobians import joint_jacobian
 
-RANK_TOLERANCE = 5e-3
-"""On the picking arm the fifth singular value stays above 0.11 of the first, and a real arm's sixth below 0.001."""
+DIRECTION_TOLERANCE = 5e-3
+"""Below this share of the largest singular value a direction counts as impossible.
+
+On the picking arm the fifth singular value stays above 0.11 of the first, and a real arm's sixth below 0.001.
+"""
 
 
-def truncated_inverse(jacobian: Array, tolerance: float = RANK_TOLERANCE) -> Array:
+def truncated_inverse(jacobian: Array, tolerance: float = DIRECTION_TOLERANCE) -> Array:
     """Pseudo-inverse ``(..., n, 6)`` of ``jacobian`` ``(..., 6, n)`` with small singular values cut off."""
-    return np.asarray(np.linalg.pinv(jacobian, rcond=tolerance))
+    if jacobian.ndim > 2:
+        return np.asarray(np.linalg.pinv(jacobian, rcond=tolerance))
+    rows, n = jacobian.shape  # one matrix: LAPACK itself, without NumPy's overhead
+    return np.asarray(dgelss(jacobian, np.eye(max(n, rows), rows), cond=tolerance)[1][:n])
 
 
-def task_directions(geometry: Geometry, q: ArrayLike, tolerance: float = RANK_TOLERANCE) -> tuple[Array, Array]:
+def task_directions(geometry: Geometry, q: ArrayLike, tolerance: float = DIRECTION_TOLERANCE) -> tuple[Array, Array]:
     """Directions of tool motion, ordered from the easiest to the impossible, and how many of them are possible.
 
     Args:
@@ -39,7 +46,7 @@ def task_directions(geometry: Geometry, q: ArrayLike, tolerance: float = RANK_TO
 
 
 def noncompensable_error(
-    geometry: Geometry, q: ArrayLike, error: ArrayLike, tolerance: float = RANK_TOLERANCE
+    geometry: Geometry, q: ArrayLike, error: ArrayLike, tolerance: float = DIRECTION_TOLERANCE
 ) -> Array:
     """The part ``(..., 6)`` of a pose error ``(..., 6)`` that no small joint motion removes.
 

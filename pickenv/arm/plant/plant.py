@@ -1,9 +1,9 @@
 """The true arm: what a joint command really does to the tool.
 
-command -> drives -> joint deflection -> chain with true geometry -> boom bending -> base -> tool pose. Each effect is
-None when switched off; with all of them off the plant is exactly the true geometry. Some effects depend on the joints
-alone; the others have a state (`pickenv.arm.plant.dynamics`). Numbers may be arrays: one entry per arm, many arms at
-once.
+Motor (counts, lag) -> drive error -> friction -> backlash -> compliance -> swing -> warm chain -> boom -> ground. Each
+effect is None when switched off; with all of them off the plant is exactly the true geometry. Some effects depend on
+the joints alone; the others have a state, a tuple of components that runs on floats, arrays and tensors
+(`pickenv.arm.plant.dynamics`). Numbers may be arrays: one entry per arm, many arms at once.
 """
 
 from __future__ import annotations
@@ -13,15 +13,21 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.effects.drives import Encoder, Servo
-from pickenv.arm.effects.ground import BaseTilt
-from pickenv.arm.effects.hysteresis import Backlash, StickBand
-from pickenv.arm.effects.settling import Settling
+from pickenv.arm.effects.drives import Encoder, Servo, followed, quantised
+from pickenv.arm.effects.ground import BaseTilt, immediate_tilt, long_run, sunk, tilted_frame
+from pickenv.arm.effects.hysteresis import (
+    Backlash,
+    StickBand,
+    joints_amid_friction,
+    joints_behind_backlash,
+    joints_behind_friction,
+)
+from pickenv.arm.effects.settling import Settling, Swing, at_rest, swung
 from pickenv.arm.effects.structure import (
     BoomBending,
     JointCompliance,
@@ -31,15 +37,25 @@ from pickenv.arm.effects.structure import (
     boom_flexure,
     driven_joints,
     gravity_torques,
+    roller_flexure,
     yielded_joints,
 )
-from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain
+from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain, grown_joints, warmed
 from pickenv.arm.files.arm_file import Arm
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, frames, pose_of, split_joints, tool_frame
+from pickenv.arm.kinematics.forward import (
+    Chain,
+    Flexure,
+    Frame,
+    Scalar,
+    chain_of,
+    frames,
+    pose_of,
+    split_joints,
+    tool_frame,
+)
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.arm.kinematics.pose_error import displace_pose
-from pickenv.arm.plant import dynamics
-from pickenv.arm.plant.dynamics import PlantState
+from pickenv.arm.plant.dynamics import Components, PlantState
 
 EFFECTS = (
     "joint_compliance",
@@ -56,7 +72,6 @@ EFFECTS = (
     "servo",
 )
 WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling", "servo")
-BEYOND_BASIC = ("roller_play", "encoder", *WITH_STATE)
 
 
 @dataclass(frozen=True)
@@ -138,10 +153,6 @@ class Plant:
         """Whether where the tool stands depends on more than the present command."""
         return any(getattr(self, name) is not None for name in WITH_STATE)
 
-    @cached_property
-    def _beyond_basic(self) -> bool:
-        return any(getattr(self, name) is not None for name in BEYOND_BASIC)
-
     def without(self, effects: Iterable[str]) -> Plant:
         """This plant with the named effects (of `EFFECTS`) switched off."""
         effects = tuple(effects)
@@ -157,25 +168,29 @@ class Plant:
         It is the settled, history-free pose: where the tool ends when ``q`` is held for ever. Gaps that gravity does
         not close, and the friction band, are in their middle.
         """
-        if self._beyond_basic:
-            return dynamics.settled_frame(self, m, q)
-        if self.transmission_error is not None:
-            q = driven_joints(m, self.transmission_error, q)
-        if self.joint_compliance is not None and self.load is not None:
-            # One evaluation at the undeflected joints: feeding the deflection back changes it by its own size squared.
-            torques = gravity_torques(self.chain, frames(m, self.chain, q), self.load)
-            q = yielded_joints(self.joint_compliance, torques, q)
-        flexure = None
-        if self.boom_bending is not None:
-            flexure = boom_flexure(self.boom_bending, self.load.payload if self.load else 0.0, q)
-        return tool_frame(m, self.chain, q, flexure)
+        gear = _gear(self, m, self._target(m, q), None)
+        rise = (self.thermal_growth.final_rise,) if self.thermal_growth is not None else ()
+        sinkage: Components = ()
+        if self.base_tilt is not None and gear.tilt is not None:
+            sinkage = long_run(self.base_tilt, gear.tilt)
+        return _tool(self, m, self.warm_chain, gear, (), rise, sinkage)
 
     def initial_state(self, m: ModuleType, q: Sequence[Scalar]) -> PlantState:
         """State at rest at the command ``q``, just switched on: cold, and not yet sunk. See `advance`."""
-        return dynamics.initial_state(self, m, q) if self.has_state else PlantState()
+        if not self.has_state:
+            return PlantState()
+        zero = q[0] * 0.0
+        motor = self._target(m, q)
+        gear = _gear(self, m, motor, None)
+        rise = (zero + self.thermal_growth.initial_rise,) if self.thermal_growth is not None else ()
+        sinkage = (zero, zero, zero) if self.base_tilt is not None else ()
+        return _state(self, motor, gear, at_rest(q) if self.settling is not None else (), rise, sinkage)
 
     def advance(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> tuple[PlantState, Frame]:
         """Hold the joint command ``q`` for ``dt`` seconds.
+
+        Friction and backlash see the motor's way from where it was to where it is in the end, which is right as long as
+        it does not turn back within ``dt``; all else is exact for a held command.
 
         Args:
             m: ``math``, ``numpy`` or ``torch``.
@@ -188,11 +203,33 @@ class Plant:
         """
         if not self.has_state:
             return state, self.tool_frame(m, q)
-        return dynamics.advance(self, m, state, q, dt)
+        motor = self._target(m, q)
+        if self.servo is not None:
+            motor = followed(m, self.servo, state.motor, motor, dt)
+        gear = _gear(self, m, motor, state)
+        swings = [Swing(*parts) for parts in zip(state.profile, state.vibration, state.rate, strict=True)]
+        if self.settling is not None:
+            swings = swung(m, self.settling, swings, q, dt)
+        chain, rise, sinkage = self.chain, state.rise, state.sinkage
+        if self.thermal_growth is not None:
+            rise = (warmed(m, self.thermal_growth, rise[0], dt),)
+            chain = grown_chain(self.thermal_growth, chain, rise[0])
+        if self.base_tilt is not None and gear.tilt is not None:
+            sinkage = sunk(m, self.base_tilt, sinkage, gear.tilt, dt)
+        new = _state(self, motor, gear, swings, rise, sinkage)
+        return new, _tool(self, m, chain, gear, swings, rise, sinkage)
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
-        """What the motor encoders report after `advance` to ``state`` at the command ``q``, rad or m."""
-        return dynamics.readings(self, m, state, q)
+        """What the motor encoders report after `advance` to ``state`` at the command ``q``, rad or m.
+
+        The motor in whole counts, with its following error: they see neither drive errors nor friction, backlash,
+        deflection or swing.
+        """
+        return self._target(m, state.motor if self.servo is not None else q)
+
+    def _target(self, m: ModuleType, q: Sequence[Scalar]) -> list[Scalar]:
+        """Joints in whole counts of the motor encoders."""
+        return list(q) if self.encoder is None else quantised(m, self.encoder, q)
 
     def tool_pose(self, q: ArrayLike) -> Pose:
         """True tool pose, free of measurement noise, for joint commands ``(..., n)`` in rad and m."""
@@ -210,3 +247,88 @@ class Plant:
             return pose
         scale = np.repeat([noise.position_std, noise.attitude_std], 3)
         return displace_pose(pose, rng.normal(size=(*pose.position.shape[:-1], 6)) * scale)
+
+
+class _Gear(NamedTuple):
+    """Joint displacements on their way from motor to link, and the loads on them."""
+
+    friction: Sequence[Scalar]
+    backlash: Sequence[Scalar]
+    torques: list[Scalar] | None
+    tilt: tuple[Scalar, Scalar] | None
+
+
+def _state(
+    plant: Plant, motor: Sequence[Scalar], gear: _Gear, swings: Sequence[Swing], rise: Components, sinkage: Components
+) -> PlantState:
+    return PlantState(
+        motor=tuple(motor) if plant.servo is not None else (),
+        friction=tuple(gear.friction) if plant.stick_band is not None else (),
+        backlash=tuple(gear.backlash) if plant.backlash is not None else (),
+        profile=tuple(swing.profile for swing in swings),
+        vibration=tuple(swing.vibration for swing in swings),
+        rate=tuple(swing.rate for swing in swings),
+        rise=rise,
+        sinkage=sinkage,
+    )
+
+
+def _gear(plant: Plant, m: ModuleType, motor: Sequence[Scalar], state: PlantState | None) -> _Gear:
+    """From motor positions to displacements behind the gears; without a state, the history-free ones."""
+    driven = motor
+    if plant.transmission_error is not None:
+        driven = driven_joints(m, plant.transmission_error, driven)
+    torques, tilt = None, None
+    if plant.load is not None and (plant.joint_compliance or plant.backlash or plant.base_tilt):
+        # Loads are taken at the driven joints of the straight, cold arm: what is left out is of second order.
+        straight = frames(m, plant.chain, driven)
+        if plant.joint_compliance is not None or plant.backlash is not None:
+            torques = gravity_torques(plant.chain, straight, plant.load)
+        if plant.base_tilt is not None:
+            tilt = immediate_tilt(plant.base_tilt, plant.chain, straight, plant.load)
+    friction = driven
+    if plant.stick_band is not None:
+        if state is None:
+            friction = joints_amid_friction(plant.stick_band, driven)
+        else:
+            friction = joints_behind_friction(m, plant.stick_band, driven, state.friction)
+    backlash = friction
+    if plant.backlash is not None:
+        before = friction if state is None else state.backlash
+        backlash = joints_behind_backlash(m, plant.backlash, torques, friction, before)
+    return _Gear(friction, backlash, torques, tilt)
+
+
+def _tool(
+    plant: Plant,
+    m: ModuleType,
+    chain: Chain,
+    gear: _Gear,
+    swings: Sequence[Swing],
+    rise: Components,
+    sinkage: Components,
+) -> Frame:
+    """From displacements behind the gears to the tool."""
+    joints = gear.backlash
+    if plant.joint_compliance is not None and gear.torques is not None:
+        joints = yielded_joints(plant.joint_compliance, gear.torques, joints)
+    if swings:
+        joints = [value + swing.vibration for value, swing in zip(joints, swings, strict=True)]
+    if plant.thermal_growth is not None:
+        joints = grown_joints(plant.thermal_growth, chain, joints, rise[0])
+    frame = tool_frame(m, chain, joints, _flexure(plant, joints))
+    if plant.base_tilt is not None and gear.tilt is not None:
+        frame = tilted_frame(plant.base_tilt, gear.tilt, sinkage, frame)
+    return frame
+
+
+def _flexure(plant: Plant, joints: Sequence[Scalar]) -> Flexure | None:
+    """Bending of the boom and play in its rollers, one after the other."""
+    bend = slack = None
+    if plant.boom_bending is not None:
+        bend = boom_flexure(plant.boom_bending, plant.load.payload if plant.load else 0.0, joints)
+    if plant.roller_play is not None:
+        slack = roller_flexure(plant.roller_play, joints)
+    if bend is None or slack is None:
+        return bend or slack
+    return lambda i, frame: slack(i, bend(i, frame))

@@ -1,7 +1,7 @@
-"""What the simulation asks of Python floats, NumPy arrays and torch tensors beside sin, cos and sqrt.
+"""The arithmetic that the simulation runs on: Python floats, NumPy arrays or torch tensors.
 
-An executor bundles the namespace that kinematics runs on with the few operations that the three spell differently, and
-with 64-bit integer arithmetic modulo 2^64 for the random streams. torch is imported when its executor is asked for.
+An executor bundles the namespace of kinematics (`pickenv.arm.kinematics.backend` has what the three spell
+differently) with 64-bit integers modulo 2^64 for the random streams. torch is imported when its executor is asked for.
 """
 
 from __future__ import annotations
@@ -11,12 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
-Scalar = Any
-"""A Python float or int, a NumPy array or a torch tensor."""
+from pickenv.arm.kinematics.forward import Scalar as Scalar
 
 MASK = 2**64 - 1
 
@@ -28,10 +26,6 @@ class Executor:
     Attributes:
         name: "floats", "numpy" or "torch".
         m: Namespace with sin, cos, sqrt, log, log10.
-        arctan2: Angle of (y, x), rad.
-        where: ``where(condition, yes, no)``.
-        clip: ``clip(value, low, high)`` with float bounds.
-        any: Whether a rare case may be present; torch always says yes, so that nothing waits for the device.
         times: Product of 64-bit words with a constant, modulo 2^64.
         plus: Sum of two 64-bit words, modulo 2^64.
         shifted: A 64-bit word shifted to the right by a constant, zeros moving in.
@@ -42,10 +36,6 @@ class Executor:
 
     name: str
     m: ModuleType
-    arctan2: Callable[[Scalar, Scalar], Scalar]
-    where: Callable[[Scalar, Scalar, Scalar], Scalar]
-    clip: Callable[[Scalar, float, float], Scalar]
-    any: Callable[[Scalar], bool]
     times: Callable[[Scalar, int], Scalar]
     plus: Callable[[Scalar, Scalar], Scalar]
     shifted: Callable[[Scalar, int], Scalar]
@@ -58,21 +48,9 @@ class Executor:
         return executor_named, (self.name,)
 
 
-def _float_where(condition: bool, yes: Scalar, no: Scalar) -> Scalar:
-    return yes if condition else no
-
-
-def _float_clip(value: float, low: float, high: float) -> float:
-    return low if value < low else high if value > high else value
-
-
 FLOATS = Executor(
     name="floats",
     m=math,
-    arctan2=math.atan2,
-    where=_float_where,
-    clip=_float_clip,
-    any=bool,
     times=lambda word, constant: (word * constant) & MASK,
     plus=lambda word, other: (word + other) & MASK,
     shifted=lambda word, bits: word >> bits,
@@ -84,10 +62,6 @@ FLOATS = Executor(
 NUMPY = Executor(
     name="numpy",
     m=np,
-    arctan2=np.arctan2,
-    where=np.where,
-    clip=lambda value, low, high: np.minimum(np.maximum(value, low), high),
-    any=lambda condition: bool(np.any(condition)),
     times=lambda word, constant: word * np.uint64(constant),
     plus=lambda word, other: word + other,
     shifted=lambda word, bits: word >> np.uint64(bits),
@@ -109,10 +83,6 @@ def torch_executor() -> Executor:
     return Executor(
         name="torch",
         m=torch,
-        arctan2=torch.arctan2,
-        where=torch.where,
-        clip=torch.clip,
-        any=lambda condition: True,
         times=lambda word, constant: word * signed(constant),
         plus=lambda word, other: word + other,
         shifted=shifted,

@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Frame, Scalar, attach, frames
+from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
 from pickenv.arm.plant.dynamics import PlantState
 from pickenv.arm.plant.plant import Plant
 from pickenv.envs.shared.backends import Executor
@@ -125,7 +127,7 @@ def begin(
 def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> Components:
     """The nominal joint target after an action: clipped shares of the largest increments, kept in the joint limits."""
     return tuple(
-        x.clip(value + x.clip(share, -1.0, 1.0) * most, low, high)
+        clipped(x.m, value + clipped(x.m, share, -1.0, 1.0) * most, low, high)
         for value, share, most, low, high in zip(target, action, task.increment, task.lower, task.upper, strict=True)
     )
 
@@ -166,9 +168,8 @@ def look(
         plant_state, true = state.plant, plant.tool_frame(m, command)
     true = inexact(true) if x.spares_constants else true
     links, believed = nominal_frames(x, task, shown)
-    lag = attitude_difference(x, believed, goal)
-    turn = attitude_difference(x, goal, true)
-    dx, dy, dz = true[9] - goal[9], true[10] - goal[10], true[11] - goal[11]
+    lag = rotation_between(m, believed, goal)
+    dx, dy, dz, *turn = error = frame_error(m, goal, true)
     distance_mm = 1e3 * m.sqrt(dx * dx + dy * dy + dz * dz)
     angle_deg = DEGREES * m.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
     lost_deg = DEGREES * _lost_angle(x, task, links, turn)
@@ -183,7 +184,7 @@ def look(
             camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
     return plant_state, Look(
         readings=tuple(
-            x.clip((2.0 * q - (low + high)) / (high - low), -1.0, 1.0)
+            clipped(x.m, (2.0 * q - (low + high)) / (high - low), -1.0, 1.0)
             for q, low, high in zip(shown, task.lower, task.upper, strict=True)
         ),
         believed=believed[9:12],
@@ -193,16 +194,16 @@ def look(
         command=tuple(command),
         tool=true[9:12],
         fruit=goal[9:12],
-        error=(dx, dy, dz, *turn),
+        error=error,
         distance_mm=distance_mm,
         angle_deg=angle_deg,
         lost_deg=lost_deg,
-        kept_deg=m.sqrt(x.where(rest > 0.0, rest, 0.0 * rest)),
+        kept_deg=m.sqrt(chosen(m, rest > 0.0, rest, 0.0 * rest)),
         success=(distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg),
     )
 
 
-def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Components) -> Scalar:
+def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[Scalar]) -> Scalar:
     """Size of the part of a small turn that lies across all revolute axes: no joint motion removes it."""
     if task.lost_axes is None:
         return 0.0 * turn[0]
@@ -211,40 +212,6 @@ def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Component
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     along = turn[0] * nx + turn[1] * ny + turn[2] * nz
     return x.m.sqrt(along * along / (nx * nx + ny * ny + nz * nz + 1e-30))
-
-
-def attitude_difference(x: Executor, reference: Frame, actual: Frame) -> Components:
-    """Rotation vector of R_actual R_reference^T in world axes, rad: `pose_error` for components."""
-    axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
-    bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
-    # Half the sum of the cross products of corresponding axes is sin(angle) times the axis of R_actual R_reference^T.
-    sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
-    sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
-    sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
-    xx = axx * bxx + ayx * byx + azx * bzx
-    yy = axy * bxy + ayy * byy + azy * bzy
-    zz = axz * bxz + ayz * byz + azz * bzz
-    cosine = 0.5 * (xx + yy + zz - 1.0)
-    sine = x.m.sqrt(sx * sx + sy * sy + sz * sz)
-    tiny = sine <= 1e-7
-    scale = x.where(tiny, 1.0, x.arctan2(sine, cosine) / (sine + 1e-300))
-    rx, ry, rz = scale * sx, scale * sy, scale * sz
-    flipped = tiny & (cosine < 0.0)
-    if x.any(flipped):  # half a turn: R + 1 is 2 a a^T, and its largest column gives the axis a
-        xy, xz, yz = (
-            0.5 * (axx * bxy + ayx * byy + azx * bzy + axy * bxx + ayy * byx + azy * bzx),
-            0.5 * (axx * bxz + ayx * byz + azx * bzz + axz * bxx + ayz * byx + azz * bzx),
-            0.5 * (axy * bxz + ayy * byz + azy * bzz + axz * bxy + ayz * byy + azz * bzy),
-        )
-        x_largest, y_largest = (xx >= yy) & (xx >= zz), yy >= zz
-        ux = x.where(x_largest, xx + 1.0, x.where(y_largest, xy, xz))
-        uy = x.where(x_largest, xy, x.where(y_largest, yy + 1.0, yz))
-        uz = x.where(x_largest, xz, x.where(y_largest, yz, zz + 1.0))
-        half_turn = 3.141592653589793 / x.m.sqrt(ux * ux + uy * uy + uz * uz + 1e-300)
-        rx = x.where(flipped, half_turn * ux, rx)
-        ry = x.where(flipped, half_turn * uy, ry)
-        rz = x.where(flipped, half_turn * uz, rz)
-    return rx, ry, rz
 
 
 def flat_observation(scene: Look) -> Components:
@@ -267,5 +234,5 @@ def goal_observation(scene: Look) -> tuple[Components, Components, Components]:
 def true_reward(x: Executor, task: Task, scene: Look) -> Scalar:
     """Reward from the truth: see `pickenv/Reach-v0`."""
     if task.sparse:
-        return x.where(scene.success, 0.0, scene.distance_mm * 0.0 - 1.0)
+        return chosen(x.m, scene.success, 0.0, scene.distance_mm * 0.0 - 1.0)
     return -x.m.log10(1.0 + scene.distance_mm) - 0.5 * x.m.log10(1.0 + scene.angle_deg)

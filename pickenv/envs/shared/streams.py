@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.envs.shared.backends import MASK, Executor, Scalar
+from pickenv.arm.kinematics.forward import Scalar
+from pickenv.envs.shared.backends import MASK, Executor
 
 GOLDEN = 0x9E3779B97F4A7C15
 """2^64 divided by the golden ratio, odd: the step of the Weyl sequence."""

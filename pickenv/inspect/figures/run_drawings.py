@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.identifiability import RANK_TOLERANCE
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
 from pickenv.inspect.figures.plot_slices import error_slices
@@ -149,7 +149,7 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
     """Figures of a calibration: held-out errors, what they depend on, convergence, identifiability, coverage."""
     mm = norms_mm(trace.errors)
     attitude = None if trace.attitude_rms is None else np.degrees(trace.attitude_rms)
-    threshold = RANK_TOLERANCE * float(trace.r_diagonal.max())
+    threshold = REDUNDANCY_TOLERANCE * float(trace.r_diagonal.max())
     found: list[Drawing | LeftOut] = [
         Drawing(
             "error_per_test_pose",

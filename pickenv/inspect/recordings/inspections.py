@@ -13,7 +13,6 @@ from pickenv.arm import Arm, Plant, forward, pose_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import PoseObservations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.uncertainty import held_out_errors, uncertainty_from
 from pickenv.errors import InputError
@@ -176,10 +175,9 @@ def _measured(calibration: Calibration, data: Measurements, seed: int) -> Compar
     """Each stage of the calibration as a prediction of measured poses; its identified geometry is the true arm."""
     if len(data) < 2:
         raise InputError(f"{data.source}: {len(data)} poses are too few to show; give at least two")
-    observed = PoseObservations(data)
     errors = {
-        "raw": observed.difference(calibration.model.of(calibration.nominal)),
-        "LS": observed.difference(calibration.model),
+        "raw": data.difference(calibration.nominal),
+        "LS": data.difference(calibration.model),
     }
     if calibration.learnt is not None:
         errors[_best(calibration)] = held_out_errors(calibration, data)

@@ -19,7 +19,6 @@ from pickenv.calibration.assessment.quality import axis_errors, base_combination
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.assessment.states import MEASURED
 from pickenv.calibration.model.measurements import Measurements, random_joints
-from pickenv.calibration.model.observations import PoseObservations
 from pickenv.calibration.pipeline.result import NOMINAL, Result
 from pickenv.errors import InputError
 from pickenv.files import write_text
@@ -52,9 +51,9 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     Raises:
         InputError: If something else than poses or positions was measured.
     """
-    if not isinstance(result.train, PoseObservations) or not isinstance(result.test, PoseObservations):
+    if not isinstance(result.train, Measurements) or not isinstance(result.test, Measurements):
         raise InputError(f"the page shows poses and positions; {result.train.source} holds {result.train.kind}")
-    train, test = result.train.measurements, result.test.measurements
+    train, test = result.train, result.test
     blocks = {block.title: block for block in result.blocks()}
     sections = (
         _head(result, train, test),

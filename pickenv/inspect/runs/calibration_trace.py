@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pickenv.arm import forward
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import PoseObservations
 from pickenv.calibration.pipeline.fitting import Fit
 from pickenv.calibration.residuals.bpnn import Bpnn
 
@@ -67,7 +66,7 @@ def trace_of(fit: Fit, sets: Mapping[str, Measurements], errors: Mapping[str, Ar
     """
     found, calibration = fit.identification, fit.calibration
     seen, test = found.identifiability, sets["test"]
-    train = PoseObservations(next(iter(sets.values())))
+    train = next(iter(sets.values()))
     left = [train.difference(model) for model in found.iterates]
     learnt = calibration.learnt
     return CalibrationTrace(

@@ -22,6 +22,7 @@ from pyarrow.dataset import Dataset
 from scipy.stats import qmc, sobol_indices
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.bootstrap import interval95, resampled
 from pickenv.errors import InputError
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.study_folder import read_rows
@@ -96,7 +97,7 @@ def sensitivities_of(rows: Dataset, setting: int = 0, *, rng: np.random.Generato
     with single_threaded():  # small systems: threads would only wait for one another
         found = _shares(whole, places)
         replicates = [_shares(np.tensordot(w, moments.sums, 1), places) for w in weights]
-    ends = {key: np.percentile([r[key] for r in replicates], [2.5, 97.5], axis=0) for key in ("share", "mean_square")}
+    ends = {key: interval95(np.array([r[key] for r in replicates])) for key in ("share", "mean_square")}
     r2 = float(found["r2"])
     about = {"r2": r2, "r2_adjusted": 1.0 - (1.0 - r2) * (moments.arms - 1) / (moments.arms - terms)}
     table: list[dict[str, Any]] = [
@@ -225,8 +226,7 @@ def sobol_table(
         return np.stack([np.ravel(found.first_order), np.ravel(found.total_order)])
 
     whole = indices(slice(None))
-    replicates = [indices(rng.integers(0, samples, samples)) for _ in range(RESAMPLES)]
-    low, high = np.percentile(replicates, [2.5, 97.5], axis=0)
+    low, high = interval95(resampled(np.arange(samples)[None], indices, rng, RESAMPLES))
     return pa.Table.from_pylist(
         [
             {"group": name}

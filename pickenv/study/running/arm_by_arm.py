@@ -21,7 +21,6 @@ from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.least_squares import identify_surely
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import simulated_tracker
-from pickenv.calibration.model.observations import PoseObservations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.errors import InputError
@@ -114,7 +113,7 @@ def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, number: int) -
         return Compensator(protocol.nominal, found.geometry), iterations
     rng = protocol.stream(RESIDUAL, number)
     further = simulated_tracker(measured, protocol.residual_poses, rng)
-    targets = PoseObservations(further).difference(found.arm_model)
+    targets = further.difference(found.arm_model)
     learnt = fit_residual(kind, further.joints, targets, further.prismatic, rng)
     calibration = Calibration(
         protocol.design.arm.name, protocol.nominal, protocol.nominal, ArmModel.of(found.geometry), learnt, record={}

@@ -7,8 +7,7 @@ arms last. SI.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,15 +20,17 @@ from torch import Tensor
 
 from pickenv.arm.kinematics.forward import Frame, chain_of, tool_frame
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.kinematics.pose_error import frame_error
 from pickenv.arm.plant.plant import Plant, placed_chain
 from pickenv.arm.plant.plant_batch import plant_at, plants_on
-from pickenv.calibration.compensation.compensator import Compensator, corrected, error_components
+from pickenv.calibration.compensation.compensator import Compensator, corrected
 from pickenv.errors import InputError
 from pickenv.study.design.config import RAW, Setting
 from pickenv.study.design.protocol import TRACKER, Protocol, carrying
 from pickenv.study.results.outcomes import Outcomes, chunk_table, reach_status
 from pickenv.study.running.arm_by_arm import evaluate_arm
 from pickenv.study.running.batched_identification import Place, identify_batch
+from pickenv.threads import torch_on_one_thread
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
 """Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""
@@ -58,7 +59,7 @@ def evaluate_batch(protocol: Protocol, chunk: int, device: str = "cpu") -> pa.Ta
     arms = protocol.config.arms_of(chunk)
     size = max(1, BLOCKS[device] // max(protocol.config.fruit, len(protocol.poses)))
     blocks = [range(first, min(first + size, arms.stop)) for first in range(arms.start, arms.stop, size)]
-    with _one_thread():
+    with torch_on_one_thread():
         return pa.concat_tables([_evaluate_block(protocol, block, place) for block in blocks])
 
 
@@ -67,7 +68,7 @@ def judge_ideally(protocol: Protocol, setting: Setting, plants: Plant) -> Outcom
     place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
     count = len(plants.geometry.alpha)
     noise = np.zeros((count, setting.poses, 6)) if setting.poses else None
-    with _one_thread():
+    with torch_on_one_thread():
         (found,) = _outcomes(protocol, [setting], plants, range(count), noise, place)
     return found
 
@@ -82,17 +83,6 @@ def check_device(device: str) -> None:
         raise InputError(f"unknown device '{device}'; give one of {', '.join(BLOCKS)}")
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch sees no CUDA device on this machine; give --device cpu")
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Blocks are too small to be shared between cores; whole chunks are (``--workers``)."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _evaluate_block(protocol: Protocol, arms: range, place: Place) -> pa.Table:
@@ -118,7 +108,7 @@ def _outcomes(
         if key not in known:
             known[key] = _commands(protocol, setting, placed, noise, wanted, place)
         given = known[key]
-        error = error_components(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, given.joints))
+        error = frame_error(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, given.joints))
         position, attitude = (_norms(part, len(arms)) for part in (error[:3], error[3:]))
         status = [reach_status(int(missed), protocol.config) for missed in given.missed]
         steps = given.steps.tolist()

@@ -16,12 +16,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, attach, chain_of, frames
+from pickenv.arm.kinematics.forward import Chain, Frame, attach, chain_of, frames
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
+from pickenv.arm.kinematics.jacobians import link_column
+from pickenv.arm.kinematics.pose_error import displaced_frame, frame_error
 from pickenv.arm.plant.plant import Plant, placed_chain
-from pickenv.calibration.compensation.compensator import displaced_frame, error_components
-from pickenv.calibration.identification.least_squares import OFFSET, identify
-from pickenv.calibration.model.error_model import ErrorModel, row_weights
+from pickenv.calibration.identification.least_squares import identify, judged_step
+from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.study.design.config import Setting
 from pickenv.study.design.protocol import Protocol, seen_by
 
@@ -94,13 +95,8 @@ def identify_batch(
         moved_weighted = _residual(tracker, tool, measured)
         rms = _rms(moved_weighted)
         # From here on as in `least_squares`, arm by arm; what it would shorten is left to it.
-        rows, parameters = weighted.shape[1], step.shape[1]
-        scatter = (weighted**2).sum(1) / max(rows - parameters, 1)
-        offset = ((matrix @ step[:, :, None])[..., 0] ** 2).sum(1) / (parameters * scatter.clip(min=1e-300))
-        negligible = (step.abs().amax(1) < 1e-5) | (offset < OFFSET**2)
-        better = rms <= history * (1 + 1e-9)  # not so where it is NaN
+        _, negligible, better, finished = judged_step(step, (matrix @ step[:, :, None])[..., 0], weighted, history, rms)
         accepted = running & sound & better
-        finished = negligible | (history - rms < 1e-7 * rms)
         converged |= running & sound & torch.where(better, finished, negligible)
         steps += accepted
         geometry = _chosen(accepted.cpu().numpy(), moved, geometry)
@@ -118,7 +114,7 @@ def _tracker(protocol: Protocol, setting: Setting, place: Place) -> _Tracker:
     kept = identify(model, protocol.nominal, reference, max_iterations=1).identifiability.kept
     identifiable = ErrorModel(model.columns[kept], tuple(model.names[k] for k in kept), model.tolerance[kept])
     joints = [place(column[:, None].copy()) for column in reference.joints.T]
-    return _Tracker(joints, place(row_weights(reference)), identifiable)
+    return _Tracker(joints, place(reference.row_weights), identifiable)
 
 
 def _links(chain: Chain, tracker: _Tracker) -> tuple[list[Frame], Frame]:
@@ -129,30 +125,18 @@ def _links(chain: Chain, tracker: _Tracker) -> tuple[list[Frame], Frame]:
 
 def _residual(tracker: _Tracker, tool: Frame, measured: Frame) -> Tensor:
     """Whitened differences ``(N, 6P)`` of measured and predicted poses."""
-    error = torch.stack(error_components(torch, tool, measured))
+    error = torch.stack(frame_error(torch, tool, measured))
     return (error * tracker.weights[:, None, None]).permute(2, 0, 1).flatten(1)
 
 
 def _jacobian(nominal: Geometry, tracker: _Tracker, links: Sequence[Frame], tool: Frame) -> Tensor:
-    """Whitened derivatives ``(N, 6P, K)`` by the identifiable parameters, in tolerances; one for all arms if N is 1.
-
-    `pickenv.arm.parameter_jacobian` in components.
-    """
+    """Whitened derivatives ``(N, 6P, K)`` by the identifiable parameters, in tolerances; one for all arms if N is 1."""
     model = tracker.model
     shape = torch.broadcast_shapes(*(value.shape for value in tool[9:]))
     columns = torch.zeros((6, *shape, len(model.columns)), dtype=torch.float64, device=tracker.weights.device)
     for k, column in enumerate(model.columns.tolist()):
         kind, joint = divmod(column, nominal.joints)
-        # alpha and a move along the x axis of the frame before the link, theta and d along the z axis of its own.
-        frame, axis = (
-            (links[joint], slice(0, 3)) if LINK_PARAMETERS[kind] in ("alpha", "a") else (links[joint + 1], slice(6, 9))
-        )
-        x, y, z = frame[axis]
-        if LINK_PARAMETERS[kind] in ("a", "d"):
-            derivative: Sequence[Scalar] = (x, y, z)
-        else:
-            u, v, w = (at - origin for at, origin in zip(tool[9:], frame[9:], strict=True))
-            derivative = (y * w - z * v, z * u - x * w, x * v - y * u, x, y, z)
+        derivative = link_column(LINK_PARAMETERS[kind], links[joint], links[joint + 1], tool[9:], ())
         for row, value in enumerate(derivative):
             columns[row, ..., k] = value
     scaled = columns * tracker.weights[:, None, None, None] * torch.as_tensor(model.tolerance).to(columns)

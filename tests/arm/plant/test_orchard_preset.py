@@ -9,7 +9,7 @@ import torch
 
 from pickenv.arm import forward, load_plant
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.plant.dynamics import PlantState, select_state
+from pickenv.arm.plant.dynamics import PlantState
 from pickenv.arm.plant.effect_shares import TABLE, draw_reaches, effect_shares
 from pickenv.arm.plant.motion import Pace
 from pickenv.arm.plant.plant import EFFECTS, WITH_STATE
@@ -128,18 +128,6 @@ def test_each_arm_of_many_may_have_its_own_time_step(orchard, draw):
         one = orchard.initial_state(math, start[i].tolist())
         _, alone = orchard.advance(math, one, target[i].tolist(), float(times[i]))
         np.testing.assert_allclose(np.array(frame)[:, i], alone, atol=1e-12)
-
-
-@pytest.mark.parametrize("m", [np, torch])
-def test_some_of_many_arms_are_reset(orchard, draw, m):
-    start, target = draw(orchard.geometry, 2, 4)
-    put = torch.from_numpy if m is torch else np.asarray
-    fresh = orchard.initial_state(m, list(put(start.T.copy())))
-    used, _ = orchard.advance(m, fresh, list(put(target.T.copy())), 0.2)
-    mixed = select_state(m, put(np.array([True, False, True, False])), fresh, used)
-    for new, old, both in zip(fresh, used, mixed, strict=True):
-        for a, b, c in zip(new, old, both, strict=True):
-            np.testing.assert_array_equal(c, [a[0], b[1], a[2], b[3]])
 
 
 def test_a_walk_repeats_to_the_bit(orchard, draw):

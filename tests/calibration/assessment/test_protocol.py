@@ -4,7 +4,6 @@ import numpy as np
 
 from pickenv.arm import forward, noncompensable_error, pose_error
 from pickenv.calibration import error_statistics, held_out_r2
-from pickenv.calibration.model.error_model import residual
 
 
 def after_compensation(calibration, plant, joints):
@@ -44,7 +43,7 @@ def test_raw_error_is_several_times_what_is_left(protocol, dynamic):
 
 def test_the_network_explains_what_geometry_cannot(protocol, dynamic):
     fit, test = protocol
-    left = residual(fit.calibration.identified, test)
+    left = test.difference(fit.calibration.identified)
     r2 = held_out_r2(left[:, :3], fit.calibration.learnt.predict(test.joints)[:, :3])
     assert (r2 > 0.7).all()
 

@@ -24,7 +24,6 @@ from pickenv.calibration.assessment.quality import (
     judge_quality,
 )
 from pickenv.calibration.model.coverage import pose_coverage
-from pickenv.calibration.model.error_model import residual
 from pickenv.calibration.model.identifiability import Dropped, Identifiability
 from pickenv.calibration.pipeline.result import assess
 from pickenv.calibration.pipeline.uncertainty import held_out_errors, pose_uncertainty, uncertainty_from
@@ -144,8 +143,8 @@ def test_poses_that_hide_parameters_are_named_with_the_joints_to_move(qiao, exac
 
 def test_verdicts(calibrated):
     found, train, test = calibrated
-    trained = residual(found.calibration.identified, train)
-    before, after = (residual(g, test) for g in (found.calibration.nominal, found.calibration.identified))
+    trained = train.difference(found.calibration.identified)
+    before, after = (test.difference(g) for g in (found.calibration.nominal, found.calibration.identified))
     good = judge_quality(found.identification, trained, before, after)
     assert good.grade == "good" and good.verdict().startswith("good: on 200 held-out rows the error falls from")
     assert good.calibrated[2].rmse < good.nominal[2].rmse

@@ -17,8 +17,7 @@ from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.calibration import Calibration, Measurements, fit, random_joints, read_measurements, simulated_tracker
 from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
-from pickenv.calibration.identification.rows import choose, select
-from pickenv.calibration.model.observations import PoseObservations
+from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.pipeline.result import assess
 from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.cli import app
@@ -170,9 +169,9 @@ def shared(result):
 
 @pytest.mark.parametrize("terms", ["none", "gravity+periodic"])
 def test_every_number_that_terminal_and_page_share_is_equal_on_the_ur5(measured_ur5, terms):
-    data = PoseObservations(measured_ur5[1])
+    data = measured_ur5[1]
     rows = choose(data, "random", None, np.random.default_rng(0))
-    train, test = (select(data, np.sort(part)) for part in rows)
+    train, test = (data.select(np.sort(part)) for part in rows)
     result = calibrate(load_arm("ur5"), train, test=test, choices=Choices(terms=terms, residual="none"))
     terminal, page = shared(result)
     assert len(numbers(terminal)) > 60
@@ -195,7 +194,7 @@ def test_a_coefficient_counts_as_measured_only_where_the_data_know_it_twice_as_w
     rng = np.random.default_rng(2)
     train, test = (simulated_tracker(dynamic, random_joints(dynamic.geometry, n, rng), rng) for n in (80, 30))
     choices = Choices(terms="gravity", residual="none")
-    result = calibrate(dynamic.arm, PoseObservations(train), test=PoseObservations(test), choices=choices)
+    result = calibrate(dynamic.arm, train, test=test, choices=choices)
     found, states = result.fit.identification, result.quality.states
     scatter = [item.chi_square / item.degrees_of_freedom for item in (found, result.geometric.identification)]
     prior = found.arm_model.term_tolerances * np.sqrt(scatter[0] / scatter[1])
@@ -215,7 +214,7 @@ def test_a_model_that_does_not_converge_is_never_chosen(dynamic, monkeypatch):
     whole = stages.identify_terms
     monkeypatch.setattr(stages, "identify_terms", lambda *a: replace(whole(*a), converged=False))
     choices = Choices(terms="gravity", residual="none")
-    result = calibrate(dynamic.arm, PoseObservations(train), test=PoseObservations(test), choices=choices)
+    result = calibrate(dynamic.arm, train, test=test, choices=choices)
     assert result.best_model == "geometry" and result.fit.identification.converged
 
 
@@ -272,7 +271,7 @@ def test_measured_data_say_fitted_and_simulated_ones_known(dynamic, tmp_path):
     assert read_measurements(data.write_csv(tmp_path / "m.csv"), dynamic.geometry).frames == "known"
     bare = Measurements(data.joints, data.position, data.rotation, data.prismatic)
     assert read_measurements(bare.write_csv(tmp_path / "b.csv"), dynamic.geometry).frames == "fitted"
-    both = choose(PoseObservations(data), "random", None, rng)
-    train, test = (select(PoseObservations(data), np.sort(rows)) for rows in both)
+    both = choose(data, "random", None, rng)
+    train, test = (data.select(np.sort(rows)) for rows in both)
     with pytest.raises(InputError, match=r"say.* known, .* fitted; give --frames"):
-        calibrate(dynamic.arm, train, test=PoseObservations(replace(test.measurements, frames="fitted")))
+        calibrate(dynamic.arm, train, test=replace(test, frames="fitted"))

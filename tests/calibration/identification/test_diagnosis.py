@@ -7,8 +7,8 @@ import pytest
 
 from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import random_joints, simulated_tracker
-from pickenv.calibration.identification.rows import choose, select
-from pickenv.calibration.model.observations import DistanceObservations, PoseObservations, ReflectorObservations
+from pickenv.calibration.identification.rows import choose
+from pickenv.calibration.model.observations import DistanceObservations, ReflectorObservations
 from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.errors import InputError
 
@@ -22,9 +22,9 @@ def data(table_1):
 
 
 def judged(arm, data, choices=PLAIN):
-    whole = PoseObservations(data)
+    whole = data
     train, test = choose(whole, "random", None, np.random.default_rng(0))
-    return calibrate(arm, select(whole, np.sort(train)), test=select(whole, test), choices=choices)
+    return calibrate(arm, whole.select(np.sort(train)), test=whole.select(test), choices=choices)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_rows_that_are_grossly_off_are_named(qiao, data, others, case, count, he
     rows = np.arange(1, 1 + 5 * count, 5)
     train, test = (data, spoil(others, rows)) if held_out else (spoil(data, rows), others)
     with pytest.raises(InputError, match=said) as caught:
-        calibrate(qiao, PoseObservations(train), test=PoseObservations(test), choices=PLAIN)
+        calibrate(qiao, train, test=test, choices=PLAIN)
     named = "row 2 " if count == 1 else "rows 2, 7, 12, 17, 22, 27 "
     assert str(caught.value).startswith(f"{'others' if held_out else 'tracker'}.csv: {named}")
     assert "\n" not in str(caught.value)
@@ -90,10 +90,8 @@ def test_rows_that_are_grossly_off_are_named(qiao, data, others, case, count, he
 def test_robust_fits_leave_them_out_and_list_them(qiao, data, others, count):
     rows = np.arange(1, 1 + 4 * count, 4)
     robust = replace(PLAIN, robust=True)
-    clean = calibrate(qiao, PoseObservations(data), test=PoseObservations(others), choices=PLAIN)
-    found = calibrate(
-        qiao, PoseObservations(outliers(data, rows)), test=PoseObservations(outliers(others, rows)), choices=robust
-    )
+    clean = calibrate(qiao, data, test=others, choices=PLAIN)
+    found = calibrate(qiao, outliers(data, rows), test=outliers(others, rows), choices=robust)
     listed = found.as_dict()["left_out_rows"]
     assert sorted((item["file"], item["line"], item["held_out"]) for item in listed) == [
         (file, row + 1, held_out) for file, held_out in (("others.csv", True), ("tracker.csv", False)) for row in rows
@@ -126,20 +124,20 @@ def test_rows_of_another_set_up_are_recognised(qiao, data, others):
     turn = rotation_matrix([0.0, 0.0, 0.4])
     moved = replace(others, position=others.position @ turn.T + [0.5, 0.0, 0.0], rotation=turn @ others.rotation)
     with pytest.raises(InputError, match=r"others.csv: .*another set-up .*base moved by .* mm and 22\.9 deg"):
-        calibrate(qiao, PoseObservations(data), test=PoseObservations(moved), choices=PLAIN)
+        calibrate(qiao, data, test=moved, choices=PLAIN)
     metres = replace(others, position=others.position * 1e3)
     with pytest.raises(InputError, match=r"others.csv: the held-out rows fit .* only if the position is read in mm"):
-        calibrate(qiao, PoseObservations(data), test=PoseObservations(metres), choices=PLAIN)
+        calibrate(qiao, data, test=metres, choices=PLAIN)
     shuffled = replace(others, joints=np.roll(others.joints, 1, axis=0))
     with pytest.raises(InputError, match=r"others.csv: most held-out rows miss by .* no other place of base or tool"):
-        calibrate(qiao, PoseObservations(data), test=PoseObservations(shuffled), choices=PLAIN)
+        calibrate(qiao, data, test=shuffled, choices=PLAIN)
 
 
 def test_poses_that_show_too_little_say_what_they_lose(qiao, table_1):
     rng = np.random.default_rng(0)
     joints = random_joints(qiao.nominal, 60, rng)
     joints[:, [2, 3, 4, 5]] = (qiao.nominal.lower + qiao.nominal.upper)[[2, 3, 4, 5]] / 2
-    seen = PoseObservations(simulated_tracker(table_1, joints, rng))
+    seen = simulated_tracker(table_1, joints, rng)
     with pytest.raises(InputError, match=r"show \d+ of the \d+ parameters .*J4 end rotation.* hardly move") as caught:
         calibrate(qiao, seen, test=seen, choices=PLAIN)
     assert "\n" not in str(caught.value)
@@ -149,7 +147,7 @@ def test_poses_that_miss_a_little_are_reported(qiao, table_1):
     rng = np.random.default_rng(0)
     joints = random_joints(qiao.nominal, 60, rng)
     joints[:, 5] = 0.1
-    seen = PoseObservations(simulated_tracker(table_1, joints, rng))
+    seen = simulated_tracker(table_1, joints, rng)
     found = calibrate(qiao, seen, test=seen, choices=replace(PLAIN, frames="fitted"))
     assert 0 < len(found.as_dict()["lost_to_poses"]) <= 5
     assert found.coverage.advice() in found.report() and found.quality.grade == "with care"
@@ -173,7 +171,7 @@ def test_reflectors_are_calibrated_from_anywhere(qiao):
     seen = rng.uniform(size=(80, 3)) > 0.1
     whole = ReflectorObservations(joints, points, seen, np.eye(3) * 2e-5**2)
     train, test = choose(whole, "random", 20, rng)
-    found = calibrate(qiao, select(whole, train), test=select(whole, test), choices=PLAIN)
+    found = calibrate(qiao, whole.select(train), test=whole.select(test), choices=PLAIN)
     assert found.position["nominal"].mean > 0.4 and found.position["geometric"].mean < 0.06
     assert found.as_dict()["measurement_kind"] == "reflectors"
     wrong = replace(whole, joints=-joints)
@@ -187,7 +185,7 @@ def test_draw_wires_are_calibrated(qiao):
     length = np.linalg.norm(forward(qiao.true, joints).position - np.array([1.5, -2.0, 0.3]), axis=1)
     whole = DistanceObservations(joints, length + rng.normal(size=200) * 1e-4, 1e-4)
     train, test = choose(whole, "random", None, rng)
-    found = calibrate(qiao, select(whole, train), test=select(whole, test), choices=PLAIN)
+    found = calibrate(qiao, whole.select(train), test=whole.select(test), choices=PLAIN)
     assert found.position["nominal"].rms > 0.25 and found.position["geometric"].rms < 0.14
     wrong = replace(whole, length=whole.length * 1e3)
     with pytest.raises(InputError, match="units"):
@@ -205,9 +203,9 @@ def test_an_automatic_choice_finds_the_weight_of_a_compliant_arm(dynamic):
     """Terms and residual are chosen within the training rows; the held-out error falls from geometry on."""
     rng = np.random.default_rng(2)
     arm = load_arm("qiao2026")
-    whole = PoseObservations(simulated_tracker(dynamic, random_joints(arm.nominal, 250, rng), rng))
+    whole = simulated_tracker(dynamic, random_joints(arm.nominal, 250, rng), rng)
     train, test = choose(whole, "blocked", None, rng)
-    found = calibrate(arm, select(whole, train), test=select(whole, test), choices=Choices(residual="none"))
+    found = calibrate(arm, whole.select(train), test=whole.select(test), choices=Choices(residual="none"))
     assert "gravity" in found.terms.chosen and found.best_model == f"geometry+{found.terms.chosen}"
     assert found.position[found.best_model].rms < 0.6 * found.position["geometric"].rms
     saved = found.fit.calibration

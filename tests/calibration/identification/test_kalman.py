@@ -21,7 +21,7 @@ from pickenv.calibration.identification.extended_kalman_filter import (
     update,
 )
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.error_model import complete_model, frames_model, link_model, residual
+from pickenv.calibration.model.error_model import complete_model, frames_model, link_model
 from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
 from pickenv.errors import InputError
 
@@ -29,7 +29,7 @@ CAMERA = MeasurementNoise(3e-3, float(np.radians(0.5)))
 
 
 def mean_error(geometry: Geometry, data: Measurements) -> float:
-    return float(np.linalg.norm(residual(geometry, data)[:, :3], axis=1).mean())
+    return float(np.linalg.norm(data.difference(geometry)[:, :3], axis=1).mean())
 
 
 def tracked(plant: Plant, poses: int, seed: int) -> Measurements:

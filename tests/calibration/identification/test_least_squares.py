@@ -11,8 +11,9 @@ from pickenv.arm import forward, load_arm, parameter_jacobian, rotation_matrix
 from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import describe_absorption, identify_surely, is_angle
-from pickenv.calibration.model.error_model import ErrorModel, residual, stacked_jacobian, weighted_residual
-from pickenv.calibration.model.identifiability import RANK_TOLERANCE
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.error_model import ErrorModel
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
 from pickenv.errors import InputError
 
 PAPER_DROPS = {"a2", "a3", "a5", "d3", "d4", "theta2", "d6"}
@@ -31,7 +32,7 @@ def moved(model, geometry, change, rows=slice(None)):
 
 
 def position_mm(geometry, data):
-    return np.linalg.norm(residual(geometry, data)[:, :3], axis=1) * 1e3
+    return np.linalg.norm(data.difference(geometry)[:, :3], axis=1) * 1e3
 
 
 @given(arm=st.sampled_from(["qiao2026", "ur5", "wam"]), positions=st.booleans(), seed=st.integers(0, 2**32 - 1))
@@ -79,7 +80,9 @@ def test_table_1_is_explained_by_all_24_with_truncation(qiao, exact):
     """Fact 3: with singular values cut off, 24 parameters do as well as 16: "17 beats 24" is the solver's doing."""
     data, model, geometry = exact(qiao.true, 100), link_model(qiao.nominal), qiao.nominal
     for _ in range(6):
-        matrix, right = stacked_jacobian(model, geometry, data), weighted_residual(geometry, data)
+        arm = ArmModel.of(geometry)
+        matrix = data.jacobian(arm, np.zeros(0))[0][:, model.columns] * model.tolerance
+        right = data.residual(arm, np.zeros(0))
         geometry = moved(model, geometry, np.linalg.lstsq(matrix, right, rcond=1e-3)[0] * model.tolerance)
     assert position_mm(geometry, exact(qiao.true, 2000, seed=1)).max() < 1e-4
 
@@ -96,7 +99,7 @@ def test_the_papers_17_explode_in_normal_equations_and_not_here(qiao, exact, mil
     rows = np.repeat([1e3 if millimetres else 1.0, 1.0], 3)
     columns = np.where([is_angle(name) for name in model.names], 1.0, 1e-3 if millimetres else 1.0)
     jacobian = parameter_jacobian(qiao.nominal, data.joints)[..., model.columns] * columns * rows[:, None]
-    jacobian, right = jacobian.reshape(-1, 17), (residual(qiao.nominal, data) * rows).ravel()
+    jacobian, right = jacobian.reshape(-1, 17), (data.difference(qiao.nominal) * rows).ravel()
     normal = jacobian.T @ jacobian
     assert np.linalg.cond(normal) > 1e15
     try:
@@ -227,7 +230,7 @@ def test_what_wanders_is_identified_again_with_fewer_and_fewer_parameters(qiao, 
     found = identify(link_model(qiao.nominal), qiao.nominal, data)
 
     def wandering(*_, rank_tolerance, **__):
-        asked.append(rank_tolerance / RANK_TOLERANCE)
+        asked.append(rank_tolerance / REDUNDANCY_TOLERANCE)
         return replace(found, converged=len(asked) > settles)
 
     monkeypatch.setattr(least_squares, "identify", wandering)

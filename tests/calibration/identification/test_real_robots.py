@@ -5,8 +5,7 @@ import pytest
 
 from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, complete_model, fit, identify, read_measurements
-from pickenv.calibration.identification.rows import choose, select
-from pickenv.calibration.model.error_model import residual
+from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
@@ -27,7 +26,7 @@ def tracker(data_folder):
 
 
 def left_mm(geometry, data):
-    return np.linalg.norm(residual(geometry, data), axis=1) * 1e3
+    return np.linalg.norm(data.difference(geometry), axis=1) * 1e3
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +82,7 @@ def read_set(data_folder, arm, columns, *files):
 
 def held_out(arm, reading, split="random", seed=0, test_rows=None, **choices):
     rows = choose(reading.observations, split, test_rows, np.random.default_rng(seed))
-    train, test = (select(reading.observations, np.sort(part)) for part in rows)
+    train, test = (reading.observations.select(np.sort(part)) for part in rows)
     return calibrate(arm, train, test=test, choices=Choices(**({"terms": "none", "residual": "none"} | choices)))
 
 
@@ -165,7 +164,7 @@ def test_a_mocap_file_without_a_convention_is_asked_for_it(data_folder, tmp_path
 
 
 def left_mm_of_positions(geometry, data):
-    return np.linalg.norm(residual(geometry, data)[:, :3], axis=1) * 1e3
+    return np.linalg.norm(data.difference(geometry)[:, :3], axis=1) * 1e3
 
 
 def test_a_lifting_torso_with_markers(data_folder):

@@ -9,13 +9,13 @@ from pickenv.arm import Geometry, Plant, rotation_matrix
 from pickenv.calibration.identification.alignment import align
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.identification.robust import LOSSES, robust_align, robust_identify
-from pickenv.calibration.model.error_model import complete_model, frames_model, link_model, residual
+from pickenv.calibration.model.error_model import complete_model, frames_model, link_model
 from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
 from pickenv.errors import InputError
 
 
 def rms(geometry: Geometry, data: Measurements) -> float:
-    return float(np.sqrt(np.mean(np.sum(residual(geometry, data)[:, :3] ** 2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum(data.difference(geometry)[:, :3] ** 2, axis=1))))
 
 
 def spoiled(data: Measurements, rows: np.ndarray, size: float, rng: np.random.Generator) -> Measurements:

@@ -11,7 +11,6 @@ from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.observations import (
     DistanceObservations,
-    PoseObservations,
     ReflectorObservations,
     SocketObservations,
     poses_from_reflectors,
@@ -80,8 +79,8 @@ def place_tool(geometry, q, target):
 
 
 KINDS = {
-    "pose": lambda g: PoseObservations(exact_poses(g, 12)),
-    "position": lambda g: PoseObservations(exact_poses(g, 12).positions_only()),
+    "pose": lambda g: exact_poses(g, 12),
+    "position": lambda g: exact_poses(g, 12).positions_only(),
     "reflectors": lambda g: reflectors(g, 12, lost=0.2),
     "tracker": lambda g: anisotropic(reflectors(g, 12)),
     "distance": lambda g: wire(g, 12),
@@ -212,7 +211,7 @@ def test_without_a_known_spacing_the_scale_is_not_observable():
 
 def test_kinds_mix_and_each_adds_what_it_sees(qiao):
     """A draw wire and a few positions in the tracker's frame: together they know what either lacks."""
-    positions = PoseObservations(exact_poses(qiao.true, 30, seed=3).positions_only())
+    positions = exact_poses(qiao.true, 30, seed=3).positions_only()
     lengths = wire(qiao.true, 120)
     both = identify(complete_model(qiao.nominal), qiao.nominal, [positions, lengths])
     assert both.converged and both.kind == "position+distance"
@@ -229,7 +228,7 @@ def test_weights_decide_between_contradicting_instruments(qiao):
     unsure = replace(unsure, position=unsure.position + np.array([1e-3, 0, 0]), position_std=1e-4)
     frames = frames_model(qiao.nominal)
     shift = ErrorModel(frames.columns[:1], frames.names[:1], frames.tolerance[:1])
-    found = identify(shift, qiao.nominal, [PoseObservations(sure), PoseObservations(unsure)])
+    found = identify(shift, qiao.nominal, [sure, unsure])
     assert found.delta[0] == pytest.approx(1e-3 / 101, rel=1e-6)
 
 

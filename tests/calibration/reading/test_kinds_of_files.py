@@ -5,13 +5,9 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import random_joints
-from pickenv.calibration.identification.rows import blocks, choose, misses, select
-from pickenv.calibration.model.observations import (
-    DistanceObservations,
-    PoseObservations,
-    ReflectorObservations,
-    SocketObservations,
-)
+from pickenv.calibration.identification.rows import blocks, choose
+from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import DistanceObservations, ReflectorObservations, SocketObservations
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
 
@@ -157,8 +153,8 @@ def test_conditions_and_repeat_sigma(read, moved):
     np.testing.assert_allclose(conditions.payload, extra[:, 1] * 1e-3)
     np.testing.assert_allclose(conditions.torque, -extra[:, 2:8])
     assert found.floor.repeat == pytest.approx(np.sqrt(np.mean(np.sum(extra[:, 8:] ** 2, axis=1))))
-    half = select(found.observations, np.arange(15))
-    np.testing.assert_allclose(half.measurements.conditions.torque, conditions.torque[:15])
+    half = found.observations.select(np.arange(15))
+    np.testing.assert_allclose(half.conditions.torque, conditions.torque[:15])
 
 
 def test_the_last_digit_is_a_floor_of_the_noise(read, moved):
@@ -204,8 +200,8 @@ def test_a_convention_that_is_not_named_is_asked_for_with_a_table(read, moved):
     table = str(caught.value).splitlines()[1:-1]
     assert "euler_zyx_intrinsic (kuka_abc)" in table[0] and "0.00 mm" in table[0] and len(table) == 6
     named = read(description + 'rotation.convention = "kuka_abc"\n', rows, names).observations
-    assert isinstance(named, PoseObservations)
-    np.testing.assert_allclose(named.measurements.rotation, pose.rotation, atol=1e-12)
+    assert isinstance(named, Measurements)
+    np.testing.assert_allclose(named.rotation, pose.rotation, atol=1e-12)
 
 
 def test_repeated_rows_are_refused(read, moved):
@@ -259,5 +255,5 @@ def test_misses_are_in_metres_whatever_the_kind(read, moved, ur5):
     rows, _ = reflector_rows(moved)
     data = read(JOINTS + REFLECTORS, rows, NAMES + TRIPLES).observations
     shifted = TRIAD.ravel() + np.array([1e-3, 0, 0, 0, 0, 0, 0, 0, 0])
-    left = np.linalg.norm(misses(data, ArmModel.of(ur5), shifted), axis=1).reshape(30, 3)
+    left = np.linalg.norm(data.misses(ArmModel.of(ur5), shifted), axis=1).reshape(30, 3)
     np.testing.assert_allclose(left, np.broadcast_to([1e-3, 0, 0], (30, 3)), atol=1e-9)

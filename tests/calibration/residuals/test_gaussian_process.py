@@ -11,7 +11,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from pickenv.arm import Plant
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.error_model import link_model, residual
+from pickenv.calibration.model.error_model import link_model
 from pickenv.calibration.model.measurements import random_joints, simulated_tracker
 from pickenv.calibration.residuals import gaussian_process
 from pickenv.calibration.residuals.gaussian_process import (
@@ -50,7 +50,9 @@ def arm_after_least_squares(plant: Plant, seed: int) -> Arm:
     sets = [simulated_tracker(plant, random_joints(nominal, n, rng), rng) for n in (100, 200, 1000)]
     geometry = identify(link_model(nominal), nominal, sets[0]).geometry
     inputs = joint_inputs(sets[1].joints, nominal.prismatic)
-    return Arm(inputs(sets[1].joints), residual(geometry, sets[1]), inputs(sets[2].joints), residual(geometry, sets[2]))
+    return Arm(
+        inputs(sets[1].joints), sets[1].difference(geometry), inputs(sets[2].joints), sets[2].difference(geometry)
+    )
 
 
 def standardised(targets: np.ndarray) -> np.ndarray:

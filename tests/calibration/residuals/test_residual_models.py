@@ -9,7 +9,7 @@ import pytest
 
 from pickenv.arm import Plant
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.error_model import link_model, residual
+from pickenv.calibration.model.error_model import link_model
 from pickenv.calibration.model.measurements import random_joints, simulated_tracker
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.extra_trees import fit_extra_trees, flattened
@@ -188,6 +188,6 @@ def test_the_papers_arm_after_least_squares(dynamic: Plant, name: str, limit_mm:
     rng, nominal = np.random.default_rng(seed), dynamic.arm.nominal
     sets = [simulated_tracker(dynamic, random_joints(nominal, n, rng), rng) for n in (100, 200, 1000)]
     geometry = identify(link_model(nominal), nominal, sets[0]).geometry
-    model = fit_residual(name, sets[1].joints, residual(geometry, sets[1]), nominal.prismatic, rng)
-    left = residual(geometry, sets[2]) - model.predict(sets[2].joints)
+    model = fit_residual(name, sets[1].joints, sets[1].difference(geometry), nominal.prismatic, rng)
+    left = sets[2].difference(geometry) - model.predict(sets[2].joints)
     assert np.linalg.norm(left[:, :3], axis=1).mean() * 1e3 <= limit_mm
