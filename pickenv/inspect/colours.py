@@ -28,10 +28,15 @@ BY_KEY: dict[str, Rgb] = {
     "nominal": ORANGE,
     "ls": BLUE,
     "calibrated": BLUE,
+    "calibrated_geometry": BLUE,
     "ls_bpnn": GREEN,
     "with_residual": GREEN,
+    "model_used": GREEN,
 }
 OTHERS: tuple[Rgb, ...] = ((204, 121, 167), (86, 180, 233), (240, 228, 66), (150, 150, 150))
+
+ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
+"""Of a harvester's arms, in turn."""
 
 TABLE = 2048
 
@@ -65,6 +70,11 @@ def policy_colours(names: list[str]) -> list[Rgb]:
             known, spare = OTHERS[spare % len(OTHERS)], spare + 1
         colours.append(known)
     return colours
+
+
+def arm_colour(arm: int) -> Rgb:
+    """The colour of a harvester's arm, by its number from 0."""
+    return ARMS[arm % len(ARMS)]
 
 
 def viridis(fraction: ArrayLike) -> NDArray[np.uint8]:

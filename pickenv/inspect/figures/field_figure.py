@@ -48,7 +48,7 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         raise InputError(f"the gain is {gain}; give a number above zero")
     shown, spacing = thinned(comparison)
     top = colour_scale_mm(comparison)
-    gain = gain or round_down(1.1 * spacing / (top * 1e-3))
+    gain = gain or arrow_gain(spacing, top)
     with style(**{"axes.grid": False, "axes.titlelocation": "center"}):
         low, high = _extent(comparison, _View(comparison))
         height = min(0.93 * PANEL_WIDTH * (high[1] - low[1]) / (high[0] - low[0]), PANEL_WIDTH)
@@ -77,6 +77,16 @@ def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np
         if not len(shown):
             break
     return np.arange(len(comparison.field_points)), comparison.grid_step
+
+
+def arrow_gain(spacing: float, top_mm: float) -> float:
+    """How much longer than true size arrows are drawn so that they nearly touch: a round number.
+
+    Args:
+        spacing: Distance of neighbouring arrows, m.
+        top_mm: Upper end of the colour scale, mm.
+    """
+    return round_down(1.1 * spacing / (top_mm * 1e-3))
 
 
 def round_down(value: float) -> float:

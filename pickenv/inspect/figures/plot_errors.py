@@ -20,6 +20,7 @@ from pickenv.inspect.figures.style import (
     PAPER,
     SOFT,
     WIDTH,
+    coloured,
     finite_series,
     new_figure,
     plain_decades,
@@ -44,7 +45,7 @@ def error_per_pose(errors_mm: Mapping[str, ArrayLike], *, tolerance_mm: float | 
         figure = new_figure(WIDTH, 2.9)
         axes = figure.add_subplot(xlabel="test pose (number)", ylabel="position error (mm)")
         axes.set_title("Position error at each test pose")
-        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+        for label, values, colour in coloured(series):
             number = np.arange(1, len(values) + 1)
             name = f"{label}: mean {values.mean():.2f} mm, max {values.max():.2f} mm"
             axes.plot(number, values, "o-", color=colour, label=name, markersize=3.0, linewidth=1.1)
@@ -125,7 +126,7 @@ def error_histogram(
         figure = new_figure(COLUMN, 2.9)
         axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"share of poses in {width:g} {unit} (%)")
         axes.set_title("Distribution")
-        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+        for label, values, colour in coloured(series):
             edges = width * np.arange(int(values.max() / width) + 2)
             share = np.full(len(values), 100.0 / len(values))
             axes.hist(
@@ -160,7 +161,7 @@ def error_cumulative(
         figure = new_figure(COLUMN, 2.9)
         axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"{counted} within it (%)")
         axes.set_title("Cumulative distribution")
-        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+        for label, values, colour in coloured(series):
             axes.ecdf(values, color=colour, label=label)
         axes.set_xscale("log")
         axes.set_yticks(np.linspace(0.0, 1.0, 6), ["0", "20", "40", "60", "80", "100"])
@@ -201,7 +202,7 @@ def error_against(
         axes = figure.add_subplot(xlabel=f"{name} ({unit})", ylabel="position error (mm)")
         axes.set_title(f"Error against {name}", pad=16.0)
         axes.annotate("dots: poses, line: means of groups", (0.0, 1.02), xycoords="axes fraction", fontsize=7.5)
-        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+        for label, values, colour in coloured(series):
             axes.plot(x, values, ".", color=colour, markersize=3.0, alpha=0.45)
             means = np.array([[x[part].mean(), values[part].mean()] for part in parts])
             axes.plot(*means.T, "o-", color=colour, markersize=4.0, label=label)

@@ -14,13 +14,17 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
+from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import (
     COLUMN,
     INK,
+    LINES,
+    MARKS,
     RULE,
     SOFT,
     WIDTH,
+    coloured,
     finite_series,
     new_figure,
     plain_decades,
@@ -31,19 +35,8 @@ from pickenv.inspect.figures.style import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
-MARKS = ("o", "s", "^", "D")
 SMALLEST_MM = 1e-3
 """Errors below a micrometre are drawn there."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A figure and its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +54,7 @@ class CycleCurve:
     error_mm: Array
 
 
-def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimate]]]]) -> Figure:
+def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Measure]]]]) -> Figure:
     """Figures of errors with 95 % intervals, on a logarithmic axis.
 
     Args:
@@ -183,12 +176,11 @@ def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Map
         repeatability_mm: For each controller, RP at the same poses.
     """
     kinds = {"AP": finite_series(accuracy_mm), "RP": finite_series(repeatability_mm)}
-    colours = rgb(policy_colours(list(kinds["AP"])))
     with style():
         figure = new_figure(WIDTH, 2.6)
         panels: Any = figure.subplots(1, 2)
         for axes, (kind, series) in zip(panels, kinds.items(), strict=True):
-            for i, ((label, values), colour) in enumerate(zip(series.items(), colours, strict=True)):
+            for i, (label, values, colour) in enumerate(coloured(series)):
                 place = np.arange(1, len(values) + 1) + 0.35 * (i - (len(series) - 1) / 2.0)
                 axes.bar(place, values, 0.33, color=colour, label=f"{label}: worst {values.max():.3f} mm")
             axes.set(xlabel="test pose of ISO 9283 (number)", ylabel=f"{kind} (mm)")
@@ -212,7 +204,7 @@ def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Fi
         figure = new_figure(COLUMN, 2.6)
         axes = figure.add_subplot(xlabel="time since switched on (h)", ylabel="AP at P1 (mm)")
         axes.set_title("Drift of the pose accuracy")
-        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+        for label, values, colour in coloured(series):
             axes.plot(np.asarray(hours, dtype=float), values, color=colour, label=label)
         axes.set_ylim(bottom=0.0)
         axes.legend()

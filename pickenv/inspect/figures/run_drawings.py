@@ -5,27 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.identifiability import RANK_TOLERANCE
-from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
+from pickenv.inspect.figures import plot_calibration, plot_errors, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
 from pickenv.inspect.figures.plot_slices import error_slices
 from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.gripping import gripped, gripper_curves
-from pickenv.inspect.runs.harvest_trace import HarvestTrace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
-LI2016_DENSE = ((-1.5, 1.5), (-1.7, -0.5), (0.4, 2.6))
-"""Where Li 2016, Fig. 8, finds the cloud dense: ranges of x, y and z, m."""
 
 
 @dataclass(frozen=True)
@@ -234,63 +231,3 @@ def _against(name: str, unit: str, values: Array, errors_mm: Mapping[str, Array]
         f"Position error against {name}.",
         lambda: plot_errors.error_against(values, errors_mm, name=name, unit=unit),
     )
-
-
-def harvest_drawings(trace: HarvestTrace) -> Drawings:
-    """Figures of a harvester: what the arms did on a tree, what came of the fruit, throughput, reach."""
-    arms = trace.cloud.shape[1]
-    shown = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
-    return [
-        Drawing("gantt", "What each arm did on one tree.", lambda: plot_harvest.gantt(shown, arms)),
-        Drawing(
-            "pick_map",
-            "The fruit of one tree by the arm that collected it, and the zones from which they were picked.",
-            lambda: plot_harvest.pick_map(shown),
-        ),
-        Drawing(
-            "funnel",
-            f"From fruit present to fruit collected, over {trace.tree_count} simulated trees.",
-            lambda: plot_harvest.funnel_bars(trace.funnels),
-        ),
-        Drawing(
-            "throughput",
-            "Picks per hour against the number of arms, the machine perfectly known, with 95 % intervals.",
-            lambda: plot_harvest.throughput_by_arms(trace.throughput),
-        ),
-        Drawing(
-            "workspace",
-            "Where the cups get to, at joints drawn evenly within the limits.",
-            lambda: plot_harvest.workspace_cloud(trace.cloud, (LI2016_DENSE,)),
-        ),
-        Drawing(
-            "joint_curves",
-            "How the joints move from the start to a pick point and on to three fruit.",
-            lambda: plot_harvest.joint_curves(trace.curves),
-        ),
-    ]
-
-
-def iso9283_drawings(result: Mapping[str, Any]) -> Drawings:
-    """Figures of a test by ISO 9283.
-
-    Args:
-        result: As `pickenv.arm.plant.iso9283.Iso9283Result.as_dict` gives it.
-    """
-    controllers = {name: result[name] for name in ("raw", "calibrated") if name in result}
-    accuracy, repeatability = (
-        {name: [pose[key] for pose in found["poses"]] for name, found in controllers.items()}
-        for key in ("accuracy_mm", "repeatability_mm")
-    )
-    drift = {name: found["drift_accuracy_mm"] for name, found in controllers.items()}
-    return [
-        Drawing(
-            "pose_accuracy",
-            "Pose accuracy AP and repeatability RP at the five poses of ISO 9283.",
-            lambda: plot_policies.accuracy_by_pose(accuracy, repeatability),
-        ),
-        Drawing(
-            "drift",
-            "Pose accuracy at P1 over the hours after the cold arm was switched on.",
-            lambda: plot_policies.accuracy_drift(result["raw"]["drift_hours"], drift),
-        ),
-    ]

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from pickenv.errors import InputError
 from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours, viridis
-from pickenv.inspect.figures.style import SOFT, WIDTH, new_figure, plain_decades, rgb, style
+from pickenv.inspect.figures.style import LINES, MARKS, SOFT, WIDTH, new_figure, plain_decades, rgb, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,8 +34,6 @@ QUANTITIES = {
     "error_max_mm": "arm's largest position error (mm)",
     "attitude_mean_deg": "arm's mean attitude error (deg)",
 }
-LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
-MARKS = "os^Dv"
 NOTE = 7.5
 """Size of the line below a figure that says how to read it, points."""
 UNCALIBRATED = "raw"
@@ -301,8 +299,8 @@ def _looks(rows: Sequence[Row], along: str) -> tuple[Any, Any]:
 
 
 def _ordered(values: Sequence[Any], value: Any) -> tuple[float, ...]:
-    """A colour of Viridis by rank, short of its pale yellow end."""
-    fraction = 0.85 * values.index(value) / max(len(values) - 1, 1)
+    """A colour of Viridis by rank, short of its ends, which a dark or a light page swallows."""
+    fraction = 0.3 + 0.55 * values.index(value) / max(len(values) - 1, 1)
     return tuple(float(c) / 255.0 for c in viridis(fraction))
 
 
