@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.calibration.assessment.metrics import error_statistics
+from pickenv.calibration.assessment.metrics import error_statistics, wilson_interval
 from pickenv.inspect.figures.run_drawings import Drawing, LeftOut, trace_drawings
 from pickenv.inspect.figures.style import new_figure
-from pickenv.inspect.reports.demo_report import Share, verdict
 from pickenv.inspect.reports.demo_report import page as demo_report
+from pickenv.inspect.reports.demo_report import verdict
 from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
 from pickenv.inspect.reports.report_page import Interactive, PageTable, Pair, Part, Picture, Section, Verdict, html_of
 from pickenv.inspect.reports.report_page import Page as ReportPage
@@ -189,9 +189,9 @@ def test_a_calibration_that_does_not_help_is_said_not_to(comparison: Comparison)
 
 
 def test_wilsons_interval_is_the_published_one() -> None:
-    low, high = Share(46, 56).interval  # Li et al. 2016; Newcombe 1998, method 3
+    low, high = wilson_interval(46, 56)  # Li et al. 2016; Newcombe 1998, method 3
     assert (round(low, 3), round(high, 3)) == (0.702, 0.900)
-    assert Share(0, 20).interval[0] == 0.0
+    assert wilson_interval(0, 20)[0] == 0.0
 
 
 def test_arrows_and_their_hover_texts_are_the_errors(comparison: Comparison) -> None:
@@ -250,8 +250,8 @@ HOSTILE = "</title><script>alert('&')</script>"
 
 def hostile_drawing() -> Drawing:
     def draw() -> Any:
-        figure = new_figure(2.0, 2.0)
-        figure.suptitle(HOSTILE)
+        with new_figure(2.0, 2.0) as figure:
+            figure.suptitle(HOSTILE)
         return figure
 
     return Drawing("name", HOSTILE, draw)

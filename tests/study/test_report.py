@@ -10,6 +10,7 @@ import pytest
 
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import random_columns
+from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.errors import InputError
 from pickenv.inspect.figures.run_drawings import Drawing, LeftOut
 from pickenv.inspect.runs.run_folder import read_run
@@ -21,7 +22,6 @@ from pickenv.study.analysis.study_report import page, study_page, verdict, write
 from pickenv.study.design.config import load_study
 from pickenv.study.design.protocol import prepare
 from pickenv.study.results.study_folder import read_rows, study_at, write_record
-from pickenv.study.results.yields import wilson_interval
 from pickenv.study.running.arm_by_arm import evaluate_arm
 from pickenv.study.running.run_study import run_study
 

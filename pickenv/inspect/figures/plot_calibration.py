@@ -13,19 +13,8 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.errors import InputError
-from pickenv.inspect.colours import OTHERS, RED, policy_colours, viridis
-from pickenv.inspect.figures.style import (
-    COLUMN,
-    INK,
-    RULE,
-    SOFT,
-    WIDTH,
-    finite_series,
-    new_figure,
-    plain_decades,
-    rgb,
-    style,
-)
+from pickenv.inspect.colours import OTHERS, RED, policy_colours, viridis_map
+from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, finite_series, new_figure, plain_decades, rgb
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,8 +33,7 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
     if attitude_rms_deg is not None:
         curves["attitude residual, RMS (deg)"] = attitude_rms_deg
     series, (blue,) = finite_series(curves), rgb(policy_colours(["ls"]))
-    with style():
-        figure = new_figure(COLUMN if len(series) == 1 else WIDTH, 2.6)
+    with new_figure(COLUMN if len(series) == 1 else WIDTH, 2.6) as figure:
         panels: Any = figure.subplots(1, len(series), squeeze=False)[0]
         for axes, (label, values) in zip(panels, series.items(), strict=True):
             axes.semilogy(values, "o-", color=blue, markersize=4.0)
@@ -74,8 +62,7 @@ def network_convergence(
     """
     losses = {"training": training_loss} | ({} if validation_loss is None else {"validation": validation_loss})
     series, colours = finite_series(losses), rgb([*policy_colours(["ls_bpnn"]), OTHERS[0]])
-    with style():
-        figure = new_figure(COLUMN, 2.9)
+    with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel="epoch (number)", ylabel="loss, MSE of normalised targets (–)")
         axes.set_title("Convergence of the residual network")
         for (label, values), colour in zip(series.items(), colours, strict=False):
@@ -111,8 +98,7 @@ def parameter_spectrum(
     drawn, place = np.maximum(values, floor), np.arange(len(values))
     blue, red = rgb([*policy_colours(["ls"]), RED])
     diagonal = names is not None
-    with style():
-        figure = new_figure(WIDTH, 3.1)
+    with new_figure(WIDTH, 3.1) as figure:
         axes = figure.add_subplot(ylabel=quantity or f"{'|R_ii|' if diagonal else 'singular value'} (scaled, –)")
         axes.set_xlabel("parameter" if diagonal else "singular value (number)")
         condition = float(values[kept].max() / values[kept].min()) if kept.any() else np.inf
@@ -152,8 +138,7 @@ def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
     lower, upper, units = _limits(geometry)
     share = 100.0 * (np.asarray(joints, dtype=float) - geometry.lower) / (geometry.upper - geometry.lower)
     (blue,) = rgb(policy_colours(["ls"]))
-    with style(**{"axes.grid": False}):
-        figure = new_figure(COLUMN * 1.2, 0.6 + 0.28 * geometry.joints)
+    with new_figure(COLUMN * 1.2, 0.6 + 0.28 * geometry.joints, **{"axes.grid": False}) as figure:
         axes = figure.add_subplot(xlabel="place within the limits (%)", xlim=(-2.0, 102.0))
         for row in range(geometry.joints):
             place = np.repeat(np.unique(np.round(np.clip(share[:, row], -2.0, 102.0), 1)), 3)  # a gap after each mark
@@ -178,20 +163,16 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
         uncertainty_mm: Standard uncertainty ``(N,)``, mm.
         cells: Cells along the longer side.
     """
-    from matplotlib.colors import ListedColormap
-
     given = {"distance": distance_mm, "height": height_mm, "uncertainty": uncertainty_mm}
     x, y, values = finite_series(given).values()
     step = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9) / cells
     edges = [v.min() + step * np.arange(int(np.ptp(v) // step) + 2) for v in (x, y)]
     count, total = (np.histogram2d(x, y, edges, weights=weights)[0].T for weights in (None, values))
     mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-    with style(**{"axes.grid": False}):
-        figure = new_figure(COLUMN, 3.0)
+    with new_figure(COLUMN, 3.0, **{"axes.grid": False}) as figure:
         axes = figure.add_subplot(xlabel="distance from base (mm)", ylabel="height (mm)")
         extent = (edges[0][0], edges[0][-1], edges[1][0], edges[1][-1])
-        colours = ListedColormap(viridis(np.linspace(0.0, 1.0, 256)) / 255.0)
-        picture = axes.imshow(mean, origin="lower", extent=extent, cmap=colours, interpolation="none")
+        picture = axes.imshow(mean, origin="lower", extent=extent, cmap=viridis_map(), interpolation="none")
         bar = figure.colorbar(picture, ax=axes, label="standard uncertainty (mm)")
         bar.outline.set_visible(False)
     return figure
@@ -211,8 +192,7 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
     lower, upper, units = _limits(geometry)
     shown = {label: np.asarray(q, dtype=float).reshape(-1, n) * scale for label, q in sets.items()}
     colours = rgb([OTHERS[0], OTHERS[1], (70, 70, 78), *OTHERS[2:]])  # sets are not policies
-    with style(**{"font.size": 7.5, "axes.grid": False}):
-        figure = new_figure(WIDTH, WIDTH * 0.95)
+    with new_figure(WIDTH, WIDTH * 0.95, **{"font.size": 7.5, "axes.grid": False}) as figure:
         grid: Any = figure.subplots(n, n, squeeze=False)
         for row, column in np.ndindex(n, n):
             axes = grid[row, column]

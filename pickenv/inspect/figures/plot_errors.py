@@ -25,7 +25,6 @@ from pickenv.inspect.figures.style import (
     new_figure,
     plain_decades,
     rgb,
-    style,
 )
 from pickenv.inspect.runs.comparison_summary import round_step
 
@@ -41,8 +40,7 @@ def error_per_pose(errors_mm: Mapping[str, ArrayLike], *, tolerance_mm: float | 
         tolerance_mm: Drawn as a line when given.
     """
     series = finite_series(errors_mm)
-    with style():
-        figure = new_figure(WIDTH, 2.9)
+    with new_figure(WIDTH, 2.9) as figure:
         axes = figure.add_subplot(xlabel="test pose (number)", ylabel="position error (mm)")
         axes.set_title("Position error at each test pose")
         for label, values, colour in coloured(series):
@@ -75,8 +73,7 @@ def error_by_method(
     """
     series = finite_series(errors)
     colours = rgb(policy_colours(list(series)))
-    with style():
-        figure = new_figure(max(COLUMN, 1.2 + 0.9 * len(series)), 2.9)
+    with new_figure(max(COLUMN, 1.2 + 0.9 * len(series)), 2.9) as figure:
         axes = figure.add_subplot(ylabel=f"{quantity} ({unit})", xlabel=f"method (number of {counted})")
         axes.set_title(f"{quantity[:1].upper()}{quantity[1:]} by method", pad=16.0)
         boxes = axes.boxplot(
@@ -122,8 +119,7 @@ def error_histogram(
     """
     series = finite_series(errors)
     width = round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
-    with style():
-        figure = new_figure(COLUMN, 2.9)
+    with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"share of poses in {width:g} {unit} (%)")
         axes.set_title("Distribution")
         for label, values, colour in coloured(series):
@@ -157,8 +153,7 @@ def error_cumulative(
         counted: What the shares are of.
     """
     series = finite_series(errors)
-    with style():
-        figure = new_figure(COLUMN, 2.9)
+    with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"{counted} within it (%)")
         axes.set_title("Cumulative distribution")
         for label, values, colour in coloured(series):
@@ -197,8 +192,7 @@ def error_against(
         if len(values) != len(x):
             raise InputError(f"series '{label}' has {len(values)} errors for {len(x)} values of {name}; give as many")
     parts = _groups(x, groups)
-    with style():
-        figure = new_figure(COLUMN, 2.9)
+    with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{name} ({unit})", ylabel="position error (mm)")
         axes.set_title(f"Error against {name}", pad=16.0)
         axes.annotate("dots: poses, line: means of groups", (0.0, 1.02), xycoords="axes fraction", fontsize=7.5)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pickenv.errors import InputError
 from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect import colours
-from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, new_figure, rgb, style
+from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, new_figure, rgb
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 
 if TYPE_CHECKING:
@@ -31,8 +31,7 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
         arms: Number of arms.
     """
     _something(trees)
-    with style():
-        figure = new_figure(WIDTH, 0.6 + (0.55 + 0.22 * (arms + 1)) * len(trees))
+    with new_figure(WIDTH, 0.6 + (0.55 + 0.22 * (arms + 1)) * len(trees)) as figure:
         panels: Any = figure.subplots(len(trees), 1, sharex=True, squeeze=False)[:, 0]
         for axes, (name, tree) in zip(panels, trees.items(), strict=True):
             axes.barh([arms] * len(tree.stands), np.diff(tree.stands)[:, 0], 0.7, tree.stands[:, 0], color=SOFT)
@@ -56,8 +55,7 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
 def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
     """The tree's side with its fruit by the arm that collected it, and the zones; a panel per strategy."""
     _something(trees)
-    with style(**{"axes.grid": False}):
-        figure = new_figure(WIDTH, 3.2)
+    with new_figure(WIDTH, 3.2, **{"axes.grid": False}) as figure:
         panels: Any = figure.subplots(1, len(trees), sharey=True, squeeze=False)[0]
         arms = max(int(tree.by_arm.max(initial=-1)) for tree in trees.values()) + 1
         for axes, (name, tree) in zip(panels, trees.items(), strict=True):
@@ -86,10 +84,8 @@ def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
     _something(funnels)
     stages = list(next(iter(funnels.values())))
     width = 0.84 / len(funnels)
-    with style():
-        figure = new_figure(WIDTH, 3.0)
-        axes = figure.add_subplot(ylabel="share of fruit present (%)")
-        axes.set_title("From fruit present to fruit collected")
+    with new_figure(WIDTH, 3.0) as figure:
+        axes = figure.add_subplot(ylabel="share of fruit present (%)", title="From fruit present to fruit collected")
         for i, (name, counts) in enumerate(funnels.items()):
             share = np.array([100.0 * counts[stage] / max(counts[stages[0]], 1) for stage in stages])
             place = np.arange(len(stages)) + width * (i - (len(funnels) - 1) / 2.0)
@@ -104,8 +100,7 @@ def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
 def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figure:
     """Picks per hour against the number of arms, with 95 % intervals, for each density of fruit."""
     _something(throughput)
-    with style():
-        figure = new_figure(COLUMN, 2.9)
+    with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel="arms (number)", ylabel="picks per hour (1/h)")
         axes.set_title("Throughput against arms")
         for i, (label, measures) in enumerate(throughput.items()):
@@ -129,8 +124,7 @@ def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[tuple[float, floa
     cloud = np.asarray(cloud, dtype=float)
     if cloud.ndim != 3 or not len(cloud):
         raise InputError("a workspace cloud needs points (N, arms, 3); give at least one")
-    with style():
-        figure = new_figure(WIDTH, 3.4)
+    with new_figure(WIDTH, 3.4) as figure:
         panels: Any = figure.subplots(1, 2)
         for axes, (a, b) in zip(panels, ((0, 1), (0, 2)), strict=True):
             for arm in range(cloud.shape[1]):
@@ -154,8 +148,7 @@ def joint_curves(curves: JointCurves) -> Figure:
     for name in curves.moved:
         parts.setdefault(name.rpartition(" ")[0], []).append(name)
     shades = {part: INK if i == 0 else _colour(i - 1) for i, part in enumerate(parts)}
-    with style():
-        figure = new_figure(WIDTH, 3.2)
+    with new_figure(WIDTH, 3.2) as figure:
         slides, turns = figure.subplots(1, 2)
         for part, names in parts.items():
             for name, line in zip(names, ("-", "--", ":", "-."), strict=False):

@@ -12,7 +12,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.inspect.colours import viridis
 from pickenv.inspect.figures.field_figure import colour_bar, round_down
-from pickenv.inspect.figures.style import SOFT, WIDTH, new_figure, style
+from pickenv.inspect.figures.style import SOFT, WIDTH, new_figure
 from pickenv.inspect.runs.comparison_summary import scale_end
 
 if TYPE_CHECKING:
@@ -53,8 +53,7 @@ def error_slices(
     gain = round_down(1.2 * step / (top * 1e-3))
     low, high = points.min(axis=0) - step, points.max(axis=0) + step
     height = (WIDTH - 0.9) / len(chosen) * (high[up] - low[up]) / (high[across] - low[across])
-    with style(**{"axes.titlelocation": "center"}):
-        figure = new_figure(WIDTH, 1.4 + len(fields) * (height + 0.1))
+    with new_figure(WIDTH, 1.4 + len(fields) * (height + 0.1), **{"axes.titlelocation": "center"}) as figure:
         panels: Any = figure.subplots(len(fields), len(chosen), squeeze=False, sharex=True, sharey=True)
         for row, (label, field) in enumerate(fields.items()):
             for column, number in enumerate(chosen):

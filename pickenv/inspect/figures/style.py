@@ -89,11 +89,13 @@ def style(**more: Any) -> Iterator[None]:
         yield
 
 
-def new_figure(width: float, height: float, **options: Any) -> Figure:
-    """An empty figure of ``width`` by ``height`` inches that belongs to no window."""
+@contextmanager
+def new_figure(width: float, height: float, **more: Any) -> Iterator[Figure]:
+    """An empty figure of ``width`` by ``height`` inches that belongs to no window, to be drawn in the house's style."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained", **options)
+    with style(**more):
+        yield Figure(figsize=(width, height), layout="constrained")
 
 
 def finite_series(curves: Mapping[str, ArrayLike]) -> dict[str, Array]:

@@ -22,7 +22,7 @@ from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings, norms_mm, trace_drawings
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings
 from pickenv.inspect.reports.report_page import Bar, Page, PageTable, Pair, Section, Verdict, html_of
 from pickenv.inspect.reports.report_words import axis_table, listed, parameter_words
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_trace, written_report
@@ -135,12 +135,11 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
     last = list(r.errors)[-1]
     shown = {"nominal": NOMINAL, "calibrated geometry": GEOMETRIC} | ({"model used": last} if last != GEOMETRIC else {})
     mm = norms_mm({label: r.errors[name] for label, name in shown.items()})
-    caption = "Share of held-out poses whose position error is at most x."
     return Section(
         block.title,
         (
             _table(block),
-            Drawing("error_cumulative", caption, lambda: error_cumulative(mm)),
+            captioned("error_cumulative", lambda: error_cumulative(mm)),
             axis_table(
                 "Errors per degree of freedom: measured minus predicted, on poses that took no part in the fit.",
                 {label: axis_errors(r.errors[name]) for label, name in shown.items()},

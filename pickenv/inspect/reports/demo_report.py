@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import binomtest
 
 from pickenv.arm import noncompensable_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import EFFECTS
-from pickenv.calibration.assessment.metrics import ErrorStatistics, bootstrap_interval, error_statistics
+from pickenv.calibration.assessment.metrics import (
+    ErrorStatistics,
+    bootstrap_interval,
+    error_statistics,
+    wilson_interval,
+)
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
@@ -39,28 +42,6 @@ from pickenv.inspect.runs.run_folder import Run, TakePicture, load_comparison, l
 RECORDING = "errors.rrd"
 REQUIRED_SHARE = 0.95
 """Share of reaches within the tolerance for which a calibration counts as sufficient."""
-
-
-@dataclass(frozen=True)
-class Share:
-    """A share with its 95 % interval (Wilson 1927).
-
-    Attributes:
-        count: Successes.
-        total: Trials.
-    """
-
-    count: int
-    total: int
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Low and high end of the 95 % interval."""
-        found = binomtest(self.count, self.total).proportion_ci(0.95, method="wilson")
-        return float(found.low), float(found.high)
-
-    def __str__(self) -> str:
-        return percent(self.count / self.total, *self.interval)
 
 
 def drawings(run: Run) -> Drawings:
@@ -112,8 +93,8 @@ def verdict(comparison: Comparison) -> Verdict:
     before, after = error_statistics(first.position_error_mm), error_statistics(last.position_error_mm)
     gain = first.position_error_mm - last.position_error_mm
     low, high = bootstrap_interval(gain)
-    share, was = _share(last), _share(first)
-    least, most = share.interval
+    picked, total = int(last.success.sum()), len(last.success)
+    least, most = wilson_interval(picked, total)
     tolerance = f"a tolerance of {comparison.tolerance_mm:g} mm"
     if least >= REQUIRED_SHARE:
         tone, headline = "good", f"The calibrated arm suffices for {tolerance}"
@@ -139,15 +120,16 @@ def verdict(comparison: Comparison) -> Verdict:
     return Verdict(
         tone,
         headline,
-        f"{removed} What remains is {_mean(after)} mm in the mean and at most {after.max:.2f} mm. {share.count} of "
-        f"{share.total} simulated reaches end within {comparison.tolerance_mm:g} mm of the fruit (95 % interval "
-        f"{100 * least:.0f} to {100 * most:.0f} %, required are {100 * REQUIRED_SHARE:.0f} %), {was.count} without "
-        f"calibration. Fruit that each gripper would take: {grippers}.",
+        f"{removed} What remains is {_mean(after)} mm in the mean and at most {after.max:.2f} mm. {picked} of "
+        f"{total} simulated reaches end within {comparison.tolerance_mm:g} mm of the fruit (95 % interval "
+        f"{100 * least:.0f} to {100 * most:.0f} %, required are {100 * REQUIRED_SHARE:.0f} %), "
+        f"{int(first.success.sum())} without calibration. Fruit that each gripper would take: {grippers}.",
     )
 
 
-def _share(policy: PolicyErrors) -> Share:
-    return Share(int(policy.success.sum()), len(policy.success))
+def _share(policy: PolicyErrors) -> str:
+    picked, total = int(policy.success.sum()), len(policy.success)
+    return percent(picked / total, *wilson_interval(picked, total))
 
 
 def _mean(statistics: ErrorStatistics, digits: int = 2) -> str:
@@ -174,7 +156,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
     for policy in comparison.policies:
         position, attitude = error_statistics(policy.position_error_mm), error_statistics(policy.attitude_error_deg)
         cells = [_mean(position), *(f"{value:.2f}" for value in (position.rms, position.p95, position.max))]
-        cells += [_mean(attitude, 3), str(_share(policy))]
+        cells += [_mean(attitude, 3), _share(policy)]
         cells += [f"{100 * float(held[policy.label].success[name].mean()):.0f} %" for name in grippers]
         rows.append([policy.label, *cells])
     caption = "Final errors of the reaches; in brackets 95 % intervals (bootstrap for means, Wilson for shares)"
