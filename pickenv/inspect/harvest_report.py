@@ -10,7 +10,6 @@ from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report
 from pickenv.inspect.reports.report_page import PageTable, Verdict
 from pickenv.inspect.reports.report_words import estimated, percent
-from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_harvest
 
 LI2016_DENSE = ((-1.5, 1.5), (-1.7, -0.5), (0.4, 2.6))
@@ -18,12 +17,8 @@ LI2016_DENSE = ((-1.5, 1.5), (-1.7, -0.5), (0.4, 2.6))
 
 
 def drawings(run: Run) -> Drawings:
-    """The figures of a harvester's run folder."""
-    return harvest_drawings(load_harvest(run))
-
-
-def harvest_drawings(trace: HarvestTrace) -> Drawings:
     """Figures of a harvester: what the arms did on a tree, what came of the fruit, throughput, reach."""
+    trace = load_harvest(run)
     arms = trace.cloud.shape[1]
     shown = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
     return [
@@ -81,7 +76,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     )
     arms = trace.cloud.shape[1]
     subtitle = f"Simulated; {arms} picking arms, {len(names)} strategies on the same trees"
-    return plain_report(run, "Harvesting", subtitle, verdict, (measures, funnel), harvest_drawings(trace))
+    return plain_report(run, "Harvesting", subtitle, verdict, (measures, funnel), drawings(run))
 
 
 def _share(measures: Mapping[str, Any]) -> str:
