@@ -271,7 +271,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
     """Write the run folder: data, calibration, summary, figures and the Rerun recording; returns what was written."""
     from pickenv.inspect.figures.run_drawings import comparison_drawings, trace_drawings, write_drawings
     from pickenv.inspect.recordings.comparison_recording import record_comparison
-    from pickenv.inspect.reports.demo_report import demo_report
+    from pickenv.inspect.reports.demo_report import page
     from pickenv.inspect.runs.run_folder import recorded_run, save_comparison, save_trace
 
     report = progress or (lambda stage, done, total: None)
@@ -289,7 +289,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
         written += write_drawings(drawings, out / "figures", ("png",), report)
         written.append(record_comparison(result.comparison, out / "errors.rrd"))
         report("recording", 1, 1)
-        written.append(write_text(out / "report.html", demo_report(run)))
+        written.append(write_text(out / "report.html", page(run)))
         written.append(write_text(out / "summary.json", json.dumps(summarise(result), indent=2) + "\n"))
     return written
 

@@ -16,7 +16,7 @@ from pickenv.arm.plant.plant import MeasurementNoise, Plant
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.calibration import Compensator, complete_model, random_joints
 from pickenv.calibration.identification.extended_kalman_filter import predict, random_walk, start_filter, update
-from pickenv.inspect.figures.style import WIDTH, new_figure, style
+from pickenv.inspect.figures.style import WIDTH, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,8 +88,7 @@ def run_day(settings: GridSettings, picks: int) -> Day:
 
 def day_figure(day: Day) -> Figure:
     """Mean error over the day."""
-    with style():
-        figure = new_figure(WIDTH, 3.2)
+    with new_figure(WIDTH, 3.2) as figure:
         axis: Any = figure.subplots()
         width = max(1, len(day.hours) // 16)
         for errors, line in zip(day.errors_mm.items(), ("-", "--", "-."), strict=True):

@@ -13,7 +13,7 @@ from pickenv.agents.evaluation.rollout import roll_out
 from pickenv.agents.policies.scripted import ScriptedReach
 from pickenv.agents.policies.servo import ServoReach
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, style
+from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,8 +94,7 @@ def run_noise(settings: GridSettings, grid: Grid) -> Noise:
 
 def noise_figure(noise: Noise) -> Figure:
     """Mean error against the camera's RMSE, with the crossings."""
-    with style():
-        figure = new_figure(WIDTH, 3.6)
+    with new_figure(WIDTH, 3.6) as figure:
         axes: Any = figure.subplots(1, 2, sharey=True)
         for key, value in noise.open_loop.items():
             axes[0].axhline(value, color=colour(key), label=f"open loop, {LABELS[key]}")

@@ -37,9 +37,9 @@ from pickenv.harvester.trees import lab_runs, load_orchard, sample_image
 from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine, tip_errors
 from pickenv.harvester.work import timetable, zone_work
 from pickenv.harvester.zones import load_grid
-from pickenv.inspect.figures.run_drawings import harvest_drawings, write_drawings
+from pickenv.inspect.figures.run_drawings import write_drawings
 from pickenv.inspect.recordings.harvest_recording import inspect_harvest
-from pickenv.inspect.reports.plain_report import harvest_report
+from pickenv.inspect.reports.harvest_report import drawings, page
 from pickenv.inspect.runs.run_folder import recorded_run, save_harvest
 
 TARGETS_MM = {"left": (420, -1400, 1000), "middle": (96, -1450, 1280), "right": (-500, -1386, 1500)}
@@ -263,10 +263,10 @@ def main(
     command = "python scripts/reproduce_li2016.py" + (" --quick" if quick else f" --trees {trees}")
     with recorded_run(out, "harvest", command, SEED) as run:
         save_harvest(out, trace, SEED)
-        for path in write_drawings(harvest_drawings(trace), out / "figures"):
+        for path in write_drawings(drawings(run), out / "figures"):
             console.print(f"figure {path}")
         console.print(f"recording {inspect_harvest(machine, dense, out / 'zone.rrd')}")
-        console.print(f"report {write_text(out / 'report.html', harvest_report(run, trace))}")
+        console.print(f"report {write_text(out / 'report.html', page(run))}")
     if json_file is not None:
         write_text(json_file, json.dumps(report(errors, study, reach, plans, throughput, trees), indent=2) + "\n")
     console.print(f"{time.perf_counter() - begin:.0f} s")

@@ -11,11 +11,10 @@ import numpy as np
 from pickenv.agents.evaluation.grid import Grid
 from pickenv.agents.evaluation.statistics import interquartile_mean, interval, mean
 from pickenv.envs.shared.task import CONTROL_PERIOD
-from pickenv.inspect.colours import policy_colours
+from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
 from pickenv.inspect.figures.plot_policies import (
     CycleCurve,
-    Estimate,
     accuracy_against_cycle_time,
     aggregates,
     success_against_misalignment,
@@ -34,19 +33,13 @@ STATISTICS: Mapping[str, Any] = {
 }
 
 
-def colour(compensation: str) -> tuple[float, ...]:
-    """A compensation's colour for matplotlib."""
-    colours = dict(zip(LABELS, policy_colours(list(LABELS)), strict=True))
-    return tuple(value / 255 for value in colours[compensation])
-
-
 def aggregate_figure(grid: Grid) -> Figure:
     """Mean, interquartile mean and 95th percentile of every cell with 95 % intervals, one panel row per plant."""
-    panels: dict[str, dict[str, dict[str, dict[str, Estimate]]]] = {}
+    panels: dict[str, dict[str, dict[str, dict[str, Measure]]]] = {}
     for cell in grid.cells:
         for title, statistic in STATISTICS.items():
             low, high = interval(cell.errors_mm, np.random.default_rng(0), statistic)
-            found = Estimate(float(statistic(cell.errors_mm.ravel())), low, high)
+            found = Measure(float(statistic(cell.errors_mm.ravel())), low, high)
             policies = panels.setdefault(cell.plant, {}).setdefault(title, {})
             policies.setdefault(f"{cell.policy}\n{cell.feedback}", {})[LABELS[cell.compensation]] = found
     return aggregates(panels)

@@ -100,3 +100,11 @@ def paper_eta(identified: ArrayLike, true: ArrayLike) -> float:
     identified, true = np.asarray(identified, dtype=float), np.asarray(true, dtype=float)
     rated = (true != 0) & np.isfinite(identified)
     return float(100.0 * np.mean(1.0 - np.abs(identified[rated] - true[rated]) / np.abs(true[rated])))
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Wilson's score interval of a share, 95 % (Wilson 1927)."""
+    from scipy.stats import binomtest  # late: half of SciPy comes along
+
+    interval = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)

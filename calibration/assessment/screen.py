@@ -19,6 +19,11 @@ def figure(value: float | None) -> str:
     return f"{value:.0f}" if 1e4 <= abs(value) < 1e9 else f"{value:.3e}"
 
 
+def is_number(cell: str) -> bool:
+    """Whether a table's cell is a number, which stands to the right."""
+    return cell[:1] in tuple("+-0123456789")
+
+
 @dataclass(frozen=True)
 class Block:
     """A titled table of text, as terminal and page show it.
@@ -43,7 +48,7 @@ class Block:
         padded = []
         for head, cells in zip(heads, columns, strict=True):
             width = max(map(len, (head, *cells)))
-            side = ">" if cells[0][:1] in "-0123456789" and self.header else "<"
+            side = ">" if is_number(cells[0]) and self.header else "<"
             padded.append([f"{cell:{side}{width}}" for cell in ((head, *cells) if self.header else cells)])
         lines += ["  " + "  ".join(row).rstrip() for row in zip(*padded, strict=True)]
         return "\n".join(lines)

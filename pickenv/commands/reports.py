@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Protocol, cast
 
 import typer
 
 if TYPE_CHECKING:
     from pickenv.inspect.figures.run_drawings import Drawings
-    from pickenv.inspect.runs.run_folder import Run
+    from pickenv.inspect.runs.run_folder import Run, TakePicture
 
 MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
 """Suffixes of pages and pictures, which may be made again."""
 
 RUN = typer.Argument(help="Run folder.", show_default=False)
+
+
+class Pages(Protocol):
+    """What a kind of run offers to look at."""
+
+    def drawings(self, run: Run) -> Drawings:
+        """Every figure, drawable or left out."""
+
+    def page(self, run: Run, picture: TakePicture | None) -> str:
+        """The report as HTML, with a picture of the recording where it has one."""
 
 
 def figures(
@@ -55,11 +66,6 @@ def report(
     found = read_run(run)
     path = out or run / "report.html"
     separate({"RUN": _numbers(run)}, {"--out": path})
-    if found.kind == "study":
-        from pickenv.study.analysis.study_report import study_report
-
-        print(f"wrote {study_report(run, path)}")
-        return
     with added_to(found):
         print(f"wrote {write_text(path, page_of(found, picture))}")
 
@@ -71,44 +77,18 @@ def _numbers(run: Path) -> list[Path]:
 
 def drawings_of(run: Run) -> Drawings:
     """Every figure of a run, drawable or left out."""
-    from pickenv.inspect.figures import run_drawings as drawings
-    from pickenv.inspect.runs import run_folder
-
-    if run.kind == "evaluation":
-        from pickenv.agents.evaluation.grid_figures import grid_drawings
-        from pickenv.agents.evaluation.grid_tables import read_grid
-
-        return grid_drawings(read_grid(run))
-    if run.kind == "study":
-        from pickenv.study.analysis.study_drawings import gather, study_drawings
-
-        return study_drawings(gather(run.folder))
-    if run.kind == "harvest":
-        return drawings.harvest_drawings(run_folder.load_harvest(run))
-    if run.kind == "iso9283":
-        return drawings.iso9283_drawings(run_folder.load_iso9283(run))
-    traced = drawings.trace_drawings(run_folder.load_trace(run))
-    if run.kind == "calibration":
-        return traced
-    return [*drawings.comparison_drawings(run_folder.load_comparison(run.folder)), *traced]
+    return _pages(run).drawings(run)
 
 
 def page_of(run: Run, picture: bool) -> str:
     """A run's report as HTML."""
     from pickenv.inspect.recordings.viewer_picture import viewer_picture
-    from pickenv.inspect.reports.demo_report import demo_report
-    from pickenv.inspect.reports.plain_report import harvest_report, iso9283_report
-    from pickenv.inspect.runs import run_folder
 
-    if run.kind == "evaluation":
-        from pickenv.agents.evaluation.grid_report import grid_report
-        from pickenv.agents.evaluation.grid_tables import read_grid
+    return _pages(run).page(run, viewer_picture if picture else None)
 
-        return grid_report(run, read_grid(run))
-    if run.kind == "harvest":
-        return harvest_report(run, run_folder.load_harvest(run))
-    if run.kind == "iso9283":
-        return iso9283_report(run, run_folder.load_iso9283(run))
-    if run.kind == "calibration":
-        return run_folder.written_report(run)
-    return demo_report(run, viewer_picture if picture else None)
+
+def _pages(run: Run) -> Pages:
+    """The module that draws and writes about this kind of run."""
+    from pickenv.inspect.runs.run_folder import KINDS
+
+    return cast("Pages", import_module(KINDS[run.kind].pages))

@@ -6,9 +6,13 @@ Policy colours are Okabe and Ito's, which people with colour vision deficiency c
 from __future__ import annotations
 
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.colors import ListedColormap
 
 Rgb = tuple[int, int, int]
 
@@ -28,10 +32,15 @@ BY_KEY: dict[str, Rgb] = {
     "nominal": ORANGE,
     "ls": BLUE,
     "calibrated": BLUE,
+    "calibrated_geometry": BLUE,
     "ls_bpnn": GREEN,
     "with_residual": GREEN,
+    "model_used": GREEN,
 }
 OTHERS: tuple[Rgb, ...] = ((204, 121, 167), (86, 180, 233), (240, 228, 66), (150, 150, 150))
+
+ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
+"""Of a harvester's arms, in turn."""
 
 TABLE = 2048
 
@@ -67,10 +76,22 @@ def policy_colours(names: list[str]) -> list[Rgb]:
     return colours
 
 
+def arm_colour(arm: int) -> Rgb:
+    """The colour of a harvester's arm, by its number from 0."""
+    return ARMS[arm % len(ARMS)]
+
+
 def viridis(fraction: ArrayLike) -> NDArray[np.uint8]:
     """Viridis colours ``(..., 3)`` in 0..255 for fractions ``(...)``, which are clipped to 0..1."""
     t = np.clip(np.asarray(fraction, dtype=float), 0.0, 1.0)
     return _viridis_table()[np.asarray(np.round(t * (TABLE - 1)), dtype=np.intp)]
+
+
+def viridis_map() -> ListedColormap:
+    """Viridis for matplotlib."""
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap(viridis(np.linspace(0.0, 1.0, 256)) / 255.0)
 
 
 @cache

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pickenv.inspect.reports.plain_report import harvest_report
+from pickenv.inspect.reports.harvest_report import page
 from pickenv.inspect.runs.run_folder import load_harvest, read_run
 
 ROOT = Path(__file__).parents[2]
@@ -43,4 +43,4 @@ def test_the_script_gives_tables_figures_recording_and_json(tmp_path):
     trace = load_harvest(run)
     assert trace.funnels["raw"] == found["recovery"]["raw"]["funnel"]
     assert trace.tree_count == found["trees"] == 12
-    assert harvest_report(run, trace) == (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page(run) == (tmp_path / "report.html").read_text(encoding="utf-8")

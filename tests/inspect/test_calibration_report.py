@@ -13,12 +13,11 @@ from pickenv.calibration.assessment.screen import figure, unit_of
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.pipeline.result import assess
 from pickenv.calibration.residuals.gate import GateReport, Verdict
-from pickenv.errors import InputError
 from pickenv.inspect.reports.calibration_report import calibration_page, write_calibration_report
+from pickenv.inspect.reports.report_page import Bar
 from pickenv.inspect.reports.report_words import parameter_words
-from pickenv.inspect.reports.svg_plots import bar, cumulative, heat_map, strips, ticks
 
-VOID = {"meta", "br", "line", "rect", "path", "polyline"}
+VOID = {"meta"}
 
 
 def verdict(model, accepted, blocked, reason):
@@ -87,8 +86,9 @@ def page(evidence):
 def test_it_is_whole_and_needs_nothing_from_outside(page):
     found = Page(page)
     assert page.startswith("<!DOCTYPE html>") and page.rstrip().endswith("</html>")
-    assert not re.search(r"https?:|url\(|<script|<link|<img|@import", page)
-    assert not [name for name, _ in found.attributes if name in ("src", "href", "srcset")]
+    assert not re.search(r"https?:|url\((?!#)|<script|<link|<img|@import", page)
+    links = [value for name, value in found.attributes if name in ("src", "href", "xlink:href", "srcset")]
+    assert [value[:40] for value in links if not value.startswith(("#", "data:image/png"))] == []
     assert "prefers-color-scheme: dark" in page and "@media print" in page and len(page) < 300_000
 
 
@@ -192,37 +192,21 @@ def test_units_of_parameters():
     ]  # fmt: skip
 
 
-def test_the_step_line_passes_through_the_share_of_poses():
-    svg = cumulative({"one": ("after", [1.0, 2.0, 3.0, 4.0])}, "error (mm)")
-    points = np.array([[float(v) for v in p.split(",")] for p in re.search(r'points="([^"]+)"', svg)[1].split()])
-    assert (np.diff(points[:, 0]) >= 0).all() and (np.diff(points[:, 1]) <= 0).all()
-    heights = np.unique(points[:, 1])[::-1]
-    np.testing.assert_allclose(np.diff(heights), (heights[-1] - heights[0]) / 4, atol=0.06)
-    top, bottom = (float(re.search(rf'y="([-\d.]+)" text-anchor="end">{share}<', svg)[1]) - 4 for share in (100, 0))
-    assert (heights[0], heights[-1]) == (pytest.approx(bottom, abs=0.1), pytest.approx(top, abs=0.1))
-    with pytest.raises(InputError, match="finite"):
-        cumulative({"one": ("after", [np.nan])}, "error")
+@pytest.mark.parametrize(("value", "sigma"), [(5.0, 1.0), (-0.5, 0.25), (1.0, 40.0), (0.0, 0.0)])
+def test_a_bar_goes_from_zero_to_its_value_and_stays_in_its_cell(value, sigma):
+    bar = Bar(value, sigma, 2.0)
+    low, end, high = bar.at(-2.0), bar.at(), bar.at(2.0)
+    assert 4.0 <= low <= end <= high <= 116.0
+    assert (end - 60.0) / 56.0 == pytest.approx(np.clip(value / 2.0, -1.0, 1.0))
 
 
-@pytest.mark.parametrize("limits", [(0.0, 1.0), (-3.0, 700.0), (0.0, 1e-5), (2.0, 2.0)])
-def test_ticks_are_round_and_inside(limits):
-    found = ticks(*limits)
-    assert 1 <= len(found) <= 7 and all(limits[0] - 1e-9 <= t <= limits[1] + 1e-9 for t in found)
-
-
-def test_drawings_stay_on_the_paper():
-    rng = np.random.default_rng(0)
-    x, y = rng.uniform(0, 100, (2, 500))
-    drawings = [
-        strips(["a"], np.zeros(1), np.ones(1), rng.uniform(-1, 2, (9, 1)), [("0", "1")]),
-        heat_map(x, y, x + y, "x", "y", "mm"),
-        bar(5.0, 1.0, 2.0),
-    ]
-    for svg in drawings:
-        Page(svg)
-        width, height = (float(v) for v in re.search(r'viewBox="0 0 (\S+) (\S+)"', svg).groups())
-        for name, limit in (("x", width), ("x1", width), ("x2", width), ("y", height), ("y1", height)):
-            assert all(-0.1 <= float(v) <= limit + 0.1 for v in re.findall(rf' {name}="([-\d.]+)"', svg))
+def test_bars_are_drawn_in_the_cells_of_what_moved(page, evidence):
+    moved = [row for row in evidence.parameters() if row["state"] == "measured"]
+    drawn = re.findall(r'<svg class="inline".*?aria-label="([^"]+)".*?x="([\d.]+)" y="3" width="([\d.]+)"', page, re.S)
+    assert [label for label, _, _ in drawn] == [f"{row['change']:.3g}" for row in moved]
+    for row, (_, x, width) in zip(moved, drawn, strict=True):
+        assert float(width) > 0.0 or abs(row["change"]) < 0.1
+        assert float(x) == pytest.approx(60.0 if row["change"] > 0.0 else 60.0 - float(width), abs=0.11)
 
 
 def test_the_arms_and_joints_names_are_no_markup(evidence):

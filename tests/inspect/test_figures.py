@@ -13,7 +13,7 @@ from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
-from pickenv.inspect.figures.plot_policies import CycleCurve, Estimate
+from pickenv.inspect.figures.plot_policies import CycleCurve
 from pickenv.inspect.figures.plot_slices import error_slices
 from pickenv.inspect.figures.style import INK, PIXELS_PER_INCH, WIDTH, save_figure, style
 from pickenv.inspect.runs.comparison import Comparison
@@ -46,7 +46,7 @@ TREE = PickedTree(
     got=np.array([True, False, True]),
 )
 CURVES = JointCurves(X, {"master d2": X, "master theta1": X, "left d4": X}, ("master theta1",))
-AGGREGATES = {"plant": {"mean": {"scripted": {"raw": Estimate(2.0, 1.0, 3.0), "LS": Estimate(0.5, 0.4, 0.6)}}}}
+AGGREGATES = {"plant": {"mean": {"scripted": {"raw": Measure(2.0, 1.0, 3.0), "LS": Measure(0.5, 0.4, 0.6)}}}}
 CYCLES = [CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)), CycleCurve("ppo", "LS", np.geomspace(300, 0.5, 50))]
 
 PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
@@ -75,6 +75,7 @@ PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
         lambda: plot_calibration.parameter_spectrum(np.append(MAGNITUDES[:-1], 0.0), KEPT),
         ("(scaled, –)",),
     ),
+    "uncertainty": (lambda: plot_calibration.uncertainty_map(1e3 * X, 900 * X**2, X), ("(mm)",)),
     "slices": (lambda: error_slices(GRID, FIELDS, step=0.1), ("x (m)", "z (m)", "(mm)")),
     "gantt": (lambda: plot_harvest.gantt({"raw": TREE, "best": TREE}, 3), ("(s)",)),
     "pick map": (lambda: plot_harvest.pick_map({"raw": TREE}), ("(m)",)),
@@ -143,6 +144,51 @@ def test_joint_coverage_is_framed_by_the_joint_limits_in_degrees_and_millimetres
     np.testing.assert_allclose(bottom[0].get_xlim(), np.degrees([geometry.lower[0], geometry.upper[0]]))
     np.testing.assert_allclose(bottom[1].get_xlim(), 1e3 * np.array([geometry.lower[1], geometry.upper[1]]))
     assert save_figure(figure, tmp_path / "coverage.png").stat().st_size > 0
+
+
+def test_marks_stand_where_the_joints_do_within_their_limits(comparison: Comparison) -> None:
+    geometry = comparison.nominal
+    share = np.linspace(0.0, 1.0, 5)[:, None] * np.ones(geometry.joints)
+    q = geometry.lower + share * (geometry.upper - geometry.lower)
+    (axes,) = plot_calibration.joint_ranges(geometry, q).axes
+    marks = [np.asarray(line.get_xydata()) for line in axes.get_lines()[1::2]]
+    for row, places in enumerate(marks):
+        np.testing.assert_allclose(places[::3, 0], [0.0, 25.0, 50.0, 75.0, 100.0], atol=0.06)
+        assert np.isnan(places[2::3, 1]).all()
+        np.testing.assert_allclose((places[0::3, 1] + places[1::3, 1]) / 2.0, row)
+    named = [label.get_text() for label in axes.get_yticklabels()]
+    assert [name.split("  ")[0] for name in named] == list(geometry.joint_names)
+    assert [name.split()[-1] for name in named] == ["mm" if slides else "deg" for slides in geometry.prismatic]
+
+
+def test_poses_beyond_their_limits_stay_on_the_paper(comparison: Comparison) -> None:
+    geometry = comparison.nominal
+    q = np.stack([2.0 * geometry.lower - geometry.upper, 2.0 * geometry.upper - geometry.lower])
+    (axes,) = plot_calibration.joint_ranges(geometry, q).axes
+    low, high = axes.get_xlim()
+    for line in axes.get_lines():
+        assert ((low <= line.get_xdata()) & (line.get_xdata() <= high)).all()
+
+
+def test_a_cell_of_the_uncertainty_map_is_the_mean_of_its_poses() -> None:
+    x, y = RNG.uniform(0.0, 1000.0, 400), RNG.uniform(-200.0, 300.0, 400)
+    values = RNG.uniform(0.1, 0.2, 400)
+    image = plot_calibration.uncertainty_map(x, y, values, cells=10).axes[0].images[0]
+    mean, (left, right, bottom, top) = np.ma.filled(image.get_array(), np.nan), image.get_extent()
+    assert left == x.min() and bottom == y.min() and right >= x.max() and top >= y.max()
+    width, height = (right - left) / mean.shape[1], (top - bottom) / mean.shape[0]
+    assert width == pytest.approx(height)
+    for row, column in np.ndindex(*mean.shape):
+        here = ((x - left) // width == column) & ((y - bottom) // height == row)
+        np.testing.assert_allclose(mean[row, column], values[here].mean() if here.any() else np.nan)
+
+
+def test_wide_decades_are_written_as_plain_numbers() -> None:
+    figure = plot_calibration.parameter_spectrum([1.0, 1e-14], [True, False], names=["a", "b"])
+    with style():
+        figure.draw_without_rendering()
+    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert all(float(label) > 0.0 for label in labels if label)
 
 
 def test_error_fields_share_view_scale_and_gain(comparison: Comparison, tmp_path: Path) -> None:

@@ -7,16 +7,19 @@ from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from pickenv.calibration.assessment.metrics import error_statistics
-from pickenv.inspect.figures.run_drawings import LeftOut, trace_drawings
-from pickenv.inspect.reports.demo_report import Share, demo_report, verdict
+from pickenv.calibration.assessment.metrics import error_statistics, wilson_interval
+from pickenv.inspect.figures.run_drawings import Drawing, LeftOut, trace_drawings
+from pickenv.inspect.figures.style import new_figure
+from pickenv.inspect.reports.demo_report import page as demo_report
+from pickenv.inspect.reports.demo_report import verdict
 from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
-from pickenv.inspect.reports.report_page import Verdict, contents, facts, section, table, tiles, verdict_box
-from pickenv.inspect.reports.report_page import page as page_of
+from pickenv.inspect.reports.report_page import Interactive, PageTable, Pair, Part, Picture, Section, Verdict, html_of
+from pickenv.inspect.reports.report_page import Page as ReportPage
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.run_folder import Run, load_trace
@@ -186,9 +189,9 @@ def test_a_calibration_that_does_not_help_is_said_not_to(comparison: Comparison)
 
 
 def test_wilsons_interval_is_the_published_one() -> None:
-    low, high = Share(46, 56).interval  # Li et al. 2016; Newcombe 1998, method 3
+    low, high = wilson_interval(46, 56)  # Li et al. 2016; Newcombe 1998, method 3
     assert (round(low, 3), round(high, 3)) == (0.702, 0.900)
-    assert Share(0, 20).interval[0] == 0.0
+    assert wilson_interval(0, 20)[0] == 0.0
 
 
 def test_arrows_and_their_hover_texts_are_the_errors(comparison: Comparison) -> None:
@@ -245,17 +248,66 @@ def test_figures_that_the_data_do_not_allow_are_left_out_with_a_reason(demo_run:
 HOSTILE = "</title><script>alert('&')</script>"
 
 
-def test_names_and_values_are_text_wherever_they_stand_on_a_page() -> None:
-    parts = (
-        page_of(HOSTILE, []),
-        facts({HOSTILE: HOSTILE}),
-        tiles({HOSTILE: HOSTILE}),
-        table(HOSTILE, [HOSTILE, HOSTILE], [[HOSTILE, HOSTILE]]),
-        section(HOSTILE, "name", explain=HOSTILE),
-        contents({"name": HOSTILE}),
-        verdict_box(Verdict("good", HOSTILE, HOSTILE), [HOSTILE]),
+def hostile_drawing() -> Drawing:
+    def draw() -> Any:
+        with new_figure(2.0, 2.0) as figure:
+            figure.suptitle(HOSTILE)
+        return figure
+
+    return Drawing("name", HOSTILE, draw)
+
+
+BLOCKS: dict[str, tuple[Part, int]] = {
+    "paragraph": (HOSTILE, 1),
+    "facts": ({HOSTILE: HOSTILE}, 2),
+    "table": (PageTable(HOSTILE, [HOSTILE, HOSTILE], [[HOSTILE, HOSTILE]]), 6),
+    "figure": (hostile_drawing(), 3),
+    "interactive figure": (Interactive(hostile_drawing(), {HOSTILE: HOSTILE}, HOSTILE), 5),
+    "picture": (Picture(b"webp", HOSTILE), 2),
+    "pair": (Pair((HOSTILE, HOSTILE)), 2),
+}
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_names_and_values_are_text_wherever_they_stand_in_a_block(name: str) -> None:
+    part, count = BLOCKS[name]
+    plain = report(Section("plain", ["text"]))
+    page = report(Section("plain", ["text", part])).replace(library(), "")
+    assert page.count("&lt;script&gt;") - plain.count("&lt;script&gt;") == count
+    assert "<script>alert" not in page
+    Page(page)
+
+
+def test_names_and_values_are_text_in_every_part_of_a_page() -> None:
+    verdict = Verdict("good", HOSTILE, HOSTILE, [("note", HOSTILE)])
+    page = html_of(
+        ReportPage(
+            HOSTILE, HOSTILE, verdict, [Section(HOSTILE, ["text"], HOSTILE)], {}, {HOSTILE: HOSTILE}, contents=True
+        )
     )
-    for part in parts:
-        assert "<script" not in part
-        assert "script" not in {name for name, _ in Page(part).tags}
-    assert [part.count("&lt;script&gt;") for part in parts] == [1, 2, 2, 6, 2, 1, 3]
+    assert "<script" not in page
+    assert page.count("&lt;script&gt;") == 2 + 1 + 3 + 2 + 1 + 2  # title, subtitle, verdict, tiles, contents, section
+    assert "script" not in {name for name, _ in Page(page).tags}
+
+
+def report(section: Section) -> str:
+    return html_of(ReportPage("title", "", Verdict("note", "", ""), [section], {}))
+
+
+def test_what_is_empty_is_left_out() -> None:
+    page = html_of(
+        ReportPage("t", "", Verdict("note", "", ""), [Section("Nothing", ["", None])], {"a": "b"}, contents=True)
+    )
+    assert "Nothing" not in page
+    assert Page(page).values("href") == ["#origin"]
+
+
+def test_columns_of_numbers_are_set_to_the_right() -> None:
+    rows = [
+        ["a", "1.0", "no gain", "-"],
+        ["b", "unknown", "", "+0.2"],
+        ["c", "3.0", "2 of 3", "-0.1"],
+        ["d", "4", "x", "1"],
+    ]
+    table = PageTable("", "abcd", rows)
+    assert [table.in_words(column) for column in range(4)] == [True, False, True, False]

@@ -3,7 +3,10 @@
 import json
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +24,7 @@ from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.figures.run_drawings import Drawing, LeftOut
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
-from pickenv.inspect.runs.run_folder import ISO9283, Run, read_run, recorded_run, save_harvest
+from pickenv.inspect.runs.run_folder import ISO9283, KINDS, Run, read_run, recorded_run, save_harvest
 
 LITERATURE = {
     "error_per_test_pose",
@@ -102,6 +105,19 @@ def harvest(tmp_path: Path) -> Run:
     with recorded_run(tmp_path / "harvest", "harvest", "python scripts/reproduce_li2016.py --quick", 2016) as run:
         save_harvest(run.folder, trace, 2016)
     return run
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_run_has_a_module_with_its_figures_and_its_page(kind: str) -> None:
+    module = import_module(KINDS[kind].pages)
+    assert callable(module.drawings)
+    assert callable(module.page)
+
+
+def test_a_report_enters_the_page_of_its_kind_and_no_other() -> None:
+    code = "import sys, pickenv.inspect.reports.iso9283_report; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
+    assert set(loaded) & {kind.pages for kind in KINDS.values()} == {"pickenv.inspect.reports.iso9283_report"}
 
 
 def test_figures_are_written_in_each_format_and_named(iso: Run) -> None:

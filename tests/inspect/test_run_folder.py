@@ -18,7 +18,7 @@ from pickenv.inspect.runs import saved
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.run_folder import (
-    MADE_BY,
+    KINDS,
     Run,
     added_to,
     faults_of,
@@ -186,7 +186,7 @@ def test_a_record_that_cannot_be_read_is_refused(folder: Path, text: str, words:
 def test_a_path_that_is_no_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere is no folder; make a run folder with one of"):
         read_run(tmp_path / "nowhere")
-    assert all(command.split()[-1] == "RUN" for command in MADE_BY.values())
+    assert all(kind.made_by.split()[-1] == "RUN" for kind in KINDS.values())
 
 
 def test_what_holds_code_cannot_be_saved(tmp_path: Path, comparison: Comparison) -> None:

@@ -16,7 +16,7 @@ def result(tmp_path_factory):
     command = [sys.executable, SCRIPTS / "reproduce_qiao2026.py", "--quick", "--out", out, "--json", out / "copy.json"]
     subprocess.run(command, check=True, capture_output=True, cwd=SCRIPTS)
     page = (out / "reproduction.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 5 and "http" not in page
+    assert page.count("<figure>") == 5 == len(list(out.glob("fig*.png"))) and "http" not in page
     return json.loads((out / "copy.json").read_text(encoding="utf-8"))
 
 

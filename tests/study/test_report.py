@@ -10,17 +10,18 @@ import pytest
 
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import random_columns
+from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.errors import InputError
 from pickenv.inspect.figures.run_drawings import Drawing, LeftOut
+from pickenv.inspect.runs.run_folder import read_run
 from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
 from pickenv.study.analysis.study_drawings import gather, specification, study_drawings
 from pickenv.study.analysis.study_recording import arms_compared, record_study
-from pickenv.study.analysis.study_report import study_page, study_report, verdict, write_outputs
+from pickenv.study.analysis.study_report import page, study_page, verdict, write_outputs
 from pickenv.study.design.config import load_study
 from pickenv.study.design.protocol import prepare
 from pickenv.study.results.study_folder import read_rows, study_at, write_record
-from pickenv.study.results.yields import wilson_interval
 from pickenv.study.running.arm_by_arm import evaluate_arm
 from pickenv.study.running.run_study import run_study
 
@@ -197,7 +198,7 @@ def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, fou
     path = write_sobol(folder, settings, 128)
     try:
         raw, calibrated = read_sobol(folder).values()
-        page = Parsed(study_page(folder, found)).text
+        text = Parsed(study_page(folder, found)).text
     finally:
         path.unlink()
     names = [row["group"] for row in raw]
@@ -207,7 +208,7 @@ def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, fou
         assert max(total, key=lambda name: total[name]["total"]) == chief
         regressed = {row["parameter"]: row["share"] for row in found.sensitivities[number].to_pylist()}
         assert total[chief]["total_low"] - 0.1 < regressed[chief] < total[chief]["total_high"] + 0.1
-    assert "Sobol indices, medium, IT8, raw" in page and f"{100 * raw[0]['total']:.1f}" in page
+    assert "Sobol indices, medium, IT8, raw" in text and f"{100 * raw[0]['total']:.1f}" in text
     assert raw[0]["arms"] == 128 * 7
     assert sobol_of(protocol, protocol.settings[0], 16) == sobol_of(protocol, protocol.settings[0], 16)
 
@@ -246,11 +247,10 @@ def test_figures_report_and_recording_are_written(folder):
 def test_an_unfinished_study_and_an_unknown_setting_are_refused(folder, tmp_path):
     (tmp_path / "study.toml").write_bytes((folder / "study.toml").read_bytes())
     with pytest.raises(InputError, match=r"rows holds no results; run `pickenv study` first"):
-        study_report(tmp_path, tmp_path / "report.html")
+        page(read_run(tmp_path))
     (tmp_path / "rows").symlink_to(folder / "rows")
     with pytest.raises(InputError, match=r"summary\.json is missing or damaged.*again to go on"):
-        study_report(tmp_path, tmp_path / "report.html")
-    assert not (tmp_path / "report.html").exists()
+        page(read_run(tmp_path))
     with pytest.raises(InputError, match="no setting 99; give a number from 0 to 7"):
         record_study(folder, 99, tmp_path / "arms.rrd")
 

@@ -5,8 +5,9 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
+from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.study.results.streaming import SETTING
-from pickenv.study.results.yields import wilson_interval, yields_of
+from pickenv.study.results.yields import yields_of
 
 REQUIRED = 0.95
 

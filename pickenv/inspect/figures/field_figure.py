@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
-from pickenv.inspect.colours import viridis
-from pickenv.inspect.figures.style import INK, RULE, SOFT, WIDTH, new_figure, style
+from pickenv.inspect.colours import viridis, viridis_map
+from pickenv.inspect.figures.style import INK, RULE, SOFT, WIDTH, new_figure
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, colour_scale_mm, field_mm, spread, ticks
 from pickenv.inspect.runs.links import nominal_points
@@ -48,11 +48,11 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         raise InputError(f"the gain is {gain}; give a number above zero")
     shown, spacing = thinned(comparison)
     top = colour_scale_mm(comparison)
-    gain = gain or round_down(1.1 * spacing / (top * 1e-3))
-    with style(**{"axes.grid": False, "axes.titlelocation": "center"}):
-        low, high = _extent(comparison, _View(comparison))
-        height = min(0.93 * PANEL_WIDTH * (high[1] - low[1]) / (high[0] - low[0]), PANEL_WIDTH)
-        figure = new_figure(PANEL_WIDTH * max(len(policies), 2), height + BESIDE_PANELS)
+    gain = gain or arrow_gain(spacing, top)
+    low, high = _extent(comparison, _View(comparison))
+    height = min(0.93 * PANEL_WIDTH * (high[1] - low[1]) / (high[0] - low[0]), PANEL_WIDTH)
+    width, look = PANEL_WIDTH * max(len(policies), 2), {"axes.grid": False, "axes.titlelocation": "center"}
+    with new_figure(width, height + BESIDE_PANELS, **look) as figure:
         panels = figure.subplots(1, len(policies), squeeze=False)[0]
         for axes, policy in zip(panels, policies, strict=True):
             _panel(axes, comparison, policy, shown, gain, top)
@@ -77,6 +77,16 @@ def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np
         if not len(shown):
             break
     return np.arange(len(comparison.field_points)), comparison.grid_step
+
+
+def arrow_gain(spacing: float, top_mm: float) -> float:
+    """How much longer than true size arrows are drawn so that they nearly touch: a round number.
+
+    Args:
+        spacing: Distance of neighbouring arrows, m.
+        top_mm: Upper end of the colour scale, mm.
+    """
+    return round_down(1.1 * spacing / (top_mm * 1e-3))
 
 
 def round_down(value: float) -> float:
@@ -212,9 +222,9 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
 def colour_bar(figure: Figure, panels: Any, top: float) -> None:
     """The one scale of all panels, Viridis from 0 to ``top`` mm, below them."""
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.colors import Normalize
 
-    scale = ScalarMappable(Normalize(0.0, top), ListedColormap(viridis(np.linspace(0.0, 1.0, 256)) / 255.0))
+    scale = ScalarMappable(Normalize(0.0, top), viridis_map())
     bar = figure.colorbar(
         scale, ax=list(np.ravel(panels)), location="bottom", aspect=60, shrink=0.8, pad=0.02, extend="max"
     )

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import Geometry
+from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.errors import InputError
-from pickenv.inspect.colours import OTHERS, RED, policy_colours
-from pickenv.inspect.figures.style import COLUMN, INK, SOFT, WIDTH, finite_series, new_figure, plain_decades, rgb, style
+from pickenv.inspect.colours import OTHERS, RED, policy_colours, viridis_map
+from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, finite_series, new_figure, plain_decades, rgb
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,8 +33,7 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
     if attitude_rms_deg is not None:
         curves["attitude residual, RMS (deg)"] = attitude_rms_deg
     series, (blue,) = finite_series(curves), rgb(policy_colours(["ls"]))
-    with style():
-        figure = new_figure(COLUMN if len(series) == 1 else WIDTH, 2.6)
+    with new_figure(COLUMN if len(series) == 1 else WIDTH, 2.6) as figure:
         panels: Any = figure.subplots(1, len(series), squeeze=False)[0]
         for axes, (label, values) in zip(panels, series.items(), strict=True):
             axes.semilogy(values, "o-", color=blue, markersize=4.0)
@@ -63,8 +62,7 @@ def network_convergence(
     """
     losses = {"training": training_loss} | ({} if validation_loss is None else {"validation": validation_loss})
     series, colours = finite_series(losses), rgb([*policy_colours(["ls_bpnn"]), OTHERS[0]])
-    with style():
-        figure = new_figure(COLUMN, 2.9)
+    with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel="epoch (number)", ylabel="loss, MSE of normalised targets (–)")
         axes.set_title("Convergence of the residual network")
         for (label, values), colour in zip(series.items(), colours, strict=False):
@@ -100,9 +98,8 @@ def parameter_spectrum(
     drawn, place = np.maximum(values, floor), np.arange(len(values))
     blue, red = rgb([*policy_colours(["ls"]), RED])
     diagonal = names is not None
-    with style():
-        figure = new_figure(WIDTH, 3.1)
-        axes = figure.add_subplot(ylabel=quantity or f"{'|R$_{ii}$|' if diagonal else 'singular value'} (scaled, –)")
+    with new_figure(WIDTH, 3.1) as figure:
+        axes = figure.add_subplot(ylabel=quantity or f"{'|R_ii|' if diagonal else 'singular value'} (scaled, –)")
         axes.set_xlabel("parameter" if diagonal else "singular value (number)")
         condition = float(values[kept].max() / values[kept].min()) if kept.any() else np.inf
         told = (
@@ -126,7 +123,58 @@ def parameter_spectrum(
                 tick.set_color(INK if chosen else red)
         else:
             axes.set_xticks(place, [str(i + 1) for i in place], fontsize=8)
-        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=3, borderaxespad=0.2)
+        plain_decades(axes.yaxis)
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
+    """Where poses lie within the joint limits: a line per joint, and a mark on it for each pose.
+
+    Args:
+        geometry: Gives the joints' names, kinds and limits.
+        joints: Joints of the poses ``(N, n)``, rad or m.
+    """
+    lower, upper, units = _limits(geometry)
+    share = 100.0 * (np.asarray(joints, dtype=float) - geometry.lower) / (geometry.upper - geometry.lower)
+    (blue,) = rgb(policy_colours(["ls"]))
+    with new_figure(COLUMN * 1.2, 0.6 + 0.28 * geometry.joints, **{"axes.grid": False}) as figure:
+        axes = figure.add_subplot(xlabel="place within the limits (%)", xlim=(-2.0, 102.0))
+        for row in range(geometry.joints):
+            place = np.repeat(np.unique(np.round(np.clip(share[:, row], -2.0, 102.0), 1)), 3)  # a gap after each mark
+            axes.plot([0.0, 100.0], [row, row], color=RULE, linewidth=1.0, zorder=1.0)
+            mark = np.tile([row - 0.3, row + 0.3, np.nan], len(place) // 3)
+            axes.plot(place, mark, color=blue, linewidth=0.7, alpha=0.6)
+        ends = zip(geometry.joint_names, lower, upper, units, strict=True)
+        named = [f"{name}  {low:.0f} to {high:.0f} {unit}".replace("-", "−") for name, low, high, unit in ends]
+        axes.set_yticks(range(geometry.joints), named)
+        axes.set_ylim(geometry.joints - 0.5, -0.5)
+        axes.tick_params(axis="y", length=0.0)
+        axes.spines["left"].set_visible(False)
+    return figure
+
+
+def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike, cells: int = 26) -> Figure:
+    """Mean predicted uncertainty in square cells of the plane through the base's axis, Viridis.
+
+    Args:
+        distance_mm: Distance from the base of each pose ``(N,)``, mm.
+        height_mm: Height above it ``(N,)``, mm.
+        uncertainty_mm: Standard uncertainty ``(N,)``, mm.
+        cells: Cells along the longer side.
+    """
+    given = {"distance": distance_mm, "height": height_mm, "uncertainty": uncertainty_mm}
+    x, y, values = finite_series(given).values()
+    step = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9) / cells
+    edges = [v.min() + step * np.arange(int(np.ptp(v) // step) + 2) for v in (x, y)]
+    count, total = (np.histogram2d(x, y, edges, weights=weights)[0].T for weights in (None, values))
+    mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    with new_figure(COLUMN, 3.0, **{"axes.grid": False}) as figure:
+        axes = figure.add_subplot(xlabel="distance from base (mm)", ylabel="height (mm)")
+        extent = (edges[0][0], edges[0][-1], edges[1][0], edges[1][-1])
+        picture = axes.imshow(mean, origin="lower", extent=extent, cmap=viridis_map(), interpolation="none")
+        bar = figure.colorbar(picture, ax=axes, label="standard uncertainty (mm)")
+        bar.outline.set_visible(False)
     return figure
 
 
@@ -140,13 +188,11 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
     from matplotlib.lines import Line2D
 
     n = geometry.joints
-    scale = np.where(geometry.prismatic, 1e3, 180.0 / np.pi)
-    units = ["mm" if slides else "deg" for slides in geometry.prismatic]
+    scale = _scale(geometry)
+    lower, upper, units = _limits(geometry)
     shown = {label: np.asarray(q, dtype=float).reshape(-1, n) * scale for label, q in sets.items()}
-    lower, upper = geometry.lower * scale, geometry.upper * scale
     colours = rgb([OTHERS[0], OTHERS[1], (70, 70, 78), *OTHERS[2:]])  # sets are not policies
-    with style(**{"font.size": 7.5, "axes.grid": False}):
-        figure = new_figure(WIDTH, WIDTH * 0.95)
+    with new_figure(WIDTH, WIDTH * 0.95, **{"font.size": 7.5, "axes.grid": False}) as figure:
         grid: Any = figure.subplots(n, n, squeeze=False)
         for row, column in np.ndindex(n, n):
             axes = grid[row, column]
@@ -182,3 +228,14 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
         ]
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.97, 0.93), fontsize=9.5)
     return figure
+
+
+def _scale(geometry: Geometry) -> Array:
+    """Factors to mm and degrees ``(n,)``."""
+    return np.where(geometry.prismatic, 1e3, np.degrees(1.0))
+
+
+def _limits(geometry: Geometry) -> tuple[Array, Array, list[str]]:
+    """Lower and upper joint limits ``(n,)``, mm or degrees, and their units."""
+    scale = _scale(geometry)
+    return geometry.lower * scale, geometry.upper * scale, ["mm" if slides else "deg" for slides in geometry.prismatic]

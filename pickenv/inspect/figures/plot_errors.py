@@ -20,11 +20,11 @@ from pickenv.inspect.figures.style import (
     PAPER,
     SOFT,
     WIDTH,
+    coloured,
     finite_series,
     new_figure,
     plain_decades,
     rgb,
-    style,
 )
 from pickenv.inspect.runs.comparison_summary import round_step
 
@@ -40,11 +40,10 @@ def error_per_pose(errors_mm: Mapping[str, ArrayLike], *, tolerance_mm: float | 
         tolerance_mm: Drawn as a line when given.
     """
     series = finite_series(errors_mm)
-    with style():
-        figure = new_figure(WIDTH, 2.9)
+    with new_figure(WIDTH, 2.9) as figure:
         axes = figure.add_subplot(xlabel="test pose (number)", ylabel="position error (mm)")
         axes.set_title("Position error at each test pose")
-        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+        for label, values, colour in coloured(series):
             number = np.arange(1, len(values) + 1)
             name = f"{label}: mean {values.mean():.2f} mm, max {values.max():.2f} mm"
             axes.plot(number, values, "o-", color=colour, label=name, markersize=3.0, linewidth=1.1)
@@ -74,8 +73,7 @@ def error_by_method(
     """
     series = finite_series(errors)
     colours = rgb(policy_colours(list(series)))
-    with style():
-        figure = new_figure(max(COLUMN, 1.2 + 0.9 * len(series)), 2.9)
+    with new_figure(max(COLUMN, 1.2 + 0.9 * len(series)), 2.9) as figure:
         axes = figure.add_subplot(ylabel=f"{quantity} ({unit})", xlabel=f"method (number of {counted})")
         axes.set_title(f"{quantity[:1].upper()}{quantity[1:]} by method", pad=16.0)
         boxes = axes.boxplot(
@@ -121,11 +119,10 @@ def error_histogram(
     """
     series = finite_series(errors)
     width = round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
-    with style():
-        figure = new_figure(COLUMN, 2.9)
+    with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"share of poses in {width:g} {unit} (%)")
         axes.set_title("Distribution")
-        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+        for label, values, colour in coloured(series):
             edges = width * np.arange(int(values.max() / width) + 2)
             share = np.full(len(values), 100.0 / len(values))
             axes.hist(
@@ -156,11 +153,10 @@ def error_cumulative(
         counted: What the shares are of.
     """
     series = finite_series(errors)
-    with style():
-        figure = new_figure(COLUMN, 2.9)
+    with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"{counted} within it (%)")
         axes.set_title("Cumulative distribution")
-        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+        for label, values, colour in coloured(series):
             axes.ecdf(values, color=colour, label=label)
         axes.set_xscale("log")
         axes.set_yticks(np.linspace(0.0, 1.0, 6), ["0", "20", "40", "60", "80", "100"])
@@ -196,12 +192,11 @@ def error_against(
         if len(values) != len(x):
             raise InputError(f"series '{label}' has {len(values)} errors for {len(x)} values of {name}; give as many")
     parts = _groups(x, groups)
-    with style():
-        figure = new_figure(COLUMN, 2.9)
+    with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{name} ({unit})", ylabel="position error (mm)")
         axes.set_title(f"Error against {name}", pad=16.0)
         axes.annotate("dots: poses, line: means of groups", (0.0, 1.02), xycoords="axes fraction", fontsize=7.5)
-        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+        for label, values, colour in coloured(series):
             axes.plot(x, values, ".", color=colour, markersize=3.0, alpha=0.45)
             means = np.array([[x[part].mean(), values[part].mean()] for part in parts])
             axes.plot(*means.T, "o-", color=colour, markersize=4.0, label=label)

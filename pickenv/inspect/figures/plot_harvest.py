@@ -13,20 +13,14 @@ from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
 from pickenv.harvester.harvest_summary import Measure
-from pickenv.inspect.colours import BLUE, GREEN, ORANGE, OTHERS, RED
-from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, new_figure, rgb, style
+from pickenv.inspect import colours
+from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, new_figure, rgb
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ARMS = rgb([BLUE, ORANGE, GREEN, *OTHERS])
-"""A colour per arm, in turn."""
-
-
-def arm_colour(arm: int) -> tuple[float, float, float]:
-    """The colour of an arm, by its number from 0."""
-    return ARMS[arm % len(ARMS)]
+(RED,) = rgb([colours.RED])
 
 
 def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
@@ -37,9 +31,7 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
         arms: Number of arms.
     """
     _something(trees)
-    (red,) = rgb([RED])
-    with style():
-        figure = new_figure(WIDTH, 0.6 + (0.55 + 0.22 * (arms + 1)) * len(trees))
+    with new_figure(WIDTH, 0.6 + (0.55 + 0.22 * (arms + 1)) * len(trees)) as figure:
         panels: Any = figure.subplots(len(trees), 1, sharex=True, squeeze=False)[:, 0]
         for axes, (name, tree) in zip(panels, trees.items(), strict=True):
             axes.barh([arms] * len(tree.stands), np.diff(tree.stands)[:, 0], 0.7, tree.stands[:, 0], color=SOFT)
@@ -47,11 +39,11 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
                 for got in (True, False):
                     mine = (tree.arm == arm) & (tree.got == got)
                     length = (tree.end - tree.start)[mine]
-                    face = arm_colour(arm) if got else "none"
-                    axes.barh([arm] * len(length), length, 0.7, tree.start[mine], color=face, edgecolor=arm_colour(arm))
+                    face = _colour(arm) if got else "none"
+                    axes.barh([arm] * len(length), length, 0.7, tree.start[mine], color=face, edgecolor=_colour(arm))
             waited = tree.held > 0.0
             begin = (tree.start - tree.held)[waited]
-            axes.barh(tree.arm[waited], tree.held[waited], 0.18, begin, color=red)
+            axes.barh(tree.arm[waited], tree.held[waited], 0.18, begin, color=RED)
             axes.set_yticks(range(arms + 1), [*(f"arm {i + 1}" for i in range(arms)), "master stands"])
             axes.set_title(f"{name}: {int(tree.collected.sum())} of {len(tree.fruit)} fruit in {tree.seconds:.0f} s")
             axes.grid(axis="y", visible=False)
@@ -63,24 +55,22 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
 def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
     """The tree's side with its fruit by the arm that collected it, and the zones; a panel per strategy."""
     _something(trees)
-    with style(**{"axes.grid": False}):
-        figure = new_figure(WIDTH, 3.2)
+    with new_figure(WIDTH, 3.2, **{"axes.grid": False}) as figure:
         panels: Any = figure.subplots(1, len(trees), sharey=True, squeeze=False)[0]
         arms = max(int(tree.by_arm.max(initial=-1)) for tree in trees.values()) + 1
         for axes, (name, tree) in zip(panels, trees.items(), strict=True):
-            for left, right, bottom, top in tree.zones:
-                across, up = [left, right, right, left, left], [bottom, bottom, top, top, bottom]
-                axes.plot(across, up, color=RULE, linewidth=0.8, zorder=0)
+            for zone in tree.zones:
+                _box(axes, *zone, color=RULE, linewidth=0.8, zorder=0)
             for arm in range(arms):
                 mine = tree.collected & (tree.by_arm == arm)
-                axes.scatter(*tree.fruit[mine][:, (0, 2)].T, s=18, color=arm_colour(arm))
+                axes.scatter(*tree.fruit[mine][:, (0, 2)].T, s=18, color=_colour(arm))
             left_over = ~tree.collected
-            axes.scatter(*tree.fruit[left_over][:, (0, 2)].T, s=16, marker="x", color=rgb([RED])[0], linewidths=1.0)
+            axes.scatter(*tree.fruit[left_over][:, (0, 2)].T, s=16, marker="x", color=RED, linewidths=1.0)
             axes.set(title=name, xlabel="x along the row (m)", aspect="equal")
             axes.invert_xaxis()
         panels[0].set_ylabel("z above the base (m)")
-        handles = [panels[0].scatter([], [], color=arm_colour(i), label=f"arm {i + 1}") for i in range(arms)]
-        handles.append(panels[0].scatter([], [], marker="x", color=rgb([RED])[0], label="not collected"))
+        handles = _arm_marks(panels[0], arms)
+        handles.append(panels[0].scatter([], [], marker="x", color=RED, label="not collected"))
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
 
@@ -94,14 +84,12 @@ def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
     _something(funnels)
     stages = list(next(iter(funnels.values())))
     width = 0.84 / len(funnels)
-    with style():
-        figure = new_figure(WIDTH, 3.0)
-        axes = figure.add_subplot(ylabel="share of fruit present (%)")
-        axes.set_title("From fruit present to fruit collected")
+    with new_figure(WIDTH, 3.0) as figure:
+        axes = figure.add_subplot(ylabel="share of fruit present (%)", title="From fruit present to fruit collected")
         for i, (name, counts) in enumerate(funnels.items()):
             share = np.array([100.0 * counts[stage] / max(counts[stages[0]], 1) for stage in stages])
             place = np.arange(len(stages)) + width * (i - (len(funnels) - 1) / 2.0)
-            axes.bar(place, share, 0.92 * width, color=arm_colour(i), label=f"{name}: {share[-1]:.1f} %")
+            axes.bar(place, share, 0.92 * width, color=_colour(i), label=f"{name}: {share[-1]:.1f} %")
         axes.set_xticks(range(len(stages)), stages)
         axes.set_ylim(0.0, 101.0)
         axes.grid(axis="x", visible=False)
@@ -112,15 +100,14 @@ def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
 def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figure:
     """Picks per hour against the number of arms, with 95 % intervals, for each density of fruit."""
     _something(throughput)
-    with style():
-        figure = new_figure(COLUMN, 2.9)
+    with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel="arms (number)", ylabel="picks per hour (1/h)")
         axes.set_title("Throughput against arms")
         for i, (label, measures) in enumerate(throughput.items()):
             arms = list(measures)
             values = np.array([measures[n].value for n in arms])
             ends = np.abs(np.array([[measures[n].low, measures[n].high] for n in arms]).T - values)
-            axes.errorbar(arms, values, ends, marker="o", markersize=4, capsize=2.5, color=arm_colour(i), label=label)
+            axes.errorbar(arms, values, ends, marker="o", markersize=4, capsize=2.5, color=_colour(i), label=label)
         axes.set_xticks(arms)
         axes.set_ylim(bottom=0.0)
         figure.legend(loc="outside lower center")
@@ -137,23 +124,20 @@ def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[tuple[float, floa
     cloud = np.asarray(cloud, dtype=float)
     if cloud.ndim != 3 or not len(cloud):
         raise InputError("a workspace cloud needs points (N, arms, 3); give at least one")
-    with style():
-        figure = new_figure(WIDTH, 3.4)
+    with new_figure(WIDTH, 3.4) as figure:
         panels: Any = figure.subplots(1, 2)
         for axes, (a, b) in zip(panels, ((0, 1), (0, 2)), strict=True):
             for arm in range(cloud.shape[1]):
                 x, y = cloud[:, arm, a], cloud[:, arm, b]
-                axes.scatter(x, y, s=1.0, color=arm_colour(arm), linewidths=0.0, alpha=0.6, rasterized=True)
+                axes.scatter(x, y, s=1.0, color=_colour(arm), linewidths=0.0, alpha=0.6, rasterized=True)
             for box in boxes:
-                (left, right), (bottom, top) = box[a], box[b]
-                across, up = [left, right, right, left, left], [bottom, bottom, top, top, bottom]
-                axes.plot(across, up, color=rgb([RED])[0], linestyle="--", linewidth=1.2)
+                _box(axes, *box[a], *box[b], color=RED, linestyle="--", linewidth=1.2)
             axes.set(xlabel=f"{'xyz'[a]} (m)", ylabel=f"{'xyz'[b]} (m)", aspect="equal")
         panels[0].set_title("Workspace from above")
         panels[1].set_title("from the side")
-        handles = [panels[0].scatter([], [], color=arm_colour(i), label=f"arm {i + 1}") for i in range(cloud.shape[1])]
+        handles = _arm_marks(panels[0], cloud.shape[1])
         if boxes:
-            handles += panels[0].plot([], [], color=rgb([RED])[0], linestyle="--", label="dense region of the paper")
+            handles += panels[0].plot([], [], color=RED, linestyle="--", label="dense region of the paper")
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
 
@@ -163,19 +147,31 @@ def joint_curves(curves: JointCurves) -> Figure:
     parts: dict[str, list[str]] = {}
     for name in curves.moved:
         parts.setdefault(name.rpartition(" ")[0], []).append(name)
-    colours = {part: INK if i == 0 else arm_colour(i - 1) for i, part in enumerate(parts)}
-    with style():
-        figure = new_figure(WIDTH, 3.2)
+    shades = {part: INK if i == 0 else _colour(i - 1) for i, part in enumerate(parts)}
+    with new_figure(WIDTH, 3.2) as figure:
         slides, turns = figure.subplots(1, 2)
         for part, names in parts.items():
             for name, line in zip(names, ("-", "--", ":", "-."), strict=False):
                 turning = name in curves.turning
                 axes, scale = (turns, np.degrees(1.0)) if turning else (slides, 1e3)
-                axes.plot(curves.time, curves.moved[name] * scale, color=colours[part], linestyle=line, label=name)
+                axes.plot(curves.time, curves.moved[name] * scale, color=shades[part], linestyle=line, label=name)
         slides.set(xlabel="time (s)", ylabel="displacement (mm)", title="Sliding joints")
         turns.set(xlabel="time (s)", ylabel="displacement (deg)", title="Turning joints")
         figure.legend(loc="outside lower center", ncols=6, fontsize=7.0)
     return figure
+
+
+def _colour(arm: int) -> tuple[float, float, float]:
+    return rgb([colours.arm_colour(arm)])[0]
+
+
+def _arm_marks(axes: Any, arms: int) -> list[Any]:
+    """A mark per arm, for the legend."""
+    return [axes.scatter([], [], color=_colour(i), label=f"arm {i + 1}") for i in range(arms)]
+
+
+def _box(axes: Any, left: float, right: float, bottom: float, top: float, **look: Any) -> None:
+    axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], **look)
 
 
 def _something(given: Mapping[str, Any]) -> None:

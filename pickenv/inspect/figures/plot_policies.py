@@ -14,36 +14,28 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
+from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import (
     COLUMN,
     INK,
+    LINES,
+    MARKS,
     RULE,
     SOFT,
     WIDTH,
+    coloured,
     finite_series,
     new_figure,
     plain_decades,
     rgb,
-    style,
 )
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
-MARKS = ("o", "s", "^", "D")
 SMALLEST_MM = 1e-3
 """Errors below a micrometre are drawn there."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A figure and its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +53,7 @@ class CycleCurve:
     error_mm: Array
 
 
-def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimate]]]]) -> Figure:
+def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Measure]]]]) -> Figure:
     """Figures of errors with 95 % intervals, on a logarithmic axis.
 
     Args:
@@ -79,8 +71,7 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
         dict.fromkeys(k for row in panels.values() for column in row.values() for line in column.values() for k in line)
     )
     colours = dict(zip(keys, rgb(policy_colours(keys)), strict=True))
-    with style():
-        figure = new_figure(WIDTH, 0.6 + len(panels) * (0.5 + 0.4 * len(names)))
+    with new_figure(WIDTH, 0.6 + len(panels) * (0.5 + 0.4 * len(names))) as figure:
         axes: Any = figure.subplots(len(panels), len(statistics), squeeze=False, sharex=True, sharey=True)
         for row, (scene, columns) in enumerate(panels.items()):
             for column, (title, policies) in enumerate(columns.items()):
@@ -115,8 +106,7 @@ def success_against_misalignment(
         points: For each policy, by gripper, its mean error, mm, and its share of successes.
     """
     colours = rgb(policy_colours(list(points)))
-    with style():
-        figure = new_figure(WIDTH, 2.8)
+    with new_figure(WIDTH, 2.8) as figure:
         axes = figure.add_subplot(xlabel="lateral misalignment (mm)", ylabel="success (%)")
         axes.set_title("Success against misalignment: what each gripper forgives")
         marks = dict(zip(curves, MARKS * len(curves), strict=False))
@@ -153,8 +143,7 @@ def accuracy_against_cycle_time(curves: Sequence[CycleCurve], period: float, *, 
     names = list(dict.fromkeys(c.compensation for c in curves))
     colours = dict(zip(names, rgb(policy_colours(names)), strict=True))
     shortest = min(len(error) for error in shown)
-    with style():
-        figure = new_figure(WIDTH, 3.2)
+    with new_figure(WIDTH, 3.2) as figure:
         axes = figure.add_subplot(xlabel="cycle time (s)", ylabel="mean position error (mm)", yscale="log")
         axes.set_title("Accuracy against cycle time" + (f", {title}" if title else ""))
         for curve, error in zip(curves, shown, strict=True):
@@ -183,12 +172,10 @@ def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Map
         repeatability_mm: For each controller, RP at the same poses.
     """
     kinds = {"AP": finite_series(accuracy_mm), "RP": finite_series(repeatability_mm)}
-    colours = rgb(policy_colours(list(kinds["AP"])))
-    with style():
-        figure = new_figure(WIDTH, 2.6)
+    with new_figure(WIDTH, 2.6) as figure:
         panels: Any = figure.subplots(1, 2)
         for axes, (kind, series) in zip(panels, kinds.items(), strict=True):
-            for i, ((label, values), colour) in enumerate(zip(series.items(), colours, strict=True)):
+            for i, (label, values, colour) in enumerate(coloured(series)):
                 place = np.arange(1, len(values) + 1) + 0.35 * (i - (len(series) - 1) / 2.0)
                 axes.bar(place, values, 0.33, color=colour, label=f"{label}: worst {values.max():.3f} mm")
             axes.set(xlabel="test pose of ISO 9283 (number)", ylabel=f"{kind} (mm)")
@@ -208,11 +195,10 @@ def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Fi
         accuracy_mm: For each controller, AP at those times ``(T,)``.
     """
     series = finite_series(accuracy_mm)
-    with style():
-        figure = new_figure(COLUMN, 2.6)
+    with new_figure(COLUMN, 2.6) as figure:
         axes = figure.add_subplot(xlabel="time since switched on (h)", ylabel="AP at P1 (mm)")
         axes.set_title("Drift of the pose accuracy")
-        for (label, values), colour in zip(series.items(), rgb(policy_colours(list(series))), strict=True):
+        for label, values, colour in coloured(series):
             axes.plot(np.asarray(hours, dtype=float), values, color=colour, label=label)
         axes.set_ylim(bottom=0.0)
         axes.legend()

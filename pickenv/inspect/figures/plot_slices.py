@@ -12,8 +12,8 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.inspect.colours import viridis
 from pickenv.inspect.figures.field_figure import colour_bar, round_down
-from pickenv.inspect.figures.style import SOFT, WIDTH, new_figure, style
-from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE
+from pickenv.inspect.figures.style import SOFT, WIDTH, new_figure
+from pickenv.inspect.runs.comparison_summary import scale_end
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,12 +49,11 @@ def error_slices(
     chosen = known if len(known) <= slices else known[inner]
     across, up = [i for i in range(3) if i != axis]
     lengths = {label: np.linalg.norm(field, axis=1) * 1e3 for label, field in fields.items()}
-    top = float(np.percentile(np.linalg.norm(first, axis=1) * 1e3, SCALE_PERCENTILE)) or 1.0
+    top = scale_end(np.linalg.norm(first, axis=1) * 1e3)
     gain = round_down(1.2 * step / (top * 1e-3))
     low, high = points.min(axis=0) - step, points.max(axis=0) + step
     height = (WIDTH - 0.9) / len(chosen) * (high[up] - low[up]) / (high[across] - low[across])
-    with style(**{"axes.titlelocation": "center"}):
-        figure = new_figure(WIDTH, 1.4 + len(fields) * (height + 0.1))
+    with new_figure(WIDTH, 1.4 + len(fields) * (height + 0.1), **{"axes.titlelocation": "center"}) as figure:
         panels: Any = figure.subplots(len(fields), len(chosen), squeeze=False, sharex=True, sharey=True)
         for row, (label, field) in enumerate(fields.items()):
             for column, number in enumerate(chosen):

@@ -11,21 +11,42 @@ import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
-from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
+from pickenv.inspect.figures import plot_calibration, plot_errors, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
 from pickenv.inspect.figures.plot_slices import error_slices
 from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.gripping import gripped, gripper_curves
-from pickenv.inspect.runs.harvest_trace import HarvestTrace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
-LI2016_DENSE = ((-1.5, 1.5), (-1.7, -0.5), (0.4, 2.6))
-"""Where Li 2016, Fig. 8, finds the cloud dense: ranges of x, y and z, m."""
+CAPTIONS = {
+    "error_fields": "Where in the workspace the tool misses, and which way: one arrow per wanted position, drawn "
+    "larger than true and coloured by its true length.",
+    "error_slices": "The same errors within slices of the workspace.",
+    "position_error_by_policy": "Final position errors of the reaches: quartiles, whiskers, outliers, mean and median.",
+    "attitude_error_by_policy": "Final attitude errors of the reaches, likewise.",
+    "reach_errors_cumulative": "Share of reaches whose final position error is at most x.",
+    "success_against_misalignment": "What each gripper forgives, and where the policies' reaches lie on its curve.",
+    "error_per_test_pose": "Position error at each held-out pose, before and after calibration.",
+    "error_by_stage": "Position errors at the held-out poses by stage: quartiles, whiskers, outliers, mean and median.",
+    "error_histogram": "How the position errors at the held-out poses are distributed.",
+    "error_cumulative": "Share of held-out poses whose position error is at most x.",
+    "error_against_extension": "Position error against the distance of the tool from the base.",
+    "error_against_payload": "Position error against payload.",
+    "error_against_temperature": "Position error against temperature.",
+    "least_squares_convergence": "What the identified arm leaves unexplained after each iteration of the least "
+    "squares.",
+    "network_convergence": "Training loss of the network that learns what the identified arm leaves.",
+    "parameter_spectrum": "What the poses tell about each parameter; those below the threshold cannot be told from "
+    "others.",
+    "singular_values": "Singular values of the scaled Jacobian of the identified parameters.",
+    "joint_coverage": "How the poses fill the joint ranges: each joint's distribution, and each pair of joints.",
+}
+"""What the figures of reaches and of calibrations show, by name."""
 
 
 @dataclass(frozen=True)
@@ -87,53 +108,36 @@ def norms_mm(errors: Mapping[str, Array]) -> dict[str, Array]:
     return {label: np.asarray(np.linalg.norm(error[:, :3], axis=1) * 1e3) for label, error in errors.items()}
 
 
+def captioned(name: str, draw: Callable[[], Figure]) -> Drawing:
+    """A figure of which `CAPTIONS` says what it shows."""
+    return Drawing(name, CAPTIONS[name], draw)
+
+
 def comparison_drawings(comparison: Comparison) -> Drawings:
     """Figures of policies on one arm: error fields, slices, boxes of the reaches."""
     fields = {policy.label: policy.field_errors for policy in comparison.policies}
-    reach_mm = {policy.label: policy.position_error_mm for policy in comparison.policies}
-    reach_deg = {policy.label: policy.attitude_error_deg for policy in comparison.policies}
-    tolerance = comparison.tolerance_mm
+    mm = {policy.label: policy.position_error_mm for policy in comparison.policies}
+    degrees = {policy.label: policy.attitude_error_deg for policy in comparison.policies}
+    look: dict[str, Any] = {"counted": "reaches"}
     found: list[Drawing | LeftOut] = []
     if len(comparison.field_points):
-        found += [
-            Drawing(
-                "error_fields",
-                "Where in the workspace the tool misses, and which way: one arrow per wanted position, drawn larger "
-                "than true and coloured by its true length.",
-                lambda: error_fields(comparison),
-            ),
-            Drawing(
-                "error_slices",
-                "The same errors within slices of the workspace.",
-                lambda: error_slices(comparison.field_points, fields, step=comparison.grid_step),
-            ),
-        ]
+        points, step = comparison.field_points, comparison.grid_step
+        found.append(captioned("error_fields", lambda: error_fields(comparison)))
+        found.append(captioned("error_slices", lambda: error_slices(points, fields, step=step)))
     else:
         found.append(LeftOut("error_fields", "the comparison has no field points; take a finer grid"))
     if not len(comparison.fruit):
         return [*found, LeftOut("reach_errors", "the comparison has no reaches; run some")]
+    attitude = {"quantity": "attitude error", "unit": "deg", **look}
     return [
         *found,
-        Drawing(
-            "position_error_by_policy",
-            "Final position errors of the reaches: quartiles, whiskers, outliers, mean and median.",
-            lambda: plot_errors.error_by_method(reach_mm, counted="reaches"),
-        ),
-        Drawing(
-            "attitude_error_by_policy",
-            "Final attitude errors of the reaches, likewise.",
-            lambda: plot_errors.error_by_method(reach_deg, quantity="attitude error", unit="deg", counted="reaches"),
-        ),
-        Drawing(
+        captioned("position_error_by_policy", lambda: plot_errors.error_by_method(mm, **look)),
+        captioned("attitude_error_by_policy", lambda: plot_errors.error_by_method(degrees, **attitude)),
+        captioned(
             "reach_errors_cumulative",
-            "Share of reaches whose final position error is at most x.",
-            lambda: plot_errors.error_cumulative(reach_mm, tolerance=tolerance, counted="reaches"),
+            lambda: plot_errors.error_cumulative(mm, tolerance=comparison.tolerance_mm, **look),
         ),
-        Drawing(
-            "success_against_misalignment",
-            "What each gripper forgives, and where the policies' reaches lie on its curve.",
-            lambda: _success(comparison),
-        ),
+        captioned("success_against_misalignment", lambda: _success(comparison)),
     ]
 
 
@@ -147,150 +151,37 @@ def _success(comparison: Comparison) -> Figure:
 
 def trace_drawings(trace: CalibrationTrace) -> Drawings:
     """Figures of a calibration: held-out errors, what they depend on, convergence, identifiability, coverage."""
-    mm = norms_mm(trace.errors)
+    mm, loss = norms_mm(trace.errors), trace.loss
     attitude = None if trace.attitude_rms is None else np.degrees(trace.attitude_rms)
-    threshold = REDUNDANCY_TOLERANCE * float(trace.r_diagonal.max())
-    found: list[Drawing | LeftOut] = [
-        Drawing(
-            "error_per_test_pose",
-            "Position error at each held-out pose, before and after calibration.",
-            lambda: plot_errors.error_per_pose(mm),
-        ),
-        Drawing(
-            "error_by_stage",
-            "Position errors at the held-out poses by stage: quartiles, whiskers, outliers, mean and median.",
-            lambda: plot_errors.error_by_method(mm),
-        ),
-        Drawing(
-            "error_histogram",
-            "How the position errors at the held-out poses are distributed.",
-            lambda: plot_errors.error_histogram(mm),
-        ),
-        Drawing(
-            "error_cumulative",
-            "Share of held-out poses whose position error is at most x.",
-            lambda: plot_errors.error_cumulative(mm),
-        ),
-        Drawing(
-            "error_against_extension",
-            "Position error against the distance of the tool from the base.",
-            lambda: plot_errors.error_against(trace.extension, mm, name="extension", unit="m"),
-        ),
-    ]
-    for name, unit in CONDITIONS.items():
-        values = getattr(trace, name)
-        if values is None:
-            reason = f"no {name} was recorded with the held-out poses; measure it with them"
-            found.append(LeftOut(f"error_against_{name}", reason))
-        elif not np.ptp(values) > 0.0:
-            reason = f"every held-out pose had the same {name}, {values[0]:g} {unit}; vary it"
-            found.append(LeftOut(f"error_against_{name}", reason))
-        else:
-            found.append(_against(name, unit, values, mm))
-    found.append(
-        Drawing(
+    spectrum: dict[str, Any] = {"names": trace.names, "threshold": REDUNDANCY_TOLERANCE * float(trace.r_diagonal.max())}
+    every = np.ones(len(trace.singular_values), dtype=bool)
+    return [
+        captioned("error_per_test_pose", lambda: plot_errors.error_per_pose(mm)),
+        captioned("error_by_stage", lambda: plot_errors.error_by_method(mm)),
+        captioned("error_histogram", lambda: plot_errors.error_histogram(mm)),
+        captioned("error_cumulative", lambda: plot_errors.error_cumulative(mm)),
+        _against("extension", "m", trace.extension, mm),
+        *(_against(name, unit, getattr(trace, name), mm) for name, unit in CONDITIONS.items()),
+        captioned(
             "least_squares_convergence",
-            "What the identified arm leaves unexplained after each iteration of the least squares.",
             lambda: plot_calibration.least_squares_convergence(trace.position_rms * 1e3, attitude),
-        )
-    )
-    loss = trace.loss
-    found.append(
+        ),
         LeftOut("network_convergence", "no network was trained")
         if loss is None
-        else Drawing(
-            "network_convergence",
-            "Training loss of the network that learns what the identified arm leaves.",
-            lambda: plot_calibration.network_convergence(loss),
-        )
-    )
-    return [
-        *found,
-        Drawing(
-            "parameter_spectrum",
-            "What the poses tell about each parameter; those below the threshold cannot be told from others.",
-            lambda: plot_calibration.parameter_spectrum(
-                trace.r_diagonal, trace.kept, names=trace.names, threshold=threshold
-            ),
+        else captioned("network_convergence", lambda: plot_calibration.network_convergence(loss)),
+        captioned(
+            "parameter_spectrum", lambda: plot_calibration.parameter_spectrum(trace.r_diagonal, trace.kept, **spectrum)
         ),
-        Drawing(
-            "singular_values",
-            "Singular values of the scaled Jacobian of the identified parameters.",
-            lambda: plot_calibration.parameter_spectrum(
-                trace.singular_values, np.ones(len(trace.singular_values), dtype=bool)
-            ),
-        ),
-        Drawing(
-            "joint_coverage",
-            "How the poses fill the joint ranges: each joint's distribution, and each pair of joints.",
-            lambda: plot_calibration.joint_coverage(trace.nominal, trace.sets),
-        ),
+        captioned("singular_values", lambda: plot_calibration.parameter_spectrum(trace.singular_values, every)),
+        captioned("joint_coverage", lambda: plot_calibration.joint_coverage(trace.nominal, trace.sets)),
     ]
 
 
-def _against(name: str, unit: str, values: Array, errors_mm: Mapping[str, Array]) -> Drawing:
-    return Drawing(
-        f"error_against_{name}",
-        f"Position error against {name}.",
-        lambda: plot_errors.error_against(values, errors_mm, name=name, unit=unit),
-    )
-
-
-def harvest_drawings(trace: HarvestTrace) -> Drawings:
-    """Figures of a harvester: what the arms did on a tree, what came of the fruit, throughput, reach."""
-    arms = trace.cloud.shape[1]
-    shown = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
-    return [
-        Drawing("gantt", "What each arm did on one tree.", lambda: plot_harvest.gantt(shown, arms)),
-        Drawing(
-            "pick_map",
-            "The fruit of one tree by the arm that collected it, and the zones from which they were picked.",
-            lambda: plot_harvest.pick_map(shown),
-        ),
-        Drawing(
-            "funnel",
-            f"From fruit present to fruit collected, over {trace.tree_count} simulated trees.",
-            lambda: plot_harvest.funnel_bars(trace.funnels),
-        ),
-        Drawing(
-            "throughput",
-            "Picks per hour against the number of arms, the machine perfectly known, with 95 % intervals.",
-            lambda: plot_harvest.throughput_by_arms(trace.throughput),
-        ),
-        Drawing(
-            "workspace",
-            "Where the cups get to, at joints drawn evenly within the limits.",
-            lambda: plot_harvest.workspace_cloud(trace.cloud, (LI2016_DENSE,)),
-        ),
-        Drawing(
-            "joint_curves",
-            "How the joints move from the start to a pick point and on to three fruit.",
-            lambda: plot_harvest.joint_curves(trace.curves),
-        ),
-    ]
-
-
-def iso9283_drawings(result: Mapping[str, Any]) -> Drawings:
-    """Figures of a test by ISO 9283.
-
-    Args:
-        result: As `pickenv.arm.plant.iso9283.Iso9283Result.as_dict` gives it.
-    """
-    controllers = {name: result[name] for name in ("raw", "calibrated") if name in result}
-    accuracy, repeatability = (
-        {name: [pose[key] for pose in found["poses"]] for name, found in controllers.items()}
-        for key in ("accuracy_mm", "repeatability_mm")
-    )
-    drift = {name: found["drift_accuracy_mm"] for name, found in controllers.items()}
-    return [
-        Drawing(
-            "pose_accuracy",
-            "Pose accuracy AP and repeatability RP at the five poses of ISO 9283.",
-            lambda: plot_policies.accuracy_by_pose(accuracy, repeatability),
-        ),
-        Drawing(
-            "drift",
-            "Pose accuracy at P1 over the hours after the cold arm was switched on.",
-            lambda: plot_policies.accuracy_drift(result["raw"]["drift_hours"], drift),
-        ),
-    ]
+def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str, Array]) -> Drawing | LeftOut:
+    """Errors against a condition; left out where it was not recorded or never changed."""
+    drawing = f"error_against_{name}"
+    if values is None:
+        return LeftOut(drawing, f"no {name} was recorded with the held-out poses; measure it with them")
+    if name in CONDITIONS and not np.ptp(values) > 0.0:
+        return LeftOut(drawing, f"every held-out pose had the same {name}, {values[0]:g} {unit}; vary it")
+    return captioned(drawing, lambda: plot_errors.error_against(values, errors_mm, name=name, unit=unit))

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.files import write_whole
-from pickenv.inspect.colours import Rgb
+from pickenv.inspect.colours import Rgb, policy_colours
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 PIXELS_PER_INCH = 220
 COLUMN, WIDTH = 3.5, 7.2
 """Inches: one column of a journal's page, and both."""
+LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
+MARKS = "os^Dv"
+"""Patterns and marks in turn, where colour has another meaning."""
 
 INK, SOFT, RULE, PAPER = "#1c2024", "#5b6470", "#dde1e6", "#ffffff"
 """Text and marks; axes and what stands back; grid lines; behind it all. Pages put their own in place of these."""
@@ -86,11 +89,13 @@ def style(**more: Any) -> Iterator[None]:
         yield
 
 
-def new_figure(width: float, height: float, **options: Any) -> Figure:
-    """An empty figure of ``width`` by ``height`` inches that belongs to no window."""
+@contextmanager
+def new_figure(width: float, height: float, **more: Any) -> Iterator[Figure]:
+    """An empty figure of ``width`` by ``height`` inches that belongs to no window, to be drawn in the house's style."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), layout="constrained", **options)
+    with style(**more):
+        yield Figure(figsize=(width, height), layout="constrained")
 
 
 def finite_series(curves: Mapping[str, ArrayLike]) -> dict[str, Array]:
@@ -114,6 +119,12 @@ def plain_decades(axis: Any) -> None:
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float, float, float]]]:
+    """Label, values and colour of each series, by the policy or method that it belongs to."""
+    colours = rgb(policy_colours(list(series)))
+    return [(label, values, colour) for (label, values), colour in zip(series.items(), colours, strict=True)]
 
 
 def rgb(colours: Sequence[Rgb]) -> list[tuple[float, float, float]]:

@@ -18,7 +18,7 @@ from pickenv.harvester.harvest import Harvest, Round, slave_joints_at
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.joint_motion import master_time, profile
 from pickenv.harvester.machine import Machine
-from pickenv.inspect.colours import BLUE, FRUIT, GREEN, GREY, ORANGE, OTHERS, RED, STEEL, Rgb
+from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL, Rgb, arm_colour
 from pickenv.inspect.recordings.blueprint_views import BACKGROUND
 from pickenv.inspect.recordings.scribe import Scribe, f32, write_recording
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 STEP = 0.05
 """s, between two pictures."""
-ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
 FATES: dict[str, Rgb] = {"hanging": FRUIT, "collected": GREEN, "missed": RED}
 COLUMN_RADIUS, BOOM_RADIUS, FRUIT_RADIUS = 0.03, 0.02, 0.03
 """m."""
@@ -93,7 +92,7 @@ def _send_machine(scribe: Scribe, machine: Machine, masters: Array, slaves: Arra
     _send_strip(scribe, "world/master/boom", boom, STEEL, BOOM_RADIUS)
     for arm in range(machine.arms):
         ends = np.stack([pivots[:, arm], tips[:, arm]], axis=1)
-        _send_strip(scribe, f"world/slave_{arm + 1}", ends, _colour(arm), machine.body.radius / 2.0)
+        _send_strip(scribe, f"world/slave_{arm + 1}", ends, arm_colour(arm), machine.body.radius / 2.0)
 
 
 def _send_strip(scribe: Scribe, entity: str, points: Array, colour: Rgb, radius: float) -> None:
@@ -156,15 +155,11 @@ def _send_distances(scribe: Scribe, machine: Machine, slaves: Array) -> None:
     near = 1e3 * arm_distances(machine, slaves)
     for pair, (a, b) in enumerate(combinations(range(1, machine.arms + 1), 2)):
         entity = f"distance/{a}_{b}"
-        scribe.still(entity, rr.SeriesLines(names=[f"slaves {a} and {b}"], colors=[_colour(pair)]))
+        scribe.still(entity, rr.SeriesLines(names=[f"slaves {a} and {b}"], colors=[arm_colour(pair)]))
         scribe.along(entity, rr.Scalars.columns(scalars=near[:, pair]))
     scribe.still("distance/limit", rr.SeriesLines(names=["least allowed"], colors=[RED]))
     limit = np.full(len(slaves), 1e3 * machine.body.clearance)
     scribe.along("distance/limit", rr.Scalars.columns(scalars=limit))
-
-
-def _colour(number: int) -> Rgb:
-    return ARMS[number % len(ARMS)]
 
 
 def _blueprint(shown: Array, frame: Array, arms: int) -> rrb.Blueprint:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import gzip
-import json
 from collections.abc import Mapping, Sequence
 from functools import cache
 from html import escape
@@ -20,9 +19,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import policy_colours, viridis
-from pickenv.inspect.figures.field_figure import round_down, thinned
-from pickenv.inspect.figures.run_drawings import Drawing
-from pickenv.inspect.reports.report_svg import inline_svg
+from pickenv.inspect.figures.field_figure import arrow_gain, thinned
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, field_mm, round_step, spread
 from pickenv.inspect.runs.view import eye_direction
@@ -43,39 +40,18 @@ COLOUR_BAR: Mapping[str, Any] = {
 }
 
 
-def interactive(drawing: Drawing, spec: Mapping[str, Any], hint: str) -> str:
-    """A figure that comes alive in a browser, with its still twin.
-
-    Args:
-        drawing: The still twin.
-        spec: Plotly's data and layout.
-        hint: What a reader can do with it.
-    """
-    name = drawing.name
-    still = inline_svg(drawing.draw(), name, drawing.caption)
-    content = json.dumps(spec, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    return (
-        f'<figure><div class="interactive" data-spec="{name}-spec" role="img" aria-label="{escape(drawing.caption)}">'
-        f'</div><div class="still">{still}</div><figcaption>{escape(drawing.caption)} '
-        f'<span class="hint">{escape(hint)}</span></figcaption>'
-        f'<script type="application/json" id="{name}-spec">{content}</script></figure>'
-    )
-
-
 @cache
 def library() -> str:
-    """The scripts that go last on a page with interactive figures."""
+    """Plotly's library, packed, for pages with interactive figures."""
     plotly = (files("plotly") / "package_data" / "plotly.min.js").read_bytes()
-    packed = base64.b64encode(gzip.compress(plotly, 9, mtime=0)).decode()
-    ours = (files("pickenv.inspect.reports") / "report.js").read_text(encoding="utf-8")
-    return f'<script type="text/plain" id="plotly">{packed}</script>\n<script>\n{ours}</script>\n'
+    return base64.b64encode(gzip.compress(plotly, 9, mtime=0)).decode()
 
 
 def field_spec(comparison: Comparison) -> dict[str, Any]:
     """The error fields side by side in 3-D: an arrow's shaft per wanted position, and its end to hover over."""
     shown, spacing = thinned(comparison, MOST_ARROWS)
     top = colour_scale_mm(comparison)
-    gain = round_down(1.1 * spacing / (top * 1e-3))
+    gain = arrow_gain(spacing, top)
     points = comparison.field_points[shown]
     scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
     axes = _axes(points, spacing) | {"camera": {"eye": _xyz(EYE_DISTANCE * eye_direction(comparison))}}

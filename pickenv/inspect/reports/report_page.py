@@ -1,15 +1,26 @@
-"""Parts of a report page: verdict, tiles, tables, figures, facts; one HTML file that needs nothing from outside."""
+"""The blocks of a report as data, and the page that the templates make of them: one file, nothing from outside.
+
+Every text is escaped once, by the templates. A page is light or dark as the reader's screen, and fit for print.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from html import escape
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeAlias
 
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from pickenv.calibration.assessment.screen import is_number
 from pickenv.inspect.figures.run_drawings import Drawing
-from pickenv.inspect.reports.report_style import STYLE
+from pickenv.inspect.reports.report_interactive import library
 from pickenv.inspect.reports.report_svg import inline_svg
 
+HERE = Path(__file__).parent / "templates"
 TONES = ("good", "care", "bad", "note")
 """The last for what is neither good nor bad: no requirement was stated."""
 
@@ -21,91 +32,170 @@ class Verdict:
     Attributes:
         tone: One of `TONES`.
         headline: The verdict in a few words.
-        text: What it rests on, in sentences with numbers.
+        text: What it rests on, in sentences with numbers; a paragraph per line.
+        findings: What else was found: its weight (fail, caution or note), and a sentence.
     """
 
     tone: str
     headline: str
     text: str
+    findings: Sequence[tuple[str, str]] = ()
 
 
-def page(title: str, sections: Iterable[str], scripts: str = "") -> str:
-    """The page; empty sections are left out.
+@dataclass(frozen=True)
+class Bar:
+    """A bar from zero to a value with a whisker of two standard deviations, in a table's cell.
 
-    Args:
-        title: For the browser's tab.
-        sections: HTML of each section.
-        scripts: HTML that goes last.
+    Attributes:
+        value: Where it ends.
+        sigma: Standard deviation.
+        limit: The cell's scale goes from minus to plus this.
     """
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-        "<main>\n" + "\n".join(section for section in sections if section) + f"\n</main>\n{scripts}</body>\n</html>\n"
-    )
+
+    value: float
+    sigma: float
+    limit: float
+
+    def at(self, sigmas: float = 0.0) -> float:
+        """Where the value plus so many standard deviations stands: 4 to 116, with zero at 60."""
+        return 60.0 + 56.0 * min(max((self.value + sigmas * self.sigma) / self.limit, -1.0), 1.0)
 
 
-def verdict_box(verdict: Verdict, findings: Sequence[str] = ()) -> str:
-    """The verdict, first on the page; further findings as a list."""
-    listed = "".join(f"<li>{escape(finding)}</li>" for finding in findings)
-    return (
-        f'<div class="verdict {verdict.tone}"><strong>{escape(verdict.headline)}</strong><p>{escape(verdict.text)}</p>'
-        + (f"<ul>{listed}</ul>" if listed else "")
-        + "</div>"
-    )
+@dataclass(frozen=True)
+class PageTable:
+    """A table whose first column names the rows; columns of numbers are set to the right.
 
-
-def tiles(values: Mapping[str, str]) -> str:
-    """Large figures in a row; keys say what they are."""
-    cells = "".join(f'<div class="tile"><b>{escape(v)}</b><span>{escape(k)}</span></div>' for k, v in values.items())
-    return f'<div class="tiles">{cells}</div>'
-
-
-def section(title: str, name: str, *parts: str, explain: str = "") -> str:
-    """A section with a heading; ``name`` is its anchor."""
-    said = f'<p class="explain">{escape(explain)}</p>' if explain else ""
-    return f'<section id="{name}"><h2>{escape(title)}</h2>{said}' + "".join(parts) + "</section>"
-
-
-def contents(sections: Mapping[str, str]) -> str:
-    """Links to sections, by anchor."""
-    links = "".join(f'<a href="#{name}">{escape(title)}</a>' for name, title in sections.items())
-    return f'<nav aria-label="contents">{links}</nav>'
-
-
-def table(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table whose first column names the rows.
-
-    Args:
+    Attributes:
         caption: What it shows, with units.
-        heads: Column names.
-        rows: Cells, as text.
+        heads: Column names with units; none for plain lines.
+        rows: Cells.
+        look: ``code`` where the first column holds names of parameters, ``wide`` where the second holds sentences,
+            ``dense`` where there are many columns.
     """
-    head = "".join(f'<th scope="col"{" class=words" if i == 0 else ""}>{escape(h)}</th>' for i, h in enumerate(heads))
-    body = "".join(
-        f'<tr><th scope="row" class=words>{escape(first)}</th>'
-        + "".join(f"<td>{escape(c)}</td>" for c in rest)
-        + "</tr>"
-        for first, *rest in rows
-    )
-    return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}"><table>'
-        f"<caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-    )
+
+    caption: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str | Bar]]
+    look: str = ""
+
+    def in_words(self, column: int) -> bool:
+        """Whether a column holds words: the first does, and those of which most cells are no numbers."""
+        cells = [cell for row in self.rows if (cell := row[column])]
+        return column == 0 or 2 * sum(isinstance(cell, Bar) or is_number(cell) for cell in cells) < len(cells)
 
 
-def drawn(drawing: Drawing) -> str:
-    """A figure with its caption."""
-    picture = inline_svg(drawing.draw(), drawing.name, drawing.caption)
-    return f"<figure>{picture}<figcaption>{escape(drawing.caption)}</figcaption></figure>"
+@dataclass(frozen=True, eq=False)
+class Interactive:
+    """A figure that comes alive in a browser.
+
+    Attributes:
+        drawing: Its still twin, for print and for browsers that cannot draw it.
+        spec: Plotly's data and layout.
+        hint: What a reader can do with it.
+    """
+
+    drawing: Drawing
+    spec: Mapping[str, Any]
+    hint: str
 
 
-def pair(*parts: str) -> str:
+@dataclass(frozen=True)
+class Picture:
+    """A picture with its caption.
+
+    Attributes:
+        content: WebP.
+        caption: What it shows.
+    """
+
+    content: bytes
+    caption: str
+
+
+@dataclass(frozen=True)
+class Pair:
     """Parts side by side where there is room."""
-    return f'<div class="pair">{"".join(parts)}</div>'
+
+    parts: Sequence[Part]
 
 
-def facts(values: Mapping[str, str]) -> str:
-    """A list of names and values."""
-    lines = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in values.items())
-    return f"<dl>{lines}</dl>"
+Part: TypeAlias = str | PageTable | Drawing | Interactive | Picture | Pair | Mapping[str, str] | None
+"""What a section holds: a paragraph, a table, a figure, names with values; what is empty is left out."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page with a heading.
+
+    Attributes:
+        title: Heading.
+        parts: What it holds.
+        explain: How to read it, below the heading.
+    """
+
+    title: str
+    parts: Sequence[Part]
+    explain: str = ""
+
+    @property
+    def anchor(self) -> str:
+        """Its address on the page."""
+        return "-".join("".join(c if c.isalnum() else " " for c in self.title.lower()).split())
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report.
+
+    Attributes:
+        title: Heading, and the browser's tab.
+        subtitle: What was run or measured, in a line.
+        verdict: Goes first.
+        sections: What it rests on.
+        origin: How to make it again, by name.
+        tiles: Large figures in a row; keys say what they are.
+        contents: Whether links to the sections follow the tiles.
+    """
+
+    title: str
+    subtitle: str
+    verdict: Verdict
+    sections: Sequence[Section]
+    origin: Mapping[str, str]
+    tiles: Mapping[str, str] = field(default_factory=dict)
+    contents: bool = False
+
+    @property
+    def shown(self) -> list[Section]:
+        """The sections that hold anything, and the origin."""
+        return [s for s in (*self.sections, Section("Origin", (dict(self.origin),))) if any(s.parts)]
+
+    @property
+    def live(self) -> bool:
+        """Whether any figure comes alive."""
+        return any(isinstance(part, Interactive) for section in self.sections for part in section.parts)
+
+
+def html_of(page: Page) -> str:
+    """The page as HTML."""
+    return _templates().get_template("page.html").render(page=page)
+
+
+@cache
+def _templates() -> Environment:
+    found = Environment(
+        loader=FileSystemLoader(HERE),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    found.globals["library"] = library
+    found.filters |= {
+        "base64": lambda content: base64.b64encode(content).decode(),
+        "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
+        "kind": lambda part: type(part).__name__,
+        "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
+    }
+    return found

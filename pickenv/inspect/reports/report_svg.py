@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import re
-from html import escape
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from markupsafe import Markup
 
 from pickenv.inspect.colours import BLUE, GREEN, RED
 from pickenv.inspect.figures.style import INK, PAPER, RULE, SOFT, style
@@ -23,13 +25,37 @@ PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
 """Sizes at which a figure's text is as large as the page's, and still legible: a small screen scrolls then."""
 
 
-def inline_svg(figure: Figure, name: str, label: str) -> str:
-    """The figure as an SVG element for an HTML page.
+@dataclass(frozen=True)
+class InlineSvg:
+    """The inside of an SVG element.
+
+    Attributes:
+        content: Markup within the element.
+        width: Of its own coordinates, points.
+        height: Likewise.
+    """
+
+    content: Markup
+    width: float
+    height: float
+
+    @property
+    def widest(self) -> int:
+        """Width on a page that has room, pixels."""
+        return round(self.width * PIXELS_PER_POINT)
+
+    @property
+    def narrowest(self) -> int:
+        """Width at which its text is still legible, pixels."""
+        return round(self.width * LEAST_PIXELS_PER_POINT)
+
+
+def inline_svg(figure: Figure, name: str) -> InlineSvg:
+    """The figure for an HTML page.
 
     Args:
         figure: The figure, drawn in the house's style.
         name: Goes before its ids, so that several figures share a page.
-        label: What it shows, for those who do not see it.
     """
     buffer = io.StringIO()
     undated = dict.fromkeys(("Date", "Creator", "Format", "Type"))
@@ -43,8 +69,6 @@ def inline_svg(figure: Figure, name: str, label: str) -> str:
     for colour, variable in THEME.items():
         text = text.replace(colour, f"var({variable})")
     text = re.sub(r"\s*\n\s*", "\n", text)
-    width = float(re.search(r'viewBox="0 0 ([\d.]+)', text)[1])  # type: ignore[index]
-    viewbox = re.search(r'viewBox="[^"]+"', text)[0]  # type: ignore[index]
-    content = text[text.index(">") + 1 :].strip()
-    sizes = f"max-width:{width * PIXELS_PER_POINT:.0f}px;min-width:{width * LEAST_PIXELS_PER_POINT:.0f}px"
-    return f'<svg class="drawn" role="img" aria-label="{escape(label)}" {viewbox} style="{sizes}">{content}'
+    width, height = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text).groups()  # type: ignore[union-attr]
+    inside = text[text.index(">") + 1 : text.rindex("</svg>")].strip()
+    return InlineSvg(Markup(inside), float(width), float(height))

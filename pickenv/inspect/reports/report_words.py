@@ -1,9 +1,12 @@
-"""What a parameter's name means, in words for a reader who does not know the notation."""
+"""How reports say numbers with their intervals, and what a parameter's name means to who does not know the notation."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+
+from pickenv.calibration.assessment.quality import AxisErrors
+from pickenv.inspect.reports.report_page import PageTable
 
 LINK_WORDS = {
     "alpha": "twist between the axes of {before} and {after}",
@@ -23,6 +26,49 @@ EFFECT_WORDS = {
     "socket": "socket that the ball rests in",
     "thermal": "growth with temperature",
 }
+
+
+def between(low: float, high: float, digits: int, sign: str = "") -> str:
+    """An interval: 0.12 to 0.34; with ``sign`` "+" both ends have one."""
+    return f"{low:{sign}.{digits}f} to {high:{sign}.{digits}f}"
+
+
+def estimated(value: float, low: float, high: float, digits: int, unit: str = "") -> str:
+    """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34)."""
+    return f"{value:.{digits}f}{unit} ({between(low, high, digits)})"
+
+
+def percent(share: float, low: float, high: float, digits: int = 0) -> str:
+    """A share with its 95 % interval: 93 % (88 to 97)."""
+    return estimated(100 * share, 100 * low, 100 * high, digits, " %")
+
+
+def listed(values: Mapping[str, object]) -> str:
+    """Names and values in a line: numpy 2.0, scipy 1.15."""
+    return ", ".join(f"{name} {value}" for name, value in values.items())
+
+
+def axis_table(caption: str, stages: Mapping[str, Sequence[AxisErrors]], say: Callable[[float], str]) -> PageTable:
+    """Errors per degree of freedom, four columns for each stage.
+
+    Args:
+        caption: What the errors are of.
+        stages: For each stage, by label, its errors along and about each axis.
+        say: How a number is written.
+    """
+    heads = ["axis", *(f"{label} {what}" for label in stages for what in ("mean", "std", "RMSE", "max"))]
+    rows = [
+        [
+            f"{axes[0].axis} ({axes[0].unit})",
+            *(
+                cell
+                for a in axes
+                for cell in ("+" * (a.mean >= 0.0) + say(a.mean), say(a.std), say(a.rmse), say(a.max))
+            ),
+        ]
+        for axes in zip(*stages.values(), strict=True)
+    ]
+    return PageTable(caption, heads, rows, "dense")
 
 
 def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[str] | None = None) -> str:

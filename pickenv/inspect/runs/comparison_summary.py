@@ -61,22 +61,23 @@ def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int6
 
 def colour_scale_mm(comparison: Comparison) -> float:
     """Upper end of the one colour scale that all fields share, mm."""
-    return _scale(field_mm(comparison.policies[0]))
+    return scale_end(field_mm(comparison.policies[0]))
 
 
 def uncertainty_scale_mm(comparison: Comparison) -> float:
     """Upper end of the colour scale that predicted uncertainty and the last policy's field share, mm."""
     assert comparison.field_uncertainty is not None
     shown = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
-    return _scale(shown)
+    return scale_end(shown)
 
 
 def attitude_scale_deg(fields: Mapping[str, Array]) -> float:
     """Upper end of the colour scale that attitude errors ``(F, 3)`` in rad share, deg: that of the first of them."""
-    return _scale(np.degrees(np.linalg.norm(next(iter(fields.values())), axis=-1)))
+    return scale_end(np.degrees(np.linalg.norm(next(iter(fields.values())), axis=-1)))
 
 
-def _scale(values: Array) -> float:
+def scale_end(values: Array) -> float:
+    """Upper end of a colour scale for lengths ``(F,)``, in their unit."""
     top = float(np.percentile(values, SCALE_PERCENTILE)) if values.size else 0.0
     return top if top > 0.0 else 1.0
 

@@ -10,11 +10,11 @@ import hashlib
 import json
 import os
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from pickenv.container import refusing_damage
 from pickenv.errors import InputError
@@ -37,15 +37,30 @@ STUDY = "study.toml"
 
 FORMAT = 2
 
-MADE_BY: Mapping[str, str] = {
-    "demo": "pickenv demo --out RUN",
-    "calibration": "pickenv calibrate FILE --arm ARM --run RUN",
-    "evaluation": "pickenv evaluate --out RUN",
-    "iso9283": "pickenv iso9283 --out RUN",
-    "harvest": "python scripts/reproduce_li2016.py --out RUN",
-    "study": "pickenv study CONFIG --out RUN",
+
+@dataclass(frozen=True)
+class RunKind:
+    """A kind of run.
+
+    Attributes:
+        made_by: The command that makes such a folder.
+        pages: The module with its ``drawings(run)`` and its ``page(run, picture)``.
+    """
+
+    made_by: str
+    pages: str
+
+
+KINDS: Mapping[str, RunKind] = {
+    "demo": RunKind("pickenv demo --out RUN", "pickenv.inspect.reports.demo_report"),
+    "calibration": RunKind("pickenv calibrate FILE --arm ARM --run RUN", "pickenv.inspect.reports.calibration_report"),
+    "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.agents.evaluation.grid_report"),
+    "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
+    "harvest": RunKind("python scripts/reproduce_li2016.py --out RUN", "pickenv.inspect.reports.harvest_report"),
+    "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.study.analysis.study_report"),
 }
-"""The kinds of run, each with the command that makes such a folder."""
+TakePicture: TypeAlias = Callable[[Path], bytes | None]
+"""Gives a recording as its viewer draws it, WebP, such as `viewer_picture`; None where it cannot be drawn."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +69,7 @@ class Run:
 
     Attributes:
         folder: Where it is.
-        kind: One of `MADE_BY`.
+        kind: One of `KINDS`.
         command: Command line that makes the same numbers again.
         seed: Seed of everything random; None where there is none, or several.
         versions: Versions of what computed it, by package.
@@ -74,7 +89,7 @@ class Run:
     @property
     def made_by(self) -> str:
         """How such a folder is made, for error messages."""
-        return MADE_BY[self.kind].replace("RUN", shlex.quote(str(self.folder)))
+        return KINDS[self.kind].made_by.replace("RUN", shlex.quote(str(self.folder)))
 
 
 @contextmanager
@@ -83,7 +98,7 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
 
     Args:
         folder: The run folder; made where it is missing.
-        kind: One of `MADE_BY`.
+        kind: One of `KINDS`.
         command: Command line that makes the same numbers again.
         seed: Seed of everything random.
 
@@ -155,19 +170,19 @@ def read_run(folder: str | Path) -> Run:
     """
     folder = Path(folder)
     record = folder / RECORD
-    ways = "; ".join(f"`{command}`" for command in MADE_BY.values())
+    ways = "; ".join(f"`{kind.made_by}`" for kind in KINDS.values())
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; make a run folder with one of {ways}")
     if not record.is_file():
         if (folder / STUDY).is_file():
-            return Run(folder, "study", MADE_BY["study"], None, {})
+            return Run(folder, "study", KINDS["study"].made_by, None, {})
         raise InputError(f"{folder} holds no {RECORD}, so it holds no complete run; make one with one of {ways}")
     remake = f"make the run again with one of {ways}"
     with refusing_damage(record, "a run's record", remake):
         text = record.read_text(encoding="utf-8")
         content = json.loads(text)
         file_format, kind = int(content["format"]), str(content["kind"])
-    if file_format > FORMAT or kind not in MADE_BY:
+    if file_format > FORMAT or kind not in KINDS:
         raise InputError(f"{record} is of a newer pickenv (format {file_format}, kind '{kind[:40]}'); update pickenv")
     if file_format < FORMAT:
         raise InputError(f"{record} was written by an earlier version, without hashes of the run's files; {remake}")

@@ -12,13 +12,13 @@ import pyarrow.compute as pc
 from pyarrow.dataset import Dataset
 
 from pickenv.arm.plant.plant import Plant
+from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.errors import InputError
 from pickenv.study.design.config import Setting
 from pickenv.study.design.protocol import Protocol
 from pickenv.study.results.outcomes import figures
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.streaming import grouped
-from pickenv.study.results.yields import wilson_interval
 from pickenv.study.running.arm_by_arm import evaluate_arm
 
 ERROR = "error_mean_mm"

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from pickenv.errors import InputError
 from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours, viridis
-from pickenv.inspect.figures.style import SOFT, WIDTH, new_figure, plain_decades, rgb, style
+from pickenv.inspect.figures.style import LINES, MARKS, SOFT, WIDTH, new_figure, plain_decades, rgb
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,8 +34,6 @@ QUANTITIES = {
     "error_max_mm": "arm's largest position error (mm)",
     "attitude_mean_deg": "arm's mean attitude error (deg)",
 }
-LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)))
-MARKS = "os^Dv"
 NOTE = 7.5
 """Size of the line below a figure that says how to read it, points."""
 UNCALIBRATED = "raw"
@@ -122,8 +120,7 @@ def distributions(quantiles: pa.Table, quantity: str = "error_mean_mm", radius_m
     settings = {row["setting"]: row for row in chosen}
     grades = sorted({row["it_grade"] for row in settings.values()})
     methods = list(dict.fromkeys(row["method"] for row in settings.values()))
-    with style():
-        figure = new_figure(WIDTH * 0.75, 3.7)
+    with new_figure(WIDTH * 0.75, 3.7) as figure:
         axes = figure.add_subplot(xlabel=QUANTITIES[quantity], ylabel="arms at or below it (%)")
         axes.set_title("Errors over the population of arms")
         for setting, row in settings.items():
@@ -159,8 +156,7 @@ def tornado(sensitivities: pa.Table, setting: str) -> Figure:
     kinds = [row for row in rows if row["level"] == "kind"]
     order = [row["kind"] for row in kinds]
     palette = rgb([*policy_colours(["ls", "raw"]), GREEN, *OTHERS])
-    with style():
-        figure = new_figure(WIDTH, 1.3 + 0.2 * max(len(single), 6))
+    with new_figure(WIDTH, 1.3 + 0.2 * max(len(single), 6)) as figure:
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         for axes, bars, title in ((left, single, "by parameter"), (right, kinds, "by kind")):
             for place, row in enumerate(bars):
@@ -199,8 +195,7 @@ def arm_among_population(
     level = 100.0 * np.array([row["probability"] for row in rows])
     blue, red = rgb([*policy_colours(["ls"]), RED])
     share, least, most = (100.0 * p for p in percentile)
-    with style():
-        figure = new_figure(WIDTH * 0.7, 3.4)
+    with new_figure(WIDTH * 0.7, 3.4) as figure:
         axes = figure.add_subplot(xlabel=QUANTITIES["error_mean_mm"], ylabel="arms at or below it (%)")
         axes.fill_betweenx(level, low, high, color=blue, alpha=0.25, linewidth=0.0, label="95 % band")
         axes.plot(value, level, color=blue, label=f"population of {rows[0]['arms']} arms")
@@ -226,8 +221,7 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
     classes = list(dict.fromkeys(row["tolerances"] for row in rows))
     chosen = [r for r in held(rows, shown) if along not in ("poses", "noise_mm") or r["method"] != UNCALIBRATED]
     colours, lines = _looks(chosen, along)
-    with style():
-        figure = new_figure(WIDTH * (0.75 if len(classes) == 1 else 1.0), 3.7)
+    with new_figure(WIDTH * (0.75 if len(classes) == 1 else 1.0), 3.7) as figure:
         panels: Any = figure.subplots(1, len(classes), squeeze=False, sharey=True)[0]
         for axes, name in zip(panels, classes, strict=True):
             for label, curve in _series([r for r in chosen if r["tolerances"] == name], along, beside):
@@ -301,8 +295,8 @@ def _looks(rows: Sequence[Row], along: str) -> tuple[Any, Any]:
 
 
 def _ordered(values: Sequence[Any], value: Any) -> tuple[float, ...]:
-    """A colour of Viridis by rank, short of its pale yellow end."""
-    fraction = 0.85 * values.index(value) / max(len(values) - 1, 1)
+    """A colour of Viridis by rank, short of its ends, which a dark or a light page swallows."""
+    fraction = 0.3 + 0.55 * values.index(value) / max(len(values) - 1, 1)
     return tuple(float(c) / 255.0 for c in viridis(fraction))
 
 

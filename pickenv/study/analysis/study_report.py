@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 from collections import Counter
 from collections.abc import Sequence
-from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,9 +13,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pickenv.files import write_text
-from pickenv.inspect.figures.run_drawings import Drawing, write_drawings
-from pickenv.inspect.reports import report_page as page
-from pickenv.inspect.reports.report_page import Verdict
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, write_drawings
+from pickenv.inspect.reports.report_page import Page, PageTable, Pair, Part, Section, Verdict, html_of
+from pickenv.inspect.reports.report_words import between, estimated, listed, percent
+from pickenv.inspect.runs.run_folder import Run, TakePicture
 from pickenv.study.analysis.single_arms import Placement
 from pickenv.study.analysis.sobol import read_sobol, write_sobol
 from pickenv.study.analysis.study_drawings import Findings, gather, specification, study_drawings
@@ -57,13 +57,18 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
     return written
 
 
-def study_report(folder: str | Path, path: str | Path) -> Path:
-    """Write a finished study's report, whole or not at all.
+def drawings(run: Run) -> Drawings:
+    """The figures of a study's folder."""
+    return study_drawings(gather(run.folder))
+
+
+def page(run: Run, picture: TakePicture | None = None) -> str:
+    """The report of a study's folder as HTML.
 
     Raises:
-        InputError: If the folder holds no finished study, or the file cannot be written.
+        InputError: If the folder holds no finished study.
     """
-    return write_text(path, study_page(folder, gather(folder)))
+    return study_page(run.folder, gather(run.folder))
 
 
 def study_page(folder: str | Path, found: Findings) -> str:
@@ -73,45 +78,39 @@ def study_page(folder: str | Path, found: Findings) -> str:
         InputError: If the study is not finished.
     """
     summary, config = read_summary(folder), found.config
-    drawings = {d.name: d for d in study_drawings(found) if isinstance(d, Drawing)}
-    title = f"Tolerance study of {found.protocol.design.name}"
-    names = {"yields": "Yields", "errors": "Errors", "matters": "Which tolerance matters", "origin": "Origin"}
-    content = (
-        f"<h1>{escape(title)}</h1>",
-        f'<p class="soft">{config.arms} simulated arms in each of {len(found.yields)} settings, {config.fruit} fruit '
-        f"each, seed {config.seed}; nothing here was measured</p>",
-        page.verdict_box(verdict(config, found.yields.to_pylist())),
-        page.tiles(_tiles(config, summary)),
-        page.contents(names),
-        page.section(
-            names["yields"],
-            "yields",
-            page.pair(*_drawn(drawings, "yield_")),
-            _yield_table(found),
-            _failures(found),
-            explain="All arms are calibrated at the same poses, spread over the joint ranges, and reach for the same "
-            "fruit; both follow from the study's seed, and the intervals are over arms alone.",
+    drawn = [d for d in study_drawings(found) if isinstance(d, Drawing)]
+
+    def figures(start: str) -> list[Drawing]:
+        return [drawing for drawing in drawn if drawing.name.startswith(start)]
+
+    sections = (
+        Section(
+            "Yields",
+            (Pair(figures("yield_")), _yield_table(found), _failures(found)),
+            "All arms are calibrated at the same poses, spread over the joint ranges, and reach for the same fruit; "
+            "both follow from the study's seed, and the intervals are over arms alone.",
         ),
-        page.section(
-            names["errors"],
-            "errors",
-            page.pair(*_drawn(drawings, "error_")),
-            _error_table(found),
-            _placements(found, drawings),
+        Section("Errors", (Pair(figures("error_")), _error_table(found), *_placements(found, figures("placement_")))),
+        Section(
+            "Which tolerance matters",
+            (*figures("sensitivity_"), *_sensitivity_tables(found), *_sobol_tables(folder, found)),
+            "The squared error of each arm is regressed on what was drawn for it and on the squares of that. The mean "
+            "square error is what a tolerance adds to it; what R² leaves is interaction, tracker noise and what has no "
+            "column.",
         ),
-        page.section(
-            names["matters"],
-            "matters",
-            *_drawn(drawings, "sensitivity_"),
-            *_sensitivity_tables(found),
-            *_sobol_tables(folder, found),
-            explain="The squared error of each arm is regressed on what was drawn for it and on the squares of that. "
-            "The mean square error is what a tolerance adds to it; what R² leaves is interaction, tracker noise and "
-            "what has no column.",
-        ),
-        page.section(names["origin"], "origin", page.facts(_origin(Path(folder), config, summary))),
     )
-    return page.page(title, content)
+    return html_of(
+        Page(
+            f"Tolerance study of {found.protocol.design.name}",
+            f"{config.arms} simulated arms in each of {len(found.yields)} settings, {config.fruit} fruit each, seed "
+            f"{config.seed}; nothing here was measured",
+            verdict(config, found.yields.to_pylist()),
+            sections,
+            _origin(Path(folder), config, summary),
+            _tiles(config, summary),
+            contents=True,
+        )
+    )
 
 
 def verdict(config: StudyConfig, rows: Sequence[Row]) -> Verdict:
@@ -169,11 +168,12 @@ def _capital(text: str) -> str:
 
 def _share(row: Row) -> str:
     """Yield with its interval, percent."""
-    return f"{100 * row['yield']:.1f} % ({_interval(row)})"
+    return percent(row["yield"], row["yield_low"], row["yield_high"], 1)
 
 
-def _interval(row: Row) -> str:
-    return f"{100 * row['yield_low']:.1f} to {100 * row['yield_high']:.1f}"
+def _percents(row: Row, key: str) -> tuple[str, str]:
+    """A share and its interval, percent, in two cells."""
+    return f"{100 * row[key]:.1f}", between(100 * row[f"{key}_low"], 100 * row[f"{key}_high"], 1)
 
 
 def _tiles(config: StudyConfig, summary: Row) -> dict[str, str]:
@@ -186,120 +186,103 @@ def _tiles(config: StudyConfig, summary: Row) -> dict[str, str]:
     }
 
 
-def _drawn(drawings: dict[str, Drawing], start: str) -> list[str]:
-    return [page.drawn(drawing) for name, drawing in drawings.items() if name.startswith(start)]
-
-
-def _yield_table(found: Findings) -> str:
-    rows = (
-        (setting_label(row), f"{100 * row['yield']:.1f}", _interval(row), *(f"{row[key]}" for key in COUNTS))
+def _yield_table(found: Findings) -> PageTable:
+    rows = [
+        (setting_label(row), *_percents(row, "yield"), *(f"{row[key]}" for key in COUNTS))
         for row in found.yields.to_pylist()
-    )
+    ]
     heads = ("setting", "yield (%)", "95 % interval", "arms within", "arms", "without a result")
-    return page.table(f"Arms that pick {specification(found.config)}", heads, rows)
+    return PageTable(f"Arms that pick {specification(found.config)}", heads, rows)
 
 
-def _failures(found: Findings) -> str:
+def _failures(found: Findings) -> str | PageTable:
     """Why arms have no result."""
     reasons: Counter[str] = Counter()
     for batch in found.rows.to_batches(columns=["status"], filter=pc.field("status") != OK, use_threads=False):
         reasons.update({entry["values"]: entry["counts"] for entry in batch["status"].value_counts().to_pylist()})
     if not reasons:
-        return "<p>Every arm has a result in every setting.</p>"
-    rows = ((reason, f"{count}") for reason, count in reasons.most_common(MOST_REASONS))
-    return page.table("Why arms have no result; they count as not within specification", ("reason", "rows"), rows)
+        return "Every arm has a result in every setting."
+    rows = [(reason, f"{count}") for reason, count in reasons.most_common(MOST_REASONS)]
+    return PageTable("Why arms have no result; they count as not within specification", ("reason", "rows"), rows)
 
 
-def _error_table(found: Findings) -> str:
+def _error_table(found: Findings) -> PageTable:
     values = {(r["setting"], r["quantity"], r["probability"]): r for r in found.quantiles.to_pylist()}
     wanted = {("error_mean_mm", 0.5): 2, ("error_mean_mm", 0.95): 2, ("attitude_mean_deg", 0.5): 3}  # with digits
 
     def cell(row: Row, digits: int) -> str:
-        if not row["arms"]:
-            return "-"
-        value, low, high = (f"{row[key]:.{digits}f}" for key in ("value", "low", "high"))
-        return f"{value} ({low} to {high})"
+        return estimated(row["value"], row["low"], row["high"], digits) if row["arms"] else "-"
 
-    rows = (
+    rows = [
         (setting_label(row), *(cell(values[row["setting"], *key], digits) for key, digits in wanted.items()))
         for row in found.yields.to_pylist()
-    )
+    ]
     heads = (
         "setting",
         "mean error, median arm (mm)",
         "mean error, 95 % of arms below (mm)",
         "attitude error, median arm (deg)",
     )
-    return page.table("Errors of an arm over its fruit, quantiles over arms with 95 % bands", heads, rows)
+    return PageTable("Errors of an arm over its fruit, quantiles over arms with 95 % bands", heads, rows)
 
 
-def _placements(found: Findings, drawings: dict[str, Drawing]) -> str:
-    rows = []
-    for setting, placement in found.placements.items():
-        if isinstance(placement, Placement):
-            low, high = (f"{100 * end:.0f}" for end in placement.interval)
-            place = f"{100 * placement.percentile:.0f} % ({low} to {high})"
-            rows.append((setting_label(found.row(setting)), f"{placement.error_mm:.2f}", place, f"{placement.arms}"))
-    if not rows:
-        return ""
+def _placements(found: Findings, drawn: Sequence[Drawing]) -> tuple[Part, ...]:
+    rows = [
+        (setting_label(found.row(setting)), f"{p.error_mm:.2f}", percent(p.percentile, *p.interval), f"{p.arms}")
+        for setting, p in found.placements.items()
+        if isinstance(p, Placement)
+    ]
     heads = ("setting", "its mean error (mm)", "arms with a smaller error", "arms")
-    name = found.protocol.design.name
-    table = page.table(f"The true arm of {name} itself, calibrated and judged like the population", heads, rows)
-    return page.pair(*_drawn(drawings, "placement_")) + table
+    caption = f"The true arm of {found.protocol.design.name} itself, calibrated and judged like the population"
+    return (Pair(drawn), PageTable(caption, heads, rows)) if rows else ()
 
 
-def _sensitivity_tables(found: Findings) -> list[str]:
-    parts = []
+def _sensitivity_tables(found: Findings) -> list[Part]:
+    parts: list[Part] = []
     heads = ("tolerance", "share of variance (%)", "95 % interval", "mean square error (mm²)", "95 % interval")
     for setting, table in found.sensitivities.items():
         label = setting_label(found.row(setting))
         if not isinstance(table, pa.Table):
-            parts.append(f"<p>{escape(label)}: {escape(str(table))}.</p>")
+            parts.append(f"{label}: {table}.")
             continue
         every = table.to_pylist()
         chosen = [row for row in every if row["level"] == "kind"]
         chosen += [row for row in every if row["level"] == "parameter"][:MATTERS]
-        rows = (
+        rows = [
             (
                 f"all {row['parameter']}" if row["level"] == "kind" else row["parameter"],
-                f"{100 * row['share']:.1f}",
-                f"{100 * row['share_low']:.1f} to {100 * row['share_high']:.1f}",
+                *_percents(row, "share"),
                 f"{row['mean_square_mm2']:.4f}",
-                f"{row['mean_square_low_mm2']:.4f} to {row['mean_square_high_mm2']:.4f}",
+                between(row["mean_square_low_mm2"], row["mean_square_high_mm2"], 4),
             )
             for row in chosen
-        )
+        ]
         first = every[0]
         caption = f"{label}: {first['arms']} arms, R² {first['r2']:.2f} (adjusted {first['r2_adjusted']:.2f})"
-        parts.append(page.table(caption, heads, rows))
+        parts.append(PageTable(caption, heads, rows))
     return parts
 
 
-def _sobol_tables(folder: str | Path, found: Findings) -> list[str]:
+def _sobol_tables(folder: str | Path, found: Findings) -> list[PageTable]:
     heads = ("tolerances", "first order (%)", "95 % interval", "total (%)", "95 % interval")
-
-    def cells(row: Row, kind: str) -> tuple[str, str]:
-        low, high = (f"{100 * row[kind + end]:.1f}" for end in ("_low", "_high"))
-        return f"{100 * row[kind]:.1f}", f"{low} to {high}"
-
     return [
-        page.table(
+        PageTable(
             f"Sobol indices, {setting_label(found.row(number))}, perfect tracker: {rows[0]['arms']} further arms",
             heads,
-            [(row["group"], *cells(row, "first_order"), *cells(row, "total")) for row in rows],
+            [(row["group"], *_percents(row, "first_order"), *_percents(row, "total")) for row in rows],
         )
         for number, rows in read_sobol(folder).items()
     ]
 
 
 def _origin(folder: Path, config: StudyConfig, summary: Row) -> dict[str, str]:
-    packages = ("numpy", "scipy", "pyarrow", "torch")
+    packages = {name: version(name) for name in ("numpy", "scipy", "pyarrow", "torch")}
     return {
-        "made by": f"pickenv study {folder.name}/study.toml --executor {summary['executor']} --out DIR",
-        "plant": config.plant,
-        "seed": f"{config.seed}",
+        "Made by": f"pickenv study {folder.name}/study.toml --executor {summary['executor']} --out DIR",
+        "Plant": config.plant,
+        "Seed": f"{config.seed}",
         "pickenv": str(summary["pickenv"]),
-        "reported with": ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in packages)]),
-        "configuration, SHA-256": str(summary["config_sha256"]),
-        "rows, SHA-256": str(summary["table_sha256"]),
+        "Reported with": listed({"Python": platform.python_version(), **packages}),
+        "Configuration, SHA-256": str(summary["config_sha256"]),
+        "Rows, SHA-256": str(summary["table_sha256"]),
     }

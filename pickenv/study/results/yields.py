@@ -11,8 +11,8 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow.dataset import Dataset
-from scipy.stats import binomtest
 
+from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.streaming import grouped
 from pickenv.study.results.study_folder import read_rows, study_of
@@ -49,9 +49,3 @@ def yields_of(rows: Dataset, required_share: float) -> pa.Table:
     for name, values in zip(("yield", "yield_low", "yield_high"), zip(*found, strict=True), strict=True):
         table = table.append_column(name, pa.array(values, pa.float64()))
     return table
-
-
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Wilson's score interval of a share, 95 %."""
-    interval = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
-    return float(interval.low), float(interval.high)

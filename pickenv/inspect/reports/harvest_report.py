@@ -1,0 +1,89 @@
+"""Figures and page of a comparison of harvesting strategies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pickenv.inspect.figures import plot_harvest
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings
+from pickenv.inspect.reports.plain_report import plain_report
+from pickenv.inspect.reports.report_page import PageTable, Verdict
+from pickenv.inspect.reports.report_words import estimated, percent
+from pickenv.inspect.runs.run_folder import Run, TakePicture, load_harvest
+
+LI2016_DENSE = ((-1.5, 1.5), (-1.7, -0.5), (0.4, 2.6))
+"""Where Li 2016, Fig. 8, finds the cloud dense: ranges of x, y and z, m."""
+
+
+def drawings(run: Run) -> Drawings:
+    """Figures of a harvester: what the arms did on a tree, what came of the fruit, throughput, reach."""
+    trace = load_harvest(run)
+    arms = trace.cloud.shape[1]
+    shown = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
+    return [
+        Drawing("gantt", "What each arm did on one tree.", lambda: plot_harvest.gantt(shown, arms)),
+        Drawing(
+            "pick_map",
+            "The fruit of one tree by the arm that collected it, and the zones from which they were picked.",
+            lambda: plot_harvest.pick_map(shown),
+        ),
+        Drawing(
+            "funnel",
+            f"From fruit present to fruit collected, over {trace.tree_count} simulated trees.",
+            lambda: plot_harvest.funnel_bars(trace.funnels),
+        ),
+        Drawing(
+            "throughput",
+            "Picks per hour against the number of arms, the machine perfectly known, with 95 % intervals.",
+            lambda: plot_harvest.throughput_by_arms(trace.throughput),
+        ),
+        Drawing(
+            "workspace",
+            "Where the cups get to, at joints drawn evenly within the limits.",
+            lambda: plot_harvest.workspace_cloud(trace.cloud, (LI2016_DENSE,)),
+        ),
+        Drawing(
+            "joint_curves",
+            "How the joints move from the start to a pick point and on to three fruit.",
+            lambda: plot_harvest.joint_curves(trace.curves),
+        ),
+    ]
+
+
+def page(run: Run, picture: TakePicture | None = None) -> str:
+    """The page of a harvester's run folder."""
+    trace = load_harvest(run)
+    names = list(trace.measures)
+    before, after = (trace.measures[name] for name in (names[0], names[-1]))
+    verdict = Verdict(
+        "note",
+        f"From {names[0]} to {names[-1]}: {100 * before['harvested'].value:.0f} to "
+        f"{100 * after['harvested'].value:.0f} % of the fruit",
+        f"On {trace.tree_count} simulated trees, {names[0]} collects {_share(before)} of the fruit present at "
+        f"{_rate(before)} picks per hour, {names[-1]} {_share(after)} at {_rate(after)}. In brackets: 95 % intervals "
+        "over trees.",
+    )
+    measures = PageTable(
+        "Measures of each strategy with 95 % intervals over trees; times in s, distances in m",
+        ("measure", *trace.measures),
+        [(key, *(str(found[key]) for found in trace.measures.values())) for key in before],
+    )
+    funnel = PageTable(
+        "Fruit at each stage, over all trees",
+        ("stage", *trace.funnels),
+        [(stage, *(str(counts[stage]) for counts in trace.funnels.values())) for stage in trace.funnels[names[0]]],
+    )
+    arms = trace.cloud.shape[1]
+    subtitle = f"Simulated; {arms} picking arms, {len(names)} strategies on the same trees"
+    return plain_report(run, "Harvesting", subtitle, verdict, (measures, funnel), drawings(run))
+
+
+def _share(measures: Mapping[str, Any]) -> str:
+    found = measures["harvested"]
+    return percent(found.value, found.low, found.high, 1)
+
+
+def _rate(measures: Mapping[str, Any]) -> str:
+    found = measures["picks_per_hour"]
+    return estimated(found.value, found.low, found.high, 0)

@@ -1,0 +1,71 @@
+"""Figures and page of a test by ISO 9283."""
+
+from __future__ import annotations
+
+from pickenv.inspect.figures import plot_policies
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings
+from pickenv.inspect.reports.plain_report import plain_report
+from pickenv.inspect.reports.report_page import PageTable, Verdict
+from pickenv.inspect.runs.run_folder import Run, TakePicture, load_iso9283
+
+CONTROLLERS = ("raw", "calibrated")
+
+
+def drawings(run: Run) -> Drawings:
+    """The figures of a test's run folder."""
+    result = load_iso9283(run)
+    controllers = {name: result[name] for name in CONTROLLERS if name in result}
+    accuracy, repeatability = (
+        {name: [pose[key] for pose in found["poses"]] for name, found in controllers.items()}
+        for key in ("accuracy_mm", "repeatability_mm")
+    )
+    drift = {name: found["drift_accuracy_mm"] for name, found in controllers.items()}
+    return [
+        Drawing(
+            "pose_accuracy",
+            "Pose accuracy AP and repeatability RP at the five poses of ISO 9283.",
+            lambda: plot_policies.accuracy_by_pose(accuracy, repeatability),
+        ),
+        Drawing(
+            "drift",
+            "Pose accuracy at P1 over the hours after the cold arm was switched on.",
+            lambda: plot_policies.accuracy_drift(result["raw"]["drift_hours"], drift),
+        ),
+    ]
+
+
+def page(run: Run, picture: TakePicture | None = None) -> str:
+    """The page of a test's run folder."""
+    result = load_iso9283(run)
+    controllers = {name: result[name] for name in CONTROLLERS if name in result}
+    worst = "; ".join(
+        f"{name}: AP {found['worst_accuracy_mm']:.3f} mm, RP {found['worst_repeatability_mm']:.3f} mm, drift dAP "
+        f"{found['drift_mm']:.3f} mm"
+        for name, found in controllers.items()
+    )
+    best = list(controllers.values())[-1]
+    verdict = Verdict(
+        "note",
+        f"Accuracy AP {best['worst_accuracy_mm']:.2f} mm, repeatability RP {best['worst_repeatability_mm']:.2f} mm",
+        f"Worst of five test poses, {worst}. The standard sets no limit: compare with what the task needs.",
+    )
+    rows = [
+        (
+            f"{name} {pose['name']}",
+            f"{pose['accuracy_mm']:.3f}",
+            f"{pose['repeatability_mm']:.3f}",
+            f"{pose['accuracy_deg']:.4f}",
+            f"{max(pose['repeatability_deg']):.4f}",
+            f"{found['variation_mm'][pose['name']]:.3f}" if pose["name"] in found["variation_mm"] else "–",
+        )
+        for name, found in controllers.items()
+        for pose in found["poses"]
+    ]
+    heads = ("test pose", "AP (mm)", "RP (mm)", "AP (deg)", "RP (deg)", "vAP (mm)")
+    settings = result["settings"]
+    subtitle = (
+        f"Simulated arm {result['plant']}; {result['standard']}, {settings['cycles']} cycles at "
+        f"{100 * settings['speed_share']:.0f} % speed, measured {settings['dwell_s']:g} s after arrival"
+    )
+    table = PageTable("Accuracy and repeatability at each test pose", heads, rows)
+    return plain_report(run, "Accuracy by ISO 9283", subtitle, verdict, (table,), drawings(run))
