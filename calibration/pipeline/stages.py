@@ -24,6 +24,7 @@ from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, framed, identified, learnt
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
@@ -259,7 +260,7 @@ def _add_terms(work: Work) -> Work:
     while terms := terms_of("+".join(names) or "none", work.arm, work.train):
         found = identify_terms(terms, geometric.identification, work.train, known)
         if found.converged:
-            kinds = sorted({term.specification()["kind"] for term in terms})
+            kinds = sorted({kind_of_term(term) for term in terms})
             record = {**geometric.calibration.record, "terms": kinds}
             calibration = replace(geometric.calibration, model=found.arm_model, record=record)
             work = work.with_fit(f"{name}+{'+'.join(names)}", Fit(calibration, found, geometric.aligned))
