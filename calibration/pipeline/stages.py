@@ -29,7 +29,7 @@ from pickenv.calibration.pipeline.fitting import Fit, framed, identified, learnt
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.gate import GateReport, judge_residuals
+from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
 from pickenv.calibration.residuals.residual_models import FITTERS, QUICK_FITTERS
 from pickenv.errors import InputError
 
@@ -307,23 +307,16 @@ def _verdicts(work: Work, train: Measurements, names: tuple[str, ...]) -> GateRe
         return identify_terms(work.terms, bare, rows, known).arm_model
 
     rng = np.random.default_rng(work.choices.seed)
-    return _most_successful(judge_residuals(data, refit, rng, models=names, fitters=QUICK_FITTERS))
+    return gate_residuals(data, refit, rng, models=names, fitters=QUICK_FITTERS, rank=_error_on_both)
 
 
-def _most_successful(report: GateReport) -> GateReport:
-    """The report with the model selected that wins most on both: the blocks held out, and the inner ones.
+def _error_on_both(verdict: GateVerdict) -> float:
+    """What a model leaves of the error on the blocks held out, times what it leaves on the inner ones.
 
     Both lie within the training rows here, so both may rank; a model that shone on one of them by luck counts half.
     """
-    ranked = [
-        (verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms, verdict)
-        for verdict in report.verdicts
-        if verdict.accepted and verdict.inner_rms is not None and verdict.geometric_inner_rms is not None
-    ]
-    if report.selected is None or not ranked:
-        return report
-    best = min(ranked, key=lambda pair: pair[0])[1]
-    return replace(report, selected=best.model, blocked_rms=best.blocked_rms)
+    assert verdict.inner_rms is not None and verdict.geometric_inner_rms is not None
+    return verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms
 
 
 STAGES: tuple[Callable[[Work], Work], ...] = (_check, _align, _identify, _check_again, _add_terms, _learn)
