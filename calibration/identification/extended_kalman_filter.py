@@ -220,16 +220,16 @@ def update(
     if not np.isfinite(innovation).all():
         raise InputError("the observed pose or its joints are not finite; leave the pose out")
     jacobian = state.arm_model.jacobian(joints, conditions)[0, :rows][:, state.columns]
-    spread = np.repeat([noise.position_std, noise.attitude_std], 3)[:rows] ** 2
+    variance = np.repeat([noise.position_std, noise.attitude_std], 3)[:rows] ** 2
     crossed = jacobian @ state.covariance
-    expected = crossed @ jacobian.T + np.diag(spread)
+    expected = crossed @ jacobian.T + np.diag(variance)
     solved = np.linalg.solve(expected, np.column_stack([crossed, innovation]))
     nis = float(innovation @ solved[:, -1])
     if gate is not None and nis > 2.0 * gammaincinv(rows / 2.0, gate):  # quantile of chi squared
         return replace(state, rejected=state.rejected + 1, innovation=innovation, nis=nis)
     gain = solved[:, :-1].T
     shrink = np.eye(len(gain)) - gain @ jacobian
-    covariance = shrink @ state.covariance @ shrink.T + (gain * spread) @ gain.T
+    covariance = shrink @ state.covariance @ shrink.T + (gain * variance) @ gain.T
     delta = np.zeros(len(state.arm_model.parameter_names))
     delta[state.columns] = gain @ innovation
     return replace(

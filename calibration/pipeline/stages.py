@@ -24,6 +24,7 @@ from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.splits import thinned
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, framed, identified, learnt
 from pickenv.calibration.pipeline.result import Result, assess
@@ -297,7 +298,7 @@ def _with_residual(work: Work, kind: str, data: Measurements, settings: BpnnSett
 
 def _verdicts(work: Work, train: Measurements, names: tuple[str, ...]) -> GateReport:
     """Verdicts on residual models within the training rows."""
-    data = train.select(np.unique(np.linspace(0, len(train) - 1, GATE_ROWS).astype(int)))
+    data = train.select(thinned(len(train), GATE_ROWS))
     start, known = work.best[1].calibration.nominal, work.aligned is None
 
     def refit(rows: Measurements) -> ArmModel:

@@ -7,19 +7,18 @@ which some take everything for noise, so it is climbed from several starts. One 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.residuals.standardising import spread
+from pickenv.calibration.residuals.saved_arrays import SavedArrays
+from pickenv.calibration.residuals.standardising import column_std
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
 
@@ -28,7 +27,7 @@ CHUNK = 2048
 
 
 AMPLITUDES = (0.03, 30.0)
-"""Bounds of the prior standard deviation, in units of the output's spread."""
+"""Bounds of the prior standard deviation, in units of the output's own."""
 
 PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
 """Amplitude, every length scale and noise where half is noise and where almost nothing is; all inputs count alike."""
@@ -53,7 +52,7 @@ class GaussianProcessSettings:
         start_rows: Rows at most that the starts are compared on; the best two go on with all.
         iterations: Iterations of L-BFGS at most, per search.
         length_scales: Bounds of a length scale, in standardised inputs.
-        noise: Bounds of the noise's standard deviation, in units of the output's spread.
+        noise: Bounds of the noise's standard deviation, in units of the output's own.
     """
 
     rows: int = 2000
@@ -66,17 +65,17 @@ class GaussianProcessSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class GaussianProcess:
+class GaussianProcess(SavedArrays):
     """A fitted process in plain arrays; far from its rows it predicts the mean.
 
     Attributes:
         rows: Training inputs ``(M, F)``, standardised.
         length_scales: Of each output and input ``(k, F)``, in standardised inputs.
-        amplitude: Prior standard deviation s of each output ``(k,)``, in units of its spread.
-        noise: Standard deviation of the noise of each output ``(k,)``, in units of its spread.
+        amplitude: Prior standard deviation s of each output ``(k,)``, in units of the output's own.
+        noise: Standard deviation of the noise of each output ``(k,)``, in units of the output's own.
         weights: Dual weights ``(k, M)``.
         output_mean: Mean of the training outputs ``(k,)``, m and rad.
-        output_std: Their spread.
+        output_std: Their standard deviation.
     """
 
     rows: Array
@@ -118,15 +117,6 @@ class GaussianProcess:
     def _kernel(self, output: int, inputs: Array) -> Array:
         return _kernel(inputs, self.rows, self.length_scales[output], float(self.amplitude[output]))
 
-    def arrays(self) -> dict[str, Array]:
-        """All numbers by name, for saving."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
-
-    @staticmethod
-    def from_arrays(named: Mapping[str, NDArray[Any]]) -> GaussianProcess:
-        """The inverse of `arrays`."""
-        return GaussianProcess(**{name: named[name] for name in GaussianProcess.__dataclass_fields__})
-
 
 def fit_gaussian_process(
     inputs: Array, targets: Array, rng: np.random.Generator, settings: GaussianProcessSettings | None = None
@@ -148,7 +138,7 @@ def fit_gaussian_process(
     order = rng.permutation(len(inputs))
     kept = np.sort(order[: settings.rows])
     seen = np.sort(order[: settings.likelihood_rows])
-    mean, std = targets.mean(axis=0), spread(targets, 1e-12)
+    mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
     scaled = (targets - mean) / std
     lengths, amplitudes, noises, weights = [], [], [], []
     with single_threaded():
