@@ -95,9 +95,7 @@ def start_filter(
     Raises:
         InputError: If the poses are so few that they would leave parameters out that others identify.
     """
-    arm = ArmModel.of(start)
-    found = _identifiable(model, arm, joints, full_pose, None)
-    return _diffuse(model, arm, found, prior)
+    return _diffuse(model, ArmModel.of(start), joints, 6 if full_pose else 3, None, prior)[0]
 
 
 def continue_filter(model: ErrorModel, identified: Identification, *, inflation: float = 1.0) -> FilterState:
@@ -319,8 +317,8 @@ def filter_measurements(
     """
     begin = time.perf_counter()
     arm = ArmModel.of(start)
-    found = _identifiable(model, arm, measurements.joints, measurements.rotation is not None, measurements.conditions)
-    state = _diffuse(model, arm, found, prior)
+    rows, conditions = measurements.rows_per_pose, measurements.conditions
+    state, found = _diffuse(model, arm, measurements.joints, rows, conditions, prior)
     noise = noise or MeasurementNoise(measurements.position_std, measurements.attitude_std)
     states = [state]
     for i in range(len(measurements)):
@@ -341,20 +339,16 @@ def filter_measurements(
     )
 
 
-def _identifiable(
-    model: ErrorModel, arm: ArmModel, joints: Array, full_pose: bool, conditions: Conditions | None
-) -> Identifiability:
-    """What poses at these joints tell apart, each coordinate weighted by its tolerance."""
-    rows = 6 if full_pose else 3
+def _diffuse(
+    model: ErrorModel, arm: ArmModel, joints: Array, rows: int, conditions: Conditions | None, prior: float
+) -> tuple[FilterState, Identifiability]:
+    """A wide prior on what ``rows`` coordinates of poses at these joints tell apart, each weighted by its tolerance."""
     if len(joints) * rows < len(model.columns):
         raise InputError(
             f"{len(joints)} poses cannot decide which of {len(model.columns)} parameters are identifiable; give the "
             f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
         )
     jacobian = arm.jacobian(np.asarray(joints, dtype=float), conditions)[:, :rows, model.columns] * model.tolerance
-    return identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
-
-
-def _diffuse(model: ErrorModel, arm: ArmModel, found: Identifiability, prior: float) -> FilterState:
+    found = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
     tolerance = model.tolerance[found.kept]
-    return FilterState(arm, model.columns[found.kept], tolerance, np.diag((prior * tolerance) ** 2))
+    return FilterState(arm, model.columns[found.kept], tolerance, np.diag((prior * tolerance) ** 2)), found

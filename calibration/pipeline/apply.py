@@ -135,11 +135,7 @@ def apply_calibration(
     """
     if frame not in FRAMES:
         raise InputError(f"frame is '{frame}'; give {' or '.join(FRAMES)}")
-    if calibration.arm_fingerprint != arm.fingerprint():
-        raise InputError(
-            f"the calibration belongs to arm '{calibration.arm_name}' with another geometry than '{arm.name}'; "
-            "fit it for this arm"
-        )
+    calibration.refuse_another(arm)
     geometry = arm.nominal if frame == "controller" else calibration.nominal
     reasons: dict[int, str] = {}
     if targets.joints is not None:

@@ -86,6 +86,17 @@ class Calibration:
         """Hash of the arm's own nominal geometry."""
         return geometry_fingerprint(self.arm)
 
+    def refuse_another(self, arm: Arm, name: str = "the calibration") -> None:
+        """Refuse an arm with another geometry; ``name`` is what messages call the calibration.
+
+        Raises:
+            InputError: If it is another arm.
+        """
+        if self.arm_fingerprint != arm.fingerprint():
+            raise InputError(
+                f"{name} belongs to arm '{self.arm_name}' with another geometry than '{arm.name}'; fit it for this arm"
+            )
+
     @property
     def unit(self) -> str | None:
         """Serial number of the robot that was measured; None where none was given."""
@@ -192,11 +203,8 @@ class Calibration:
         found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
         with refusing_damage(path, f"a {KIND} file", REMAKE):
             calibration = _from_parts(found.header, found.arrays)
-        if arm is not None and calibration.arm_fingerprint != arm.fingerprint():
-            raise InputError(
-                f"{path} belongs to arm '{calibration.arm_name}' with another geometry than '{arm.name}'; "
-                "fit it for this arm"
-            )
+        if arm is not None:
+            calibration.refuse_another(arm, str(path))
         if unit is not None and calibration.unit != unit:
             whose = "names no unit" if calibration.unit is None else f"belongs to unit '{calibration.unit}'"
             raise InputError(f"{path} {whose}, but unit '{unit}' is asked for; calibrate that robot by its own file")

@@ -317,8 +317,7 @@ def assess(
     train: Observations,
     test: Observations,
     *,
-    geometric: Fit | None = None,
-    steps: Mapping[str, Fit] | None = None,
+    fits: Mapping[str, Fit] | None = None,
     terms: TermChoice | None = None,
     gate: GateReport | None = None,
     left_out: tuple[LeftOut, ...] = (),
@@ -331,35 +330,34 @@ def assess(
         fit: The calibration that will be used.
         train: Rows it was fitted to.
         test: Rows held out.
-        geometric: The calibration of the geometry alone; ``fit`` without its learnt residual when left out.
-        steps: What was added to the geometry, step by step, by name; the last is ``fit``.
+        fits: The calibration of the geometry alone and what was added to it, step by step, by name; the last is
+            ``fit``. When left out ``fit`` without and with its learnt residual.
         terms: How terms were chosen.
         gate: The residual models' verdicts.
         left_out: Rows left out.
         coverage: What the poses hide, where it was computed already.
     """
-    bare = geometric or replace(fit, calibration=fit.calibration.without_residual())
-    nominal = ArmModel.of(bare.calibration.nominal)
-    aligned = bare.aligned
-    stages: dict[str, Fit] = {GEOMETRIC: bare, **(steps or {})}
+    unlearnt = replace(fit, calibration=fit.calibration.without_residual())
     learnt = fit.calibration.learnt
-    if steps is None and learnt is not None:
-        stages[f"geometry+{learnt.kind}"] = fit
-    errors = {name: _left(stage, test, train) for name, stage in stages.items()}
+    if fits is None:
+        fits = {GEOMETRIC: unlearnt} if learnt is None else {GEOMETRIC: unlearnt, f"geometry+{learnt.kind}": fit}
+    bare = next(iter(fits.values()))
+    nominal, aligned = ArmModel.of(bare.calibration.nominal), bare.aligned
+    names = (GEOMETRIC, *list(fits)[1:])
+    errors = {name: _left(step, test, train) for name, step in zip(names, fits.values(), strict=True)}
+    after = list(errors.values())[-1]
     if isinstance(test, Measurements) and isinstance(train, Measurements):
         before = test.difference(nominal)
         if coverage is None:
             start = bare.calibration.nominal
             coverage = pose_coverage(geometric_model(start, aligned is None), start, train)
-        uncertainty = pose_uncertainty(fit.identification, list(errors.values())[-1])
+        uncertainty = pose_uncertainty(fit.identification, after)
         said = "stated noise" if train.std_stated else "noise assumed, since none is stated,"
         noise = f"{said} of {train.position_std * 1e3:.4g} mm"
     else:
         assert aligned is not None
         before = test.misses(aligned.arm_model, unknowns_of(aligned, train))
         uncertainty, noise = None, "noise stated or assumed"
-    after = list(errors.values())[-1]
-    unlearnt = replace(fit, calibration=fit.calibration.without_residual())
     base_frame = None
     if aligned is not None:
         left = after if len(after) == len(test.joints) and after.shape[1] >= 3 else np.zeros((len(test.joints), 3))
