@@ -7,7 +7,6 @@ One pose at a time, online, or a whole data set in one pass. Covariances are upd
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -296,11 +295,9 @@ def filter_measurements(
     *,
     noise: MeasurementNoise | None = None,
     prior: float = PRIOR,
-    process_noise: Array | None = None,
-    seconds: Sequence[float] | Array | None = None,
     gate: float | None = None,
 ) -> Filtered:
-    """Pass once over a data set, row by row.
+    """Pass once over a data set, row by row, of an arm that does not drift; else go by `predict` and `update`.
 
     Args:
         model: The parameters.
@@ -308,8 +305,6 @@ def filter_measurements(
         measurements: Poses or positions.
         noise: Assumed noise; the data set's own where left out.
         prior: Prior standard deviation in tolerances of each parameter.
-        process_noise: Covariance gained per second over the kept parameters, with ``seconds``; None for none.
-        seconds: Time before each row ``(N,)``, s.
         gate: As in `update`.
 
     Raises:
@@ -323,8 +318,6 @@ def filter_measurements(
     states = [state]
     for i in range(len(measurements)):
         row = measurements.select([i])
-        if process_noise is not None and seconds is not None:
-            state = predict(state, process_noise, float(seconds[i]))
         observed = row.position[0] if row.rotation is None else Pose(row.position[0], row.rotation[0])
         state = update(state, row.joints[0], observed, noise, conditions=row.conditions, gate=gate)
         states.append(state)

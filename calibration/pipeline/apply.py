@@ -138,27 +138,24 @@ def apply_calibration(
     calibration.refuse_another(arm)
     geometry = arm.nominal if frame == "controller" else calibration.nominal
     reasons: dict[int, str] = {}
-    if targets.joints is not None:
-        wanted_joints = targets.joints
+    if targets.pose is None:
+        assert targets.joints is not None
+        wanted_joints, wanted = targets.joints, forward(calibration.nominal, targets.joints)
         outside = (wanted_joints < geometry.lower - 1e-9) | (wanted_joints > geometry.upper + 1e-9)
         for i in np.flatnonzero(outside.any(axis=1)):
             joint = int(np.argmax(outside[i]))
             reasons[int(i)] = f"target of {geometry.joint_names[joint]} is outside its limits"
     else:
-        assert targets.pose is not None
         found = inverse(geometry, targets.pose)
         wanted_joints = found.joints
+        wanted = targets.pose if frame == "instrument" else _carried(targets.pose, arm.nominal, calibration.nominal)
         for i in np.flatnonzero(~found.reached):
-            turn = np.degrees(found.attitude_error[i] - found.noncompensable_attitude[i])
+            missed = np.degrees(found.attitude_error[i] - found.noncompensable_attitude[i])
             reasons[int(i)] = (
                 f"no joints within the limits reach this pose; the nearest miss it by "
-                f"{found.position_error[i] * 1e3:.3g} mm and {turn:.3g} deg"
+                f"{found.position_error[i] * 1e3:.3g} mm and {missed:.3g} deg"
             )
     compensator = calibration.compensator(conditions=conditions)
-    if targets.pose is None:
-        wanted = forward(calibration.nominal, wanted_joints)
-    else:
-        wanted = targets.pose if frame == "instrument" else _carried(targets.pose, arm.nominal, calibration.nominal)
     commands = toward(compensator, wanted, wanted_joints)
     before = pose_error(wanted, compensator.predict(wanted_joints))
     remaining = pose_error(wanted, compensator.predict(commands))

@@ -45,6 +45,9 @@ class BpnnSettings:
 Layers = list[tuple[NDArray[Any], NDArray[Any]]]
 """Matrices ``(in, out)`` and what each product is cut off below, or, in the last layer, what is added to it."""
 
+SCALES = ("input_mean", "input_std", "output_mean", "output_std", "loss")
+"""Arrays of a network beside its layers."""
+
 ROWS = 512
 """Poses that go through the network together: what a core's second cache holds."""
 
@@ -118,8 +121,7 @@ class Bpnn:
 
     def arrays(self) -> dict[str, Array]:
         """All numbers by name, for saving."""
-        named = {"input_mean": self.input_mean, "input_std": self.input_std, "loss": self.loss}
-        named |= {"output_mean": self.output_mean, "output_std": self.output_std}
+        named = {name: getattr(self, name) for name in SCALES}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             named |= {f"weight{i}": weight, f"bias{i}": bias}
         return named
@@ -127,16 +129,9 @@ class Bpnn:
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> Bpnn:
         """The inverse of `arrays`."""
-        layers = sum(key.startswith("weight") for key in named)
-        return Bpnn(
-            input_mean=named["input_mean"],
-            input_std=named["input_std"],
-            weights=tuple(named[f"weight{i}"] for i in range(layers)),
-            biases=tuple(named[f"bias{i}"] for i in range(layers)),
-            output_mean=named["output_mean"],
-            output_std=named["output_std"],
-            loss=named["loss"],
-        )
+        count = sum(key.startswith("weight") for key in named)
+        weights, biases = (tuple(named[f"{kind}{i}"] for i in range(count)) for kind in ("weight", "bias"))
+        return Bpnn(weights=weights, biases=biases, **{name: named[name] for name in SCALES})
 
 
 def train_bpnn(

@@ -7,6 +7,7 @@ which some take everything for noise, so it is climbed from several starts. One 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
@@ -88,26 +89,28 @@ class GaussianProcess(SavedArrays):
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
+        found = self._by_output(inputs, lambda j, part: self._kernel(j, part) @ self.weights[j])
+        return found * self.output_std + self.output_mean
+
+    def predict_std(self, inputs: ArrayLike) -> Array:
+        """Standard deviation ``(..., k)`` (m, rad) of the noise-free outputs at standardised inputs ``(..., F)``."""
+
+        def unknown(j: int, part: Array) -> Array:
+            known = solve_triangular(self._factors[j], self._kernel(j, part).T, lower=True)
+            return np.sqrt(np.maximum(self.amplitude[j] ** 2 - np.sum(known**2, axis=0), 0.0))
+
+        return self._by_output(inputs, unknown) * self.output_std
+
+    def _by_output(self, inputs: ArrayLike, one: Callable[[int, Array], Array]) -> Array:
+        """What ``one`` says of each output ``(..., k)``, for so many inputs ``(..., F)`` at a time as caches hold."""
         inputs = np.asarray(inputs, dtype=float)
         flat = inputs.reshape(-1, inputs.shape[-1])
         values = np.empty((len(flat), len(self.amplitude)))
         for start in range(0, len(flat), CHUNK):
             part = slice(start, start + CHUNK)
             for j in range(values.shape[1]):
-                values[part, j] = self._kernel(j, flat[part]) @ self.weights[j]
-        return (values * self.output_std + self.output_mean).reshape(*inputs.shape[:-1], -1)
-
-    def predict_std(self, inputs: ArrayLike) -> Array:
-        """Standard deviation ``(..., k)`` (m, rad) of the noise-free outputs at standardised inputs ``(..., F)``."""
-        inputs = np.asarray(inputs, dtype=float)
-        flat = inputs.reshape(-1, inputs.shape[-1])
-        values = np.empty((len(flat), len(self.amplitude)))
-        for start in range(0, len(flat), CHUNK):
-            part = slice(start, start + CHUNK)
-            for j, factor in enumerate(self._factors):
-                known = np.sum(solve_triangular(factor, self._kernel(j, flat[part]).T, lower=True) ** 2, axis=0)
-                values[part, j] = np.sqrt(np.maximum(self.amplitude[j] ** 2 - known, 0.0))
-        return (values * self.output_std).reshape(*inputs.shape[:-1], -1)
+                values[part, j] = one(j, flat[part])
+        return values.reshape(*inputs.shape[:-1], -1)
 
     @cached_property
     def _factors(self) -> tuple[Array, ...]:

@@ -21,6 +21,7 @@ from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.extra_trees import ExtraTrees, fit_extra_trees
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess, fit_gaussian_process
 from pickenv.calibration.residuals.rbf import Rbf, fit_rbf
+from pickenv.calibration.residuals.saved_arrays import named_part, part_of
 from pickenv.calibration.residuals.standardising import column_std
 from pickenv.errors import InputError
 
@@ -141,7 +142,7 @@ class LearntResidual:
         """All numbers by name, for saving without pickle."""
         named: dict[str, NDArray[Any]] = {"kind": np.array(self.kind), "conditions": np.array(self.inputs.conditions)}
         named |= {name: getattr(self.inputs, name) for name in ("periodic", "mean", "std")}
-        return named | {f"model_{name}": value for name, value in self.model.arrays().items()}
+        return named | named_part("model_", self.model.arrays())
 
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> LearntResidual:
@@ -153,9 +154,8 @@ class LearntResidual:
         kind = str(named["kind"])
         if kind not in MODELS:
             raise InputError(f"unknown residual model '{kind}' in the file; this program knows {', '.join(MODELS)}")
-        parts = {name.removeprefix("model_"): value for name, value in named.items() if name.startswith("model_")}
         inputs = JointInputs(named["periodic"], int(named["conditions"]), named["mean"], named["std"])
-        return LearntResidual(kind, inputs, MODELS[kind][1](parts))
+        return LearntResidual(kind, inputs, MODELS[kind][1](part_of(named, "model_")))
 
 
 def _fit_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:

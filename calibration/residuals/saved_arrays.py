@@ -23,3 +23,13 @@ class SavedArrays:
         """The inverse of `arrays`."""
         values = ((field.name, named[field.name]) for field in fields(cls))
         return cls(**{name: value if value.ndim else value.item() for name, value in values})
+
+
+def named_part(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The arrays with a prefix before their names, as a part of something larger."""
+    return {f"{prefix}{name}": np.asarray(value) for name, value in arrays.items()}
+
+
+def part_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    """The inverse of `named_part`."""
+    return {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
