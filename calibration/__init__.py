@@ -30,7 +30,6 @@ from pickenv.calibration.model.observations import (
     Observations,
     ReflectorObservations,
     SocketObservations,
-    poses_from_reflectors,
     tracker_covariance,
 )
 from pickenv.calibration.pipeline.apply import apply_calibration
@@ -81,7 +80,6 @@ __all__ = [
     "offset_walk",
     "paper_eta",
     "plan_poses",
-    "poses_from_reflectors",
     "random_joints",
     "random_walk",
     "read_measurements",

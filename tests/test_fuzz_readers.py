@@ -57,14 +57,14 @@ def used(arm) -> None:
 
 
 def read_csv(path: Path) -> None:
-    measured = read_observations([path], UR5.nominal).measurements
+    measured = read_observations([path], UR5.nominal).observations
     assert np.isfinite(measured.joints).all() and np.isfinite(measured.position).all()
 
 
 def read_yaml(path: Path) -> None:
     described = path.with_name("described.toml")
     described.write_text(DESCRIBED, encoding="utf-8")
-    assert np.isfinite(read_observations([path], UR5.nominal, described).measurements.position).all()
+    assert np.isfinite(read_observations([path], UR5.nominal, described).observations.position).all()
 
 
 def read_described(path: Path) -> None:

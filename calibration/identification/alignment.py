@@ -31,6 +31,7 @@ STARTS = 24
 """Tools tried where neither the closed form nor the nominal tool leads anywhere."""
 
 
+@single_threaded()
 def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *, judge: bool = True) -> Identification:
     """Fit base and tool pose, from anywhere.
 
@@ -44,13 +45,12 @@ def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *,
         InputError: If the data do not fit the arm at all, which means wrong units, joint signs or conventions.
     """
     best: Identification | None = None
-    with single_threaded():
-        for start in _starts(geometry, measurements):
-            found = identify(frames, start, measurements, max_iterations=100)
-            if best is None or found.chi_square < best.chi_square:
-                best = found
-            if max(misfit(best.geometry, measurements)) < GOOD:
-                break
+    for start in _starts(geometry, measurements):
+        found = identify(frames, start, measurements, max_iterations=100)
+        if best is None or found.chi_square < best.chi_square:
+            best = found
+        if max(misfit(best.geometry, measurements)) < GOOD:
+            break
     assert best is not None
     if judge:
         refuse_another_arm(best.geometry, measurements, "after fitting base and tool", geometry)
@@ -116,11 +116,9 @@ def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) ->
 def _offset_from_positions(chain: Pose, position: Array) -> Array:
     """The offset u of M p - s - Q u = o, linear in M = R^T, s = R^T t and u."""
     count, middle = len(position), position.mean(axis=0)
-    matrix = np.zeros((count, 3, 15))
-    for axis in range(3):
-        matrix[:, axis, 3 * axis : 3 * axis + 3] = position - middle
-    matrix[:, :, 9:12] = -np.eye(3)
-    matrix[:, :, 12:] = -chain.rotation
+    by_rotation = np.einsum("ik,nj->nikj", np.eye(3), position - middle).reshape(count, 3, 9)
+    by_shift = np.broadcast_to(-np.eye(3), (count, 3, 3))
+    matrix = np.concatenate([by_rotation, by_shift, -chain.rotation], axis=2)
     solution = np.linalg.lstsq(matrix.reshape(-1, 15), chain.position.ravel(), rcond=1e-6)[0]
     return np.asarray(solution[12:])
 

@@ -34,13 +34,10 @@ class Conditions:
         """The conditions of the given rows."""
         return Conditions(**{name: None if part is None else part[rows] for name, part in vars(self).items()})
 
-    def spread(self, shape: tuple[int, ...]) -> Conditions:
-        """One value each, repeated for a batch of poses of this shape (flattened)."""
-        count = int(np.prod(shape))
-        parts = {name: getattr(self, name) for name in ("payload", "temperature")}
-        return Conditions(
-            **{name: None if part is None else np.broadcast_to(part, (count,)) for name, part in parts.items()}
-        )
+    def repeated(self, shape: tuple[int, ...]) -> Conditions:
+        """Payload and temperature, one value each, repeated for a batch of poses of this shape (flattened)."""
+        count, parts = int(np.prod(shape)), (self.payload, self.temperature)
+        return Conditions(*(None if part is None else np.broadcast_to(part, (count,)) for part in parts))
 
     def inputs(self) -> Array | None:
         """Payload and temperature as columns ``(N, k)`` for a learnt residual; None if neither is known."""

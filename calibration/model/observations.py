@@ -12,7 +12,7 @@ from typing import Any, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array, Pose
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.origins import Origins
 
@@ -362,13 +362,6 @@ def tracker_covariance(
     along = away[..., :, None] * away[..., None, :] / distance**2
     radial, across = ((a + b * distance) / 2 for a, b in (adm, angle))
     return np.asarray(radial**2 * along + across**2 * (np.eye(3) - along))
-
-
-def poses_from_reflectors(points: Array, reference: Array) -> Pose:
-    """Poses that carry the ``reference`` reflectors ``(k, 3)`` onto ``points`` ``(N, k, 3)``: Kabsch 1976, batched."""
-    centre, middle = points.mean(axis=1), reference.mean(axis=0)
-    rotation = nearest_rotation(np.einsum("nki,kj->nij", points - centre[:, None], reference - middle))
-    return Pose(centre - rotation @ middle, rotation)
 
 
 def nearest_rotation(matrix: Array) -> Array:

@@ -38,10 +38,6 @@ class Origins:
         """File and line of one row."""
         return self.files[int(self.file[row])], int(self.line[row])
 
-    def name(self, rows: Sequence[int]) -> str:
-        """Rows as a message names them, file by file: "tracker.csv: rows 9, 92 and 3 more"."""
-        return named([self.place(row) for row in rows])
-
 
 def named(places: Sequence[tuple[str, int]]) -> str:
     """Files and lines as a message names them."""

@@ -172,9 +172,10 @@ def apply_calibration(
             f"{np.degrees(missed_attitude[i]):.3g} deg remain that a free joint could remove",
         )
     reached[list(reasons)] = False
-    uncertainty, sure = uncertainty_from(calibration.record), (None, None)
+    uncertainty = uncertainty_from(calibration.record)
+    sure: tuple[Array | None, Array | None] = (None, None)
     if uncertainty is not None:
-        here = None if conditions is None else conditions.spread((len(commands),))
+        here = None if conditions is None else conditions.repeated((len(commands),))
         sure = uncertainty.standard(calibration.model, commands, here)
     return CorrectedCommands(
         targets=wanted_joints,

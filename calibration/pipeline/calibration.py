@@ -50,9 +50,9 @@ class Remainder:
         joints = np.asarray(joints, dtype=float)
         total = np.zeros((*joints.shape[:-1], 6))
         if self.model.terms:
-            total += self.model.displacement(joints, self.conditions.spread(joints.shape[:-1]))
+            total += self.model.displacement(joints, self.conditions.repeated(joints.shape[:-1]))
         if self.learnt is not None:
-            inputs = self.conditions.spread(joints.shape[:-1]).inputs() if self.learnt.inputs.conditions else None
+            inputs = self.conditions.repeated(joints.shape[:-1]).inputs() if self.learnt.inputs.conditions else None
             learnt = self.learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
             total[..., : learnt.shape[-1]] += learnt
         return total

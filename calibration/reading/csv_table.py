@@ -59,12 +59,16 @@ class Table:
                     "separator and the decimal sign, and name them in a column description"
                 )
 
+    def texts(self, name: str) -> list[str]:
+        """The cells of a column; those that a short row lacks are empty."""
+        index = self.index(name)
+        return [row[index].strip() if index < len(row) else "" for row in self.rows]
+
     def column(self, name: str) -> Array:
         """A column of finite numbers."""
         if name not in self.cache:
-            index = self.index(name)
-            pairs = zip(self.rows, self.lines, strict=True)
-            self.cache[name] = np.array([self._cell(row, index, name, line) for row, line in pairs])
+            cells = zip(self.texts(name), self.lines, strict=True)
+            self.cache[name] = np.array([self._number(text, name, line) for text, line in cells])
         return self.cache[name]
 
     def index(self, name: str) -> int:
@@ -77,34 +81,28 @@ class Table:
             )
         return self.header.index(name)
 
-    def blank(self, name: str) -> Array:
-        """Whether each cell of a column is empty or says NaN."""
-        index = self.index(name)
-        texts = [row[index].strip().lower() if index < len(row) else "" for row in self.rows]
-        return np.array([text in ("", "nan", "null", "none", "na", "-") for text in texts])
-
-    def fill_blanks(self, name: str) -> None:
-        """Read empty and NaN cells of a column as zero: what a lost reflector leaves."""
-        index = self.index(name)
-        for row, lost in zip(self.rows, self.blank(name), strict=True):
-            if lost and index < len(row):
-                row[index] = "0"
+    def fill_blanks(self, name: str) -> Array:
+        """Read empty and NaN cells of a column, which a lost reflector leaves, as zero; returns which ``(N,)``."""
+        texts = self.texts(name)
+        blank = [text.lower() in ("", "nan", "null", "none", "na", "-") for text in texts]
+        cells = zip(texts, blank, self.lines, strict=True)
+        self.cache[name] = np.array([0.0 if lost else self._number(text, name, line) for text, lost, line in cells])
+        return np.array(blank)
 
     def resolution(self, names: tuple[str, ...]) -> float:
         """Size of the last digit that most numbers in plain columns carry; 0 where columns are computed."""
         if any(name not in self.header for name in names):
             return 0.0
         digits = []
-        for index in map(self.index, names):
-            for row in self.rows[:200]:
-                mantissa, _, exponent = (row[index] if index < len(row) else "").strip().lower().partition("e")
+        for name in names:
+            for text in self.texts(name)[:200]:
+                mantissa, _, exponent = text.lower().partition("e")
                 shift = int(exponent) if re.fullmatch(r"[+-]?[0-9]{1,3}", exponent) else 0
                 digits.append(len(mantissa.replace(self.decimal, ".").partition(".")[2]) - shift)
         return float(10.0 ** -np.median(digits))
 
-    def _cell(self, row: list[str], index: int, name: str, line: int) -> float:
+    def _number(self, text: str, name: str, line: int) -> float:
         """The finite number that a cell spells, in the digits of any instrument."""
-        text = row[index].strip() if index < len(row) else ""
         grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands
         value = decimal_number("" if grouped else text.replace(self.decimal, "."))
         if value is not None and np.isfinite(value):

@@ -74,11 +74,6 @@ class FileReading:
     observations: Observations
     floor: NoiseFloor
 
-    @property
-    def measurements(self) -> Measurements | None:
-        """The data as poses or positions; None where they are of another kind."""
-        return self.observations if isinstance(self.observations, Measurements) else None
-
 
 @dataclass(frozen=True, eq=False)
 class Files:
@@ -123,10 +118,10 @@ def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path 
     Raises:
         InputError: Names the file, row, column or unit at fault.
     """
-    found = read_observations([path], geometry, columns)
-    if found.measurements is None:
-        raise InputError(f"{path}: holds {found.observations.kind}, not poses or positions; use read_observations")
-    return found.measurements
+    found = read_observations([path], geometry, columns).observations
+    if not isinstance(found, Measurements):
+        raise InputError(f"{path}: holds {found.kind}, not poses or positions; use read_observations")
+    return found
 
 
 def read_observations(
@@ -172,9 +167,8 @@ def _frames(tables: list[Table]) -> Frames:
         if FRAMES_COLUMN not in table.header:
             said.setdefault("fitted", table.where)
             continue
-        index = table.index(FRAMES_COLUMN)
-        for row, line in zip(table.rows, table.lines, strict=True):
-            said.setdefault(row[index].strip() if index < len(row) else "", f"{table.where}: row {line}")
+        for text, line in zip(table.texts(FRAMES_COLUMN), table.lines, strict=True):
+            said.setdefault(text, f"{table.where}: row {line}")
     for text, place in said.items():
         if text not in FRAMES:
             raise InputError(f"{place}, column '{FRAMES_COLUMN}' holds '{text[:40]}'; give {' or '.join(FRAMES)}")
@@ -261,9 +255,7 @@ def _reflectors(files: Files) -> ReflectorObservations:
     for table in files.tables:
         blank = np.zeros((len(table.lines), len(first.position)), dtype=bool)
         if "empty" in first.lost:
-            blank = np.stack([table.blank(name) for name in first.position], -1)
-            for name in first.position:
-                table.fill_blanks(name)
+            blank = np.stack([table.fill_blanks(name) for name in first.position], -1)
         values = table.values(first.position).reshape(len(table.lines), -1, 3) * TO_SI[first.position_unit]
         empty, zero = blank.reshape(values.shape).any(axis=2), (values == 0).all(axis=2)
         if (zero & ~empty).any() and "zeros" not in first.lost:

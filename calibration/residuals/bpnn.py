@@ -131,7 +131,8 @@ class Bpnn:
         """The inverse of `arrays`."""
         count = sum(key.startswith("weight") for key in named)
         weights, biases = (tuple(named[f"{kind}{i}"] for i in range(count)) for kind in ("weight", "bias"))
-        return Bpnn(weights=weights, biases=biases, **{name: named[name] for name in SCALES})
+        scales: dict[str, Any] = {name: named[name] for name in SCALES}
+        return Bpnn(weights=weights, biases=biases, **scales)
 
 
 def train_bpnn(

@@ -90,7 +90,7 @@ class GaussianProcess(SavedArrays):
     def predict(self, inputs: ArrayLike) -> Array:
         """Mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
         found = self._by_output(inputs, lambda j, part: self._kernel(j, part) @ self.weights[j])
-        return found * self.output_std + self.output_mean
+        return np.asarray(found * self.output_std + self.output_mean)
 
     def predict_std(self, inputs: ArrayLike) -> Array:
         """Standard deviation ``(..., k)`` (m, rad) of the noise-free outputs at standardised inputs ``(..., F)``."""

@@ -13,13 +13,20 @@ from pickenv.calibration.model.observations import (
     DistanceObservations,
     ReflectorObservations,
     SocketObservations,
-    poses_from_reflectors,
+    nearest_rotation,
     tracker_covariance,
     whitening_of,
 )
 
 TRIAD = np.array([[50.0, 0.0, 20.0], [-40.0, 60.0, 0.0], [-30.0, -50.0, 35.0]]) * 1e-3
 STATION = np.array([4.0, -2.0, 1.0])
+
+
+def poses_from_reflectors(points: np.ndarray, reference: np.ndarray) -> Pose:
+    """Poses that carry the ``reference`` reflectors ``(k, 3)`` onto ``points`` ``(N, k, 3)``: Kabsch 1976, batched."""
+    centre, middle = points.mean(axis=1), reference.mean(axis=0)
+    rotation = nearest_rotation(np.einsum("nki,kj->nij", points - centre[:, None], reference - middle))
+    return Pose(centre - rotation @ middle, rotation)
 
 
 def far(geometry, seed):

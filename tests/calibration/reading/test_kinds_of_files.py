@@ -150,7 +150,7 @@ def test_conditions_and_repeat_sigma(read, moved):
     description = JOINTS + 'position.columns = ["x", "y", "z"]\nposition.unit = "m"\n'
     description += 'position.std_columns = ["sx", "sy", "sz"]\n' + CONDITIONS
     found = read(description, rows, names)
-    conditions = found.measurements.conditions
+    conditions = found.observations.conditions
     np.testing.assert_allclose(conditions.temperature, extra[:, 0] - 22.0)
     np.testing.assert_allclose(conditions.payload, extra[:, 1] * 1e-3)
     np.testing.assert_allclose(conditions.torque, -extra[:, 2:8])
@@ -178,7 +178,7 @@ def test_yaml_entries_by_dotted_paths(tmp_path, ur5, moved):
     names = [f"joints.{i}" for i in range(6)]
     description = f"joints.columns = {names}\njoints.unit = 'rad'\nposition.columns = ['tool.x', 'tool.y', 'tool.z']\n"
     (tmp_path / "mine.toml").write_text(description.replace("'", '"') + 'position.unit = "m"\n')
-    data = read_observations([tmp_path / "data.yaml"], ur5, tmp_path / "mine.toml").measurements
+    data = read_observations([tmp_path / "data.yaml"], ur5, tmp_path / "mine.toml").observations
     np.testing.assert_allclose(data.joints, joints)
     np.testing.assert_allclose(data.position, pose.position)
     (tmp_path / "data.yaml").write_text("a: [1, 2\n")
