@@ -16,6 +16,7 @@ from pickenv.commands import learning as agents
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
 from pickenv.commands.guard import INTERRUPTED, guarded
+from pickenv.commands.schema import schema
 from pickenv.commands.studies import study
 
 app = typer.Typer(
@@ -136,6 +137,7 @@ app.command()(reports.report)
 app.command()(inspection.inspect)
 app.command()(study)
 app.command()(check)
+app.command()(schema)
 
 
 def main() -> None:

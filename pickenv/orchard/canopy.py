@@ -7,20 +7,21 @@ path). Units: m, rad, m²/m³.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
 from pickenv.orchard import checks, presets
-from pickenv.orchard.checks import Array, Flags
+from pickenv.orchard.checks import MM, Array, Flags
+from pickenv.toml_tables import DEG, NUMBER, table
 
 ROUNDING = 1e-9  # m
 
 
-@dataclass(frozen=True)
+@table
 class Canopy:
     """The slab of foliage that one machine stop sees; foliage goes on along the row, fruit is wanted in ``width``.
 
@@ -40,15 +41,15 @@ class Canopy:
 
     name: str
     source: str
-    bottom: float
-    top: float
-    depth: float
-    width: float
-    standoff: float
-    lean: float
-    leaf_area_per_volume: float
-    leaf_projection: float
-    approach_elevation: float
+    bottom: Annotated[float, MM]
+    top: Annotated[float, MM]
+    depth: Annotated[float, MM]
+    width: Annotated[float, MM]
+    standoff: Annotated[float, MM]
+    lean: Annotated[float, DEG]
+    leaf_area_per_volume: Annotated[float, NUMBER]
+    leaf_projection: Annotated[float, NUMBER]
+    approach_elevation: Annotated[float, DEG]
 
     def __post_init__(self) -> None:
         for key in ("depth", "width"):
@@ -72,23 +73,7 @@ class Canopy:
 
 def load_canopy(name: str | Path) -> Canopy:
     """Read a canopy by name (`shipped("canopy")`) or from a path to a TOML file."""
-    return presets.load(
-        "canopy",
-        name,
-        lambda p: Canopy(
-            name=p.name,
-            source=p.source,
-            bottom=p.number("bottom_mm"),
-            top=p.number("top_mm"),
-            depth=p.number("depth_mm"),
-            width=p.number("width_mm"),
-            standoff=p.number("standoff_mm"),
-            lean=p.number("lean_deg"),
-            leaf_area_per_volume=p.number("leaf_area_per_volume"),
-            leaf_projection=p.number("leaf_projection"),
-            approach_elevation=p.number("approach_elevation_deg"),
-        ),
-    )
+    return presets.load("canopy", name, Canopy)
 
 
 def face(canopy: Canopy, height: ArrayLike) -> Array:

@@ -8,10 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.errors import InputError
+from pickenv.toml_tables import Unit
 
 Array: TypeAlias = NDArray[np.float64]
 Flags: TypeAlias = NDArray[np.bool_]
 Integers: TypeAlias = NDArray[np.int64]
+
+MM = Unit("mm", per=1000.0)
+"""Millimetres of the orchard's files, where a camera may see any distance."""
 
 
 def positive(what: str, value: float) -> None:

@@ -7,17 +7,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.orchard import checks, presets
-from pickenv.orchard.checks import Array, Flags
+from pickenv.orchard.checks import MM, Array, Flags
+from pickenv.toml_tables import NEWTON, NEWTON_METRE, NUMBER, table
 
 QUANTILE_95 = 1.6448536269514722  # of the standard normal
 
 
-@dataclass(frozen=True)
+@table
 class Detachment:
     """Distribution of what holds the fruit.
 
@@ -26,12 +28,14 @@ class Detachment:
         twist_95: Twist about the stem that detaches 95 % of fruit, N·m.
         spread: Standard deviation of the logarithm of both.
         stem: Length of the stem, m.
+        source: Where its numbers come from.
     """
 
-    pull_95: float
-    twist_95: float
-    spread: float
-    stem: float
+    pull_95: Annotated[float, NEWTON]
+    twist_95: Annotated[float, NEWTON_METRE]
+    spread: Annotated[float, NUMBER]
+    stem: Annotated[float, MM]
+    source: str = ""
 
     def __post_init__(self) -> None:
         for key in ("pull_95", "twist_95", "spread"):
@@ -49,11 +53,7 @@ class Strength:
 
 def load_detachment(name: str | Path) -> Detachment:
     """Read detachment limits by name (`shipped("detachment")`) or from a path to a TOML file."""
-    return presets.load(
-        "detachment",
-        name,
-        lambda p: Detachment(p.number("pull_95_N"), p.number("twist_95_N_m"), p.number("spread"), p.number("stem_mm")),
-    )
+    return presets.load("detachment", name, Detachment)
 
 
 def sample_strength(detachment: Detachment, shape: int | tuple[int, ...], rng: np.random.Generator) -> Strength:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,12 +33,13 @@ from pickenv.arm.effects.structure import (
     yielded_joints,
 )
 from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain
-from pickenv.arm.files.arm_file import Arm
+from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, frames, pose_of, split_joints, tool_frame
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant import dynamics
 from pickenv.arm.plant.dynamics import PlantState
+from pickenv.toml_tables import DEG, MM, table
 
 EFFECTS = (
     "joint_compliance",
@@ -58,12 +59,12 @@ WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling
 BEYOND_BASIC = ("roller_play", "encoder", *WITH_STATE)
 
 
-@dataclass(frozen=True)
+@table
 class MeasurementNoise:
     """Normal noise of the measuring instrument, per axis: position in m, attitude in rad."""
 
-    position_std: float
-    attitude_std: float
+    position_std: Annotated[float, MM.not_negative]
+    attitude_std: Annotated[float, DEG.not_negative]
 
 
 def placed_chain(chain: Chain, place: Callable[[Array], Scalar]) -> Chain:
