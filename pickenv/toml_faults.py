@@ -80,10 +80,14 @@ def _at(content: Any, place: list[Any]) -> Any:
     return content
 
 
+CLOSING = ("", "]", "]]", "]]]", '"""', "'''")
+"""What may close a value that a file's first lines leave open."""
+
+
 def line_of(text: str, place: list[Any]) -> int | None:
     """The line, from 1, in which the value at ``place`` of a valid TOML file begins, or the table around it.
 
-    The file is read up to each line that names the key, lists that are open there being closed, until it has the place.
+    The file is read up to each line that names the key, what is open there being closed, until it has the place.
     """
     while place and _at(tomllib.loads(text), place) is None:
         place = place[:-1]
@@ -93,7 +97,7 @@ def line_of(text: str, place: list[Any]) -> int | None:
         named = place[depth] in line
         reached = reached or named
         if named or (reached and depth < len(place) - 1):
-            for closing in ("", "]", "]]", "]]]"):
+            for closing in CLOSING:
                 if _at(_parsed("\n".join([*lines[:number], closing])), place) is not None:
                     return number
     return None

@@ -87,6 +87,10 @@ class Unit:
         """The same from zero."""
         return replace(self, least=0.0)
 
+    def at_least(self, least: float) -> Unit:
+        """The same from a smallest value, which is allowed."""
+        return replace(self, least=least)
+
     def within(self, least: float, most: float, why: str = "") -> Unit:
         """The same between two bounds, which are allowed."""
         return replace(self, least=least, most=most, why=why)
@@ -98,8 +102,15 @@ class Unit:
         unit, why = f" {self.name}" if self.name else "", f": {self.why}" if self.why else ""
         if self.why is not None and not self.above:
             return f"{number} from {self.least:.15g} to {self.most:.15g}{unit}{why}"
-        zero = " above zero" if self.above else " that is not negative" if self.least is not None else ""
+        low = " above zero" if self.above else "" if self.least is None else f" of at least {self.least:g}"
+        zero = " that is not negative" if self.least == 0 and not self.above else low
         return f"{number}{zero}" + (f", at most {self.most:g}{unit}{why}" if self.most < math.inf else "")
+
+    def holds(self, value: float) -> bool:
+        """Whether a number in SI is within the bounds."""
+        low, high = ((-self.most if self.least is None else self.least), self.most)
+        low, high = low * self.scale / self.per, high * self.scale / self.per
+        return math.isfinite(value) and (low < value if self.above else low <= value) and value <= high
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """Schema of a number, or of tuples of it, as deep as they are annotated."""
@@ -258,12 +269,19 @@ def _marks(hint: Any) -> Iterator[Any]:
 
 
 @cache
+def units_of(kind: Any) -> dict[str, Unit]:
+    """The units of the fields that have one."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: mark for name, hint in hints.items() for mark in _marks(hint) if isinstance(mark, Unit)}
+
+
+@cache
 def _keys(kind: Any) -> dict[str, tuple[str, str]]:
     """By field: its key in the file, and what to give where it is missing, empty where it may be."""
     found, hints = {}, get_type_hints(kind, include_extras=True)
     for one in fields(kind):
         marks = list(_marks(hints[one.name]))
-        unit = next((mark.name for mark in marks if isinstance(mark, Unit)), "")
+        unit = units_of(kind).get(one.name, NUMBER).name
         plain = f"{one.name}_{unit}" if unit else one.name
         key = next((mark.name for mark in marks if isinstance(mark, Key) and mark.name), plain)
         usual = "this table" if is_dataclass(hints[one.name]) else "it"
@@ -386,9 +404,9 @@ def made(
     found = content[section] if section else content
     if isinstance(found, Mapping):
         filled = {"name": name or Path(where).stem, "source": ""}
-        found = {**{key: filled[key] for key in FILLED_IN if key in _keys(kind)}, **found}
+        found = {**{key: filled[key] for key in FILLED_IN if key in _keys(cast(Any, kind))}, **found}
     try:
-        return cast(Thing, _adapter(kind).validate_python(found, context=context))
+        return cast(Thing, _adapter(cast(Any, kind)).validate_python(found, context=context))
     except ValidationError as error:
         first: Any = min(error.errors(include_url=False), key=lacks)
         first["loc"] = [*([section] if section else []), *first["loc"]]

@@ -33,19 +33,16 @@ class Branch:
         source: Where its numbers come from.
     """
 
-    pendulum: Annotated[float, MM]
-    stiffness_sideways: Annotated[float, Unit("N_per_m")]
-    stiffness_upright: Annotated[float, Unit("N_per_m")]
-    wood: Annotated[float, KG]
-    damping_ratio: Annotated[float, NUMBER]
-    coupling: Annotated[float, MM]
+    pendulum: Annotated[float, MM.positive]
+    stiffness_sideways: Annotated[float, Unit("N_per_m").not_negative]
+    stiffness_upright: Annotated[float, Unit("N_per_m").positive]
+    wood: Annotated[float, KG.not_negative]
+    damping_ratio: Annotated[float, NUMBER.not_negative]
+    coupling: Annotated[float, MM.positive]
     source: str = ""
 
     def __post_init__(self) -> None:
-        for key in ("pendulum", "stiffness_upright", "coupling"):
-            checks.positive(f"the {key} of a branch", getattr(self, key))
-        for key in ("stiffness_sideways", "wood", "damping_ratio"):
-            checks.not_negative(f"the {key} of a branch", getattr(self, key))
+        checks.bounded("a branch", self)
 
 
 def load_branch(name: str | Path) -> Branch:

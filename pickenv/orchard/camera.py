@@ -19,7 +19,7 @@ from pickenv.errors import InputError
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.detections import Detections
-from pickenv.toml_tables import LX, NUMBER, PX, REQUIRED, WHOLE_PX, Kinds, Unit, table
+from pickenv.toml_tables import LX, NUMBER, PX, REQUIRED, SHARE, WHOLE_PX, Kinds, Unit, table
 
 DRAWS = 5  # normal numbers per measurement: three of noise, two for the side from which leaves hide the fruit
 SUNLIGHT = 100_000.0  # lx, a clear day
@@ -55,42 +55,33 @@ class Camera:
 
     name: str
     source: str
-    focal_length: Annotated[float, PX]
-    image: Annotated[tuple[int, int], WHOLE_PX]
-    nearest: Annotated[float, MM]
+    focal_length: Annotated[float, PX.positive]
+    image: Annotated[tuple[int, int], WHOLE_PX.at_least(1)]
+    nearest: Annotated[float, MM.positive]
     farthest: Annotated[float, MM]
-    depth_noise: Annotated[float, Unit("mm_at_1m", 1e-3)]
-    pixel_noise: Annotated[float, PX]
-    depth_noise_floor: Annotated[float, MM] = 0.0
-    noise_light: Annotated[float, LX] = 0.0
+    depth_noise: Annotated[float, Unit("mm_at_1m", 1e-3).not_negative]
+    pixel_noise: Annotated[float, PX.not_negative]
+    depth_noise_floor: Annotated[float, MM.not_negative] = 0.0
+    noise_light: Annotated[float, LX.not_negative] = 0.0
     noise_growth: Annotated[float, Unit("per_lx")] = 0.0
     bias: Annotated[float, MM, REQUIRED] = 0.0
     bias_distance: Annotated[float, MM] = 0.0
     bias_light: Annotated[float, LX] = 0.0
     bias_per_distance: Annotated[float, NUMBER] = 0.0
     bias_per_light: Annotated[float, NUMBER] = 0.0
-    dropout: Annotated[float, NUMBER, REQUIRED] = 0.0
-    lost_below: Annotated[float, NUMBER, REQUIRED] = 0.0
-    found_above: Annotated[float, NUMBER, REQUIRED] = 0.0
-    occlusion_pull: Annotated[float, NUMBER, REQUIRED] = 0.0
-    false_detections: Annotated[float, NUMBER, REQUIRED] = 0.0
+    dropout: Annotated[float, SHARE, REQUIRED] = 0.0
+    lost_below: Annotated[float, SHARE, REQUIRED] = 0.0
+    found_above: Annotated[float, SHARE, REQUIRED] = 0.0
+    occlusion_pull: Annotated[float, SHARE, REQUIRED] = 0.0
+    false_detections: Annotated[float, NUMBER.not_negative, REQUIRED] = 0.0
 
     def __post_init__(self) -> None:
         name = f"of camera '{self.name}'"
-        checks.positive(f"the focal length {name} (px)", self.focal_length)
-        if len(self.image) != 2 or min(self.image) < 1:
-            raise InputError(f"the image {name} is {self.image} px; give a width and a height of at least 1")
-        checks.positive(f"the least distance {name} (m)", self.nearest)
+        checks.bounded(name[3:], self)
         if not self.nearest < self.farthest < np.inf:
             raise InputError(
                 f"the range {name} ends at {self.farthest} m; give more than its beginning, {self.nearest} m"
             )
-        for key in ("depth_noise_floor", "depth_noise", "pixel_noise", "false_detections", "noise_light"):
-            checks.not_negative(f"{key} {name}", getattr(self, key))
-        for key in ("noise_growth", "bias", "bias_distance", "bias_light", "bias_per_distance", "bias_per_light"):
-            checks.finite(f"{key} {name}", getattr(self, key))
-        for key in ("dropout", "lost_below", "found_above", "occlusion_pull"):
-            checks.share(f"{key} {name}", getattr(self, key))
         if self.found_above < self.lost_below:
             raise InputError(f"found_above {name} is {self.found_above}; give at least lost_below, {self.lost_below}")
 

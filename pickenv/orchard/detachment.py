@@ -31,16 +31,14 @@ class Detachment:
         source: Where its numbers come from.
     """
 
-    pull_95: Annotated[float, NEWTON]
-    twist_95: Annotated[float, NEWTON_METRE]
-    spread: Annotated[float, NUMBER]
-    stem: Annotated[float, MM]
+    pull_95: Annotated[float, NEWTON.positive]
+    twist_95: Annotated[float, NEWTON_METRE.positive]
+    spread: Annotated[float, NUMBER.positive]
+    stem: Annotated[float, MM.not_negative]
     source: str = ""
 
     def __post_init__(self) -> None:
-        for key in ("pull_95", "twist_95", "spread"):
-            checks.positive(f"{key} of a fruit's detachment", getattr(self, key))
-        checks.not_negative("the stem's length (m)", self.stem)
+        checks.bounded("a fruit's detachment", self)
 
 
 @dataclass(frozen=True, eq=False)

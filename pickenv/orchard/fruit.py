@@ -34,23 +34,16 @@ class FruitMap:
         source: Where its numbers come from.
     """
 
-    block: Annotated[float, MM]
-    row_means: Annotated[tuple[float, ...], NUMBER]
-    cluster_size: Annotated[int, WHOLE, REQUIRED] = 1
-    cluster_variance_ratio: Annotated[float, NUMBER, REQUIRED] = 1.0
+    block: Annotated[float, MM.positive]
+    row_means: Annotated[tuple[float, ...], NUMBER.not_negative]
+    cluster_size: Annotated[int, WHOLE.at_least(1), REQUIRED] = 1
+    cluster_variance_ratio: Annotated[float, NUMBER.at_least(1), REQUIRED] = 1.0
     source: str = ""
 
     def __post_init__(self) -> None:
-        checks.positive("the block of a fruit map (m)", self.block)
+        checks.bounded("a fruit map", self)
         if not self.row_means:
             raise InputError("a fruit map needs at least one row of blocks; row_means is empty")
-        for i, mean in enumerate(self.row_means):
-            checks.not_negative(f"the density of row {i + 1} of a fruit map (apples per block)", mean)
-        if self.cluster_size != int(self.cluster_size) or self.cluster_size < 1:
-            raise InputError(f"the cluster size of a fruit map is {self.cluster_size}; give a whole number from 1")
-        if not (np.isfinite(self.cluster_variance_ratio) and self.cluster_variance_ratio >= 1):
-            ratio = self.cluster_variance_ratio
-            raise InputError(f"the cluster variance/mean of a fruit map is {ratio}; give 1 (Poisson) or more")
 
     @property
     def density(self) -> float:
@@ -221,18 +214,15 @@ class FruitSize:
         source: Where its numbers come from.
     """
 
-    mean: Annotated[float, MM]
-    std: Annotated[float, MM]
-    smallest: Annotated[float, MM]
+    mean: Annotated[float, MM.positive]
+    std: Annotated[float, MM.not_negative]
+    smallest: Annotated[float, MM.positive]
     largest: Annotated[float, MM]
-    density: Annotated[float, Unit("kg_per_m3")]
+    density: Annotated[float, Unit("kg_per_m3").positive]
     source: str = ""
 
     def __post_init__(self) -> None:
-        checks.positive("the mean diameter of fruit (m)", self.mean)
-        checks.not_negative("the standard deviation of fruit diameters (m)", self.std)
-        checks.positive("the smallest fruit diameter (m)", self.smallest)
-        checks.positive("the density of fruit (kg/m³)", self.density)
+        checks.bounded("a fruit size", self)
         if not self.smallest <= self.mean <= self.largest:
             raise InputError(
                 f"fruit diameters from {self.smallest} to {self.largest} m do not hold their mean {self.mean} m"

@@ -37,15 +37,14 @@ class Cup:
 
     name: str
     source: str
-    opening: Annotated[float, MM]
-    fruit: Annotated[float, MM]
-    axial: Annotated[float, MM]
-    angle: Annotated[float, DEG]
+    opening: Annotated[float, MM.positive]
+    fruit: Annotated[float, MM.positive]
+    axial: Annotated[float, MM.positive]
+    angle: Annotated[float, DEG.positive]
     kind: Annotated[Literal["cup"], KIND, REQUIRED] = "cup"
 
     def __post_init__(self) -> None:
-        for key in ("opening", "fruit", "axial", "angle"):
-            checks.positive(f"{key} of gripper '{self.name}'", getattr(self, key))
+        checks.bounded(f"gripper '{self.name}'", self)
 
     @property
     def radial(self) -> float:
@@ -70,15 +69,13 @@ class CompliantHand:
     name: str
     source: str
     intercept: Annotated[float, NUMBER]
-    lateral: Annotated[float, Unit("per_10mm", 100.0)]
-    axial: Annotated[float, Unit("per_10mm", 100.0)]
-    angle: Annotated[float, Unit("per_10deg", 18.0 / math.pi)]
+    lateral: Annotated[float, Unit("per_10mm", 100.0).not_negative]
+    axial: Annotated[float, Unit("per_10mm", 100.0).not_negative]
+    angle: Annotated[float, Unit("per_10deg", 18.0 / math.pi).not_negative]
     kind: Annotated[Literal["hand"], KIND, REQUIRED] = "hand"
 
     def __post_init__(self) -> None:
-        checks.finite(f"intercept of gripper '{self.name}'", self.intercept)
-        for key in ("lateral", "axial", "angle"):
-            checks.not_negative(f"{key} of gripper '{self.name}'", getattr(self, key))
+        checks.bounded(f"gripper '{self.name}'", self)
 
 
 Gripper: TypeAlias = Cup | CompliantHand

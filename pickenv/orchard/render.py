@@ -17,11 +17,14 @@ from pickenv.errors import InputError
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array, Integers
 from pickenv.orchard.stereo import StereoCamera, project
-from pickenv.toml_tables import NUMBER, Unit, table
+from pickenv.toml_tables import NUMBER, SHARE, Unit, table
 
 BACKGROUND, LEAF = -1, -2
 SHARPNESS = 12  # exponent of the sun's reflection (Phong); 12 is a waxy skin
 PATCH = 16  # px, patches of light and dark behind the trees
+
+
+Triple = tuple[float, float, float]
 
 
 @table
@@ -41,26 +44,19 @@ class Look:
         source: Where its numbers come from.
     """
 
-    fruit: Annotated[tuple[float, ...], Unit("rgb")]
-    leaf: Annotated[tuple[float, ...], Unit("rgb")]
-    background: Annotated[tuple[float, ...], Unit("rgb")]
-    leaf_length: Annotated[float, MM]
-    leaf_width: Annotated[float, MM]
-    ambient: Annotated[float, NUMBER]
-    highlight: Annotated[float, NUMBER]
-    pixel_noise: Annotated[float, NUMBER]
-    sun: Annotated[tuple[float, ...], NUMBER]
+    fruit: Annotated[Triple, Unit("rgb")]
+    leaf: Annotated[Triple, Unit("rgb")]
+    background: Annotated[Triple, Unit("rgb")]
+    leaf_length: Annotated[float, MM.positive]
+    leaf_width: Annotated[float, MM.positive]
+    ambient: Annotated[float, SHARE]
+    highlight: Annotated[float, SHARE]
+    pixel_noise: Annotated[float, NUMBER.not_negative]
+    sun: Annotated[Triple, NUMBER]
     source: str = ""
 
     def __post_init__(self) -> None:
-        for key in ("fruit", "leaf", "background", "sun"):
-            if len(getattr(self, key)) != 3:
-                raise InputError(f"{key} of a look has {len(getattr(self, key))} numbers; give three")
-        for size in (self.leaf_length, self.leaf_width):
-            checks.positive("the size of a leaf (m)", size)
-        checks.share("the ambient light", self.ambient)
-        checks.share("the highlight", self.highlight)
-        checks.not_negative("the pixel noise (grey levels)", self.pixel_noise)
+        checks.bounded("a look", self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pickenv.errors import InputError
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array
-from pickenv.toml_tables import NUMBER, PX, WHOLE, WHOLE_PX, table
+from pickenv.toml_tables import PX, SHARE, WHOLE, WHOLE_PX, table
 
 
 @table
@@ -38,26 +38,19 @@ class StereoCamera:
 
     name: str
     source: str
-    focal_length: Annotated[float, PX]
-    baseline: Annotated[float, MM]
-    image: Annotated[tuple[int, int], WHOLE_PX]
-    nearest: Annotated[float, MM]
+    focal_length: Annotated[float, PX.positive]
+    baseline: Annotated[float, MM.positive]
+    image: Annotated[tuple[int, int], WHOLE_PX.at_least(16)]
+    nearest: Annotated[float, MM.positive]
     farthest: Annotated[float, MM]
-    erosions: Annotated[int, WHOLE]
-    dilations: Annotated[int, WHOLE]
-    least_area_share: Annotated[float, NUMBER]
-    least_correlation: Annotated[float, NUMBER]
+    erosions: Annotated[int, WHOLE.not_negative]
+    dilations: Annotated[int, WHOLE.not_negative]
+    least_area_share: Annotated[float, SHARE]
+    least_correlation: Annotated[float, SHARE]
 
     def __post_init__(self) -> None:
         name = f"of stereo camera '{self.name}'"
-        for key in ("focal_length", "baseline", "nearest"):
-            checks.positive(f"{key} {name}", getattr(self, key))
-        for key in ("erosions", "dilations"):
-            checks.not_negative(f"{key} {name}", getattr(self, key))
-        for key in ("least_area_share", "least_correlation"):
-            checks.share(f"{key} {name}", getattr(self, key))
-        if len(self.image) != 2 or min(self.image) < 16:
-            raise InputError(f"the image {name} is {self.image} px; give a width and a height of at least 16")
+        checks.bounded(name[3:], self)
         if not self.nearest < self.farthest < np.inf:
             raise InputError(
                 f"the range {name} ends at {self.farthest} m; give more than its beginning, {self.nearest} m"

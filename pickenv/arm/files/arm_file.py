@@ -99,14 +99,7 @@ class Placement:
 class ArmFile:
     """What an arm file holds; see `pickenv.arm.files.arm.Arm`."""
 
-    joint_count: Annotated[
-        int,
-        WHOLE,
-        Check(
-            lambda value: isinstance(value, int) and not isinstance(value, bool) and value > 0,
-            "the number of joints, so that a lost one is noticed",
-        ),
-    ]
+    joint_count: Annotated[int, WHOLE.positive]
     joints: Annotated[
         tuple[Annotated[Revolute | Prismatic | Follower, Kinds(_kind)], ...],
         Check(lambda value: isinstance(value, list), "one [[joints]] table per joint"),

@@ -11,7 +11,7 @@ from pickenv.arm.effects.drives import Encoder
 from pickenv.arm.effects.hysteresis import Backlash, StickBand
 from pickenv.arm.joint_keys import ByJoint, arm_in
 from pickenv.errors import InputError
-from pickenv.toml_tables import ARCMIN, ARCSEC, MM, NEWTON, NEWTON_METRE, NUMBER, UM, table
+from pickenv.toml_tables import ARCMIN, ARCSEC, MM, NEWTON, NEWTON_METRE, NUMBER, UM, Then, table
 
 TRAVEL = (ARCMIN.not_negative, MM.not_negative)
 
@@ -68,3 +68,11 @@ def _per_joint(table: Any, key: str, context: Any) -> tuple[float, ...]:
         found[entry.joint] = getattr(entry, key)
     arm = arm_in(context)
     return () if arm is None else tuple(found.get(joint, 0.0) for joint in range(arm.nominal.joints))
+
+
+BY_JOINT = {
+    "backlash": Annotated[Any, Then(backlash_of, BacklashTable)],
+    "stick_band": Annotated[Any, Then(stick_band_of, StickBandTable)],
+    "encoder": Annotated[Any, Then(encoder_of, EncoderTable)],
+}
+"""By effect: what a plant file holds, and what is made of it."""

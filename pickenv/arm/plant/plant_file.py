@@ -3,27 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import make_dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
-from pickenv.arm.effects.drives import Encoder, Servo
-from pickenv.arm.effects.ground import BaseTilt
-from pickenv.arm.effects.hysteresis import Backlash, StickBand
-from pickenv.arm.effects.settling import Settling
-from pickenv.arm.effects.structure import BoomBending, JointCompliance, Load, RollerPlay, TransmissionError
-from pickenv.arm.effects.thermal import ThermalGrowth
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.load import load_arm
-from pickenv.arm.plant.effect_tables import (
-    BacklashTable,
-    EncoderTable,
-    StickBandTable,
-    backlash_of,
-    encoder_of,
-    stick_band_of,
-)
-from pickenv.arm.plant.plant import MeasurementNoise, Plant
+from pickenv.arm.plant.effect_tables import BY_JOINT
+from pickenv.arm.plant.plant import EFFECTS, Plant
 from pickenv.errors import InputError
 from pickenv.texts import is_file, shortened
 from pickenv.toml_tables import LINE, Check, Then, read, table
@@ -44,38 +31,19 @@ def _arm(name: Any, context: Any) -> Arm:
     return arm
 
 
-@table
-class PlantFile:
-    """What a plant file holds; see `pickenv.arm.plant.plant.Plant`."""
-
-    arm: Annotated[Arm, Then(_arm, Annotated[str, NAMED])]
-    name: Annotated[str, LINE] = ""
-    source: str = ""
-    load: Load | None = None
-    joint_compliance: JointCompliance | None = None
-    boom_bending: BoomBending | None = None
-    transmission_error: TransmissionError | None = None
-    measurement_noise: MeasurementNoise | None = None
-    roller_play: RollerPlay | None = None
-    backlash: Annotated[Backlash, Then(backlash_of, BacklashTable)] | None = None
-    stick_band: Annotated[StickBand, Then(stick_band_of, StickBandTable)] | None = None
-    thermal_growth: ThermalGrowth | None = None
-    base_tilt: BaseTilt | None = None
-    settling: Settling | None = None
-    encoder: Annotated[Encoder, Then(encoder_of, EncoderTable)] | None = None
-    servo: Servo | None = None
-
-    def __post_init__(self) -> None:
-        for effect in ("joint_compliance", "base_tilt"):
-            if getattr(self, effect) is not None and self.load is None:
-                raise InputError(f"{effect} needs [load], the masses that gravity pulls at")
-        if (play := self.roller_play) is not None:
-            furthest = float(self.arm.nominal.upper[play.joint])
-            if play.overlap <= furthest:
-                raise InputError(
-                    f"overlap_mm of [roller_play] is {play.overlap * 1e3:g}; give more than the {furthest * 1e3:g} mm "
-                    f"that joint {play.joint + 1} runs out"
-                )
+PlantFile: Any = table(
+    make_dataclass(
+        "PlantFile",
+        [
+            ("arm", Annotated[Arm, Then(_arm, Annotated[str, NAMED])]),
+            ("name", Annotated[str, LINE]),
+            ("source", str),
+            *((effect, BY_JOINT.get(effect, get_type_hints(Plant)[effect]), None) for effect in ("load", *EFFECTS)),
+        ],
+        frozen=True,
+    )
+)
+"""What a plant file holds."""
 
 
 def shipped_plants() -> list[str]:
@@ -100,10 +68,18 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
         raise InputError(
             f"unknown plant '{shortened(name)}'; give one of {shipped_plants()} or a path to a plant file (.toml)"
         )
-    file = read(PlantFile, path, context={})
-    assert file.arm.true is not None, "the reader refuses arms without"
-    parts = {field.name: getattr(file, field.name) for field in fields(file) if field.name != "source"}
+    parts = dict(vars(read(PlantFile, path, context={})))
+    del parts["source"]
+    plant = Plant(geometry=parts["arm"].true, **parts)
+    for effect in ("joint_compliance", "base_tilt"):
+        if parts[effect] is not None and plant.load is None:
+            raise InputError(f"{path}: {effect} needs [load], the masses that gravity pulls at")
+    if (play := plant.roller_play) is not None and play.overlap <= (limit := plant.arm.nominal.upper[play.joint]):
+        raise InputError(
+            f"{path}: overlap_mm of [roller_play] is {play.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
+            f"that joint {play.joint + 1} runs out"
+        )
     try:
-        return Plant(geometry=file.arm.true, **parts).without(without)
+        return plant.without(without)
     except ValueError as error:
         raise InputError(str(error)) from error
