@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import make_dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from pickenv.arm.files.arm import Arm
 from pickenv.toml_tables import WHOLE, Kinds, Then, Unit, fault, table
@@ -29,23 +29,29 @@ PER_JOINT = Then(_per_joint)
 """As many entries as the arm has joints."""
 
 
-def joint_number(slides: bool | None = None, instead: str = "") -> Then:
-    """A joint's number, which becomes its index from 0; ``slides`` asks for prismatic joints, or for revolute ones."""
-
-    def index(number: int, context: Any) -> int:
-        arm = arm_in(context)
-        if arm is not None and not 1 <= number <= arm.nominal.joints:
-            raise fault(f"a joint number from 1 to {arm.nominal.joints}")
-        if arm is not None and slides is not None and arm.nominal.prismatic[number - 1] != slides:
-            asked, found = ("prismatic", "revolute") if slides else ("revolute", "prismatic")
-            raise fault(f"a {asked} joint{instead}: joint {number} of {arm.name} is {found}")
-        return number - 1
-
-    return Then(index)
+def joint_index(number: int, context: Any) -> int:
+    """The index from 0 of a joint of the arm."""
+    arm = arm_in(context)
+    if arm is not None and not 1 <= number <= arm.nominal.joints:
+        raise fault(f"a joint number from 1 to {arm.nominal.joints}")
+    return number - 1
 
 
-BOOM = joint_number(slides=True)
-"""The number of a prismatic joint."""
+def _boom(number: int, context: Any) -> int:
+    index, arm = joint_index(number, context), arm_in(context)
+    if arm is not None and not arm.nominal.prismatic[index]:
+        raise fault(f"a prismatic joint: joint {number} of {arm.name} is revolute")
+    return index
+
+
+BOOM = Then(_boom)
+"""The number of a prismatic joint, which becomes its index from 0."""
+
+
+class Entry(dict[str, Any]):
+    """A table of a list that knows whether the joint that it names slides."""
+
+    slides = False
 
 
 class ByJoint:
@@ -55,23 +61,24 @@ class ByJoint:
         self.units = units
 
     def __get_pydantic_core_schema__(self, _source: Any, handler: Any) -> Any:
-        """A list of two kinds of tables, told apart by their keys."""
-        keys = [[f"{size}_{pair[slides].name}" for size, pair in self.units.items()] for slides in (False, True)]
-        kinds: Any = [
-            table(
-                make_dataclass(
-                    "Sliding" if slides else "Turning",
-                    [
-                        ("joint", Annotated[int, WHOLE, joint_number(slides, f", or {', '.join(keys[not slides])}")]),
-                        *((size, Annotated[float, pair[slides]]) for size, pair in self.units.items()),
-                    ],
-                    frozen=True,
-                )
-            )
-            for slides in (False, True)
-        ]
+        """A list of two kinds of tables, told apart by the joint, or by their keys where there is no such joint."""
+        from pydantic_core import core_schema as core
 
-        def tell(entry: Mapping[str, Any]) -> type:
-            return kinds[len(entry.keys() & set(keys[1])) > len(entry.keys() & set(keys[0]))]  # type: ignore[no-any-return]
+        kinds = []
+        for slides, name in enumerate(("Turning", "Sliding")):
+            sizes = [(size, Annotated[float, pair[slides]]) for size, pair in self.units.items()]
+            members = [("joint", Annotated[int, WHOLE, Then(joint_index)]), *sizes]
+            kinds.append(table(make_dataclass(name, members, frozen=True)))
+        sliding = {f"{size}_{slide.name}" for size, (turn, slide) in self.units.items() if turn.name != slide.name}
 
-        return handler.generate_schema(tuple[Annotated[kinds[0] | kinds[1], Kinds(tell)], ...])
+        def placed(found: Any, info: Any) -> Any:
+            if not isinstance(found, Mapping):
+                return found
+            entry, arm, number = Entry(found), arm_in(info.context), found.get("joint")
+            known = arm is not None and isinstance(number, int) and 1 <= number <= arm.nominal.joints
+            entry.slides = arm.nominal.prismatic[number - 1] if known and arm else bool(entry.keys() & sliding)
+            return entry
+
+        union: Any = cast(Any, kinds[0]) | kinds[1]
+        one = handler.generate_schema(Annotated[union, Kinds(lambda entry: kinds[getattr(entry, "slides", 0)])])
+        return core.tuple_variable_schema(core.with_info_before_validator_function(placed, one))

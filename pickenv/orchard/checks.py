@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,7 @@ MM = Unit("mm", per=1000.0)
 
 def bounded(what: str, thing: Any) -> None:
     """Refuse an object with a number that its class's annotations do not allow."""
-    for name, unit in units_of(type(thing)).items():
+    for name, unit in units_of(cast(Any, type(thing))).items():
         for value in np.ravel(getattr(thing, name)).tolist():
             if not unit.holds(value):
                 raise InputError(f"{name} of {what} is {value}; give {unit.wanted}")
