@@ -10,7 +10,7 @@ from pickenv.calibration.model.measurements import ATTITUDE_STD
 from pickenv.calibration.reading.conventions import CONVENTIONS
 from pickenv.errors import InputError
 from pickenv.texts import shortened
-from pickenv.toml_tables import DEG, MM, NUMBER, Check, Key, Then, fault, table
+from pickenv.toml_tables import DEG, MM, NUMBER, Check, Key, Then, fault, toml_table
 
 LENGTHS, ANGLES = ("mm", "m"), ("deg", "rad")
 KINDS = ("position", "reflectors", "distance", "sockets")
@@ -51,7 +51,7 @@ def _lost(found: Any, _context: Any) -> tuple[str, ...]:
     return tuple(marks)
 
 
-@table
+@toml_table
 class JointsTable:
     """[joints]: one unit for all, or one each."""
 
@@ -72,7 +72,7 @@ class JointsTable:
         return (str(self.unit),) * len(self.columns) if self.units is None else self.units
 
 
-@table
+@toml_table
 class LengthsTable:
     """[position] or [distance]; fields are called as in `pickenv.calibration.reading.description.ColumnDescription`."""
 
@@ -83,14 +83,14 @@ class LengthsTable:
     position_std_columns: Annotated[tuple[str, ...], COLUMNS, Key("std_columns")] = ()
 
 
-@table
+@toml_table
 class ReflectorsTable(LengthsTable):
     """[reflectors]."""
 
     lost: Annotated[tuple[str, ...], Then(_lost, Any)] = ()
 
 
-@table
+@toml_table
 class SocketsTable:
     """[sockets]."""
 
@@ -100,7 +100,7 @@ class SocketsTable:
     spacing_std: Annotated[float, MM.positive] = 5e-5
 
 
-@table
+@toml_table
 class RotationTable:
     """[rotation]; a convention that is not named stays None, and is asked for when the file is read."""
 
@@ -122,7 +122,7 @@ class RotationTable:
         return str(self.rotation_unit)
 
 
-@table
+@toml_table
 class TemperatureTable:
     """[conditions.temperature]."""
 
@@ -131,7 +131,7 @@ class TemperatureTable:
     reference: Annotated[float, NUMBER] | None = None
 
 
-@table
+@toml_table
 class PayloadTable:
     """[conditions.payload]."""
 
@@ -140,7 +140,7 @@ class PayloadTable:
     reference: Annotated[float, NUMBER] = 0.0
 
 
-@table
+@toml_table
 class TorquesTable:
     """[conditions.torques]: N*m for joints that turn and N for those that slide where no units are given."""
 
@@ -148,7 +148,7 @@ class TorquesTable:
     units: Annotated[tuple[Annotated[str, _one_of(TORQUES)], ...], COLUMNS] | None = None
 
 
-@table
+@toml_table
 class ConditionsTable:
     """[conditions]."""
 
@@ -157,7 +157,7 @@ class ConditionsTable:
     torques: TorquesTable | None = None
 
 
-@table
+@toml_table
 class DescriptionFile:
     """What a column description holds: exactly one of the sections of `KINDS`."""
 

@@ -1,6 +1,6 @@
 """TOML files are read in one place: a frozen dataclass says which keys a table has, its annotations say in which units.
 
-`table` makes the dataclass. A field annotated with a `Unit` has the unit at the end of its key and is kept in SI:
+`toml_table` makes the dataclass. A field annotated with a `Unit` has the unit at the end of its key and is kept in SI:
 ``length: Annotated[float, MM.positive]`` stands in the file as ``length_mm`` and in the object in m. `read` gives the
 object or one sentence with file, line, key, table, value and what to give. Pydantic checks; the first file loads it.
 """
@@ -216,7 +216,7 @@ FILLED_IN = ("name", "source")
 
 
 @dataclass_transform(frozen_default=True)
-def table(kind: Class) -> Class:
+def toml_table(kind: Class) -> Class:
     """A frozen dataclass that a TOML table holds: its keys and no others, each that has no default."""
     made: Any = kind if "__dataclass_fields__" in vars(kind) else dataclass(frozen=True)(kind)
     made.__pydantic_config__ = {"alias_generator": lambda name: _keys(made)[name][0], "extra": "forbid"}
@@ -304,7 +304,7 @@ def _file_of(kind: Any) -> Any:
         return kind
     whole = groups.pop("", [])
     for section, members in groups.items():
-        part = table(make_dataclass(section, members, frozen=True))
+        part = toml_table(make_dataclass(section, members, frozen=True))
         optional = not any(wanted for _, wanted in _keys(part).values())
         whole.append((section, part, field(default_factory=part, kw_only=True) if optional else field(kw_only=True)))
 
@@ -318,7 +318,7 @@ def _file_of(kind: Any) -> Any:
             **own, **{name: value for section in groups for name, value in vars(getattr(found, section)).items()}
         )
 
-    return Annotated[kind, Then(flat, table(make_dataclass("File", whole, frozen=True)))]
+    return Annotated[kind, Then(flat, toml_table(make_dataclass("File", whole, frozen=True)))]
 
 
 @cache
@@ -337,7 +337,7 @@ def read(kind: type[Thing], path: str | Path, *, section: str = "", context: Any
     """The object that a TOML file holds.
 
     Args:
-        kind: A class made by `table`.
+        kind: A class made by `toml_table`.
         path: The file; its stem is the object's ``name`` where the file gives none.
         section: The table of the file that is meant; the whole file when left out.
         context: What `Then` sees.
@@ -388,7 +388,7 @@ def made(
     """The object that a file's content makes.
 
     Args:
-        kind: A class made by `table`.
+        kind: A class made by `toml_table`.
         content: The content, as `tomllib` gives it.
         where: The file, for messages.
         text: Its text, so that messages can name lines.

@@ -19,7 +19,7 @@ from pickenv.errors import InputError
 from pickenv.harvester import machine, trees, zones
 from pickenv.orchard import presets
 from pickenv.toml_faults import line_of
-from pickenv.toml_tables import DEG, MM, NUMBER, WHOLE, Key, Unit, json_schema, read, table
+from pickenv.toml_tables import DEG, MM, NUMBER, WHOLE, Key, Unit, json_schema, read, toml_table
 
 ROOT = Path(__file__).parents[1]
 WHOLE_FILES = {
@@ -35,7 +35,7 @@ WHOLE_FILES = {
 SHIPPED = [path for paths in WHOLE_FILES.values() for path in paths]
 
 
-@table
+@toml_table
 class Part:
     """A part for tests."""
 
@@ -43,7 +43,7 @@ class Part:
     angles: Annotated[tuple[float, float], DEG] = (0.0, 0.0)
 
 
-@table
+@toml_table
 class Sample:
     """A file for tests, with a section that its fields share."""
 

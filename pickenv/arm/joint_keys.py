@@ -10,7 +10,7 @@ from dataclasses import make_dataclass
 from typing import Annotated, Any, cast
 
 from pickenv.arm.files.arm import Arm
-from pickenv.toml_tables import WHOLE, Kinds, Then, Unit, fault, table
+from pickenv.toml_tables import WHOLE, Kinds, Then, Unit, fault, toml_table
 
 
 def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
@@ -68,15 +68,16 @@ class ByJoint:
         for slides, name in enumerate(("Turning", "Sliding")):
             sizes = [(size, Annotated[float, pair[slides]]) for size, pair in self.units.items()]
             members = [("joint", Annotated[int, WHOLE, Then(joint_index)]), *sizes]
-            kinds.append(table(make_dataclass(name, members, frozen=True)))
+            kinds.append(toml_table(make_dataclass(name, members, frozen=True)))
         sliding = {f"{size}_{slide.name}" for size, (turn, slide) in self.units.items() if turn.name != slide.name}
 
         def placed(found: Any, info: Any) -> Any:
             if not isinstance(found, Mapping):
                 return found
             entry, arm, number = Entry(found), arm_in(info.context), found.get("joint")
-            known = arm is not None and isinstance(number, int) and 1 <= number <= arm.nominal.joints
-            entry.slides = arm.nominal.prismatic[number - 1] if known and arm else bool(entry.keys() & sliding)
+            entry.slides = bool(entry.keys() & sliding)
+            if arm is not None and isinstance(number, int) and 1 <= number <= arm.nominal.joints:
+                entry.slides = arm.nominal.prismatic[number - 1]
             return entry
 
         union: Any = cast(Any, kinds[0]) | kinds[1]

@@ -37,7 +37,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.orchard.camera import CameraFile
     from pickenv.orchard.gripper import GripperFile
     from pickenv.study.design.config import StudyConfig
-    from pickenv.toml_tables import table
+    from pickenv.toml_tables import toml_table
 
     return {
         "arm": ArmFile,
@@ -55,6 +55,8 @@ def kinds() -> dict[str, Any]:
         "look": orchard.Look,
         "vision": orchard.StereoCamera,
         "machine": MachineFile,
-        "strategy": table(make_dataclass("Strategy", [("zones", Grid), ("search", Search), ("optimiser", Effort)])),
-        "picking": table(make_dataclass("PickingFile", [("pick", Picking), ("lab", Lab), ("trees", TreesTable)])),
+        "strategy": toml_table(
+            make_dataclass("Strategy", [("zones", Grid), ("search", Search), ("optimiser", Effort)])
+        ),
+        "picking": toml_table(make_dataclass("PickingFile", [("pick", Picking), ("lab", Lab), ("trees", TreesTable)])),
     }

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
-from pickenv.toml_tables import MM, SECONDS, WHOLE, Check, Key, Unit, read, table
+from pickenv.toml_tables import MM, SECONDS, WHOLE, Check, Key, Unit, read, toml_table
 
 SHIPPED = Path(__file__).parent / "li2016.toml"
 MOST_SLAVES = 6
@@ -27,7 +27,7 @@ ROUNDING = 1e-9
 Flags = NDArray[np.bool_]
 
 
-@table
+@toml_table
 class Body:
     """A slave arm as an obstacle: a capsule around the line from its pivot to its cup.
 
@@ -52,7 +52,7 @@ class Body:
         return 2 * self.radius + self.guard
 
 
-@table
+@toml_table
 class Cycle:
     """Times and lengths of a pick.
 
@@ -249,7 +249,7 @@ Seats = tuple[float, float, float, float, float, float]
 MM_PER_S2, DEG_PER_S2 = Unit("mm_per_s2", 1e-3).positive, Unit("deg_per_s2", np.pi / 180.0).positive
 
 
-@table
+@toml_table
 class MachineTable:
     """[machine] of a machine file; see `Machine`."""
 
@@ -262,7 +262,7 @@ class MachineTable:
     slave_home: Annotated[float, MM]
 
 
-@table
+@toml_table
 class AccelerationTable:
     """[acceleration] of a machine file: the master's turn, its two slides, a slave's two slides, its turn."""
 
@@ -272,7 +272,7 @@ class AccelerationTable:
     slave_turn: Annotated[float, DEG_PER_S2, Key("slave_deg_per_s2")]
 
 
-@table
+@toml_table
 class TrueTable:
     """[true] of a machine file; see `pickenv.harvester.true_machine.TrueMachine`."""
 
@@ -284,7 +284,7 @@ class TrueTable:
     repeatability: Annotated[float, MM.not_negative]
 
 
-@table
+@toml_table
 class MachineFile:
     """What a machine file holds."""
 

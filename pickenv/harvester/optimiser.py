@@ -14,7 +14,7 @@ from pickenv.errors import InputError
 from pickenv.harvester.assignment import hungarian_waves, lower_bound, nearest_neighbour
 from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain
 from pickenv.harvester.zones import SHIPPED
-from pickenv.toml_tables import NUMBER, read, table
+from pickenv.toml_tables import NUMBER, read, toml_table
 
 TICKS = 1000
 """CP-SAT counts whole milliseconds."""
@@ -183,7 +183,7 @@ def _ticks(seconds: float) -> int:
     return int(np.ceil(seconds * TICKS))
 
 
-@table
+@toml_table
 class Effort:
     """[optimiser] of a strategy file: rounds of the local search per fruit, and seconds of CP-SAT."""
 

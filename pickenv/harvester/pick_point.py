@@ -18,7 +18,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.zones import SHIPPED
-from pickenv.toml_tables import DEG, MM, NUMBER, WHOLE, read, table
+from pickenv.toml_tables import DEG, MM, NUMBER, WHOLE, read, toml_table
 
 METHODS = ("as_printed", "equations", "corrected", "search")
 
@@ -189,7 +189,7 @@ def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray
     return np.asarray(-gained + 0.3 * (easiest @ within) / (1.5 * len(fruit)) - 0.3 * share)
 
 
-@table
+@toml_table
 class Search:
     """[search] of a strategy file: half-widths of the first round, rad and m, its steps, and how much is kept."""
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.harvester.trees import SHIPPED
 from pickenv.orchard import Branch, Cup, coupling, load_branch, load_gripper, swing
-from pickenv.toml_tables import MM, NUMBER, SHARE, Key, Then, Unit, fault, read, table
+from pickenv.toml_tables import MM, NUMBER, SHARE, Key, Then, Unit, fault, read, toml_table
 
 Flags = NDArray[np.bool_]
 
@@ -33,7 +33,7 @@ def _cup(name: str, _context: Any) -> Cup:
     return cup
 
 
-@table
+@toml_table
 class Picking:
     """The picking model; see picking.toml.
 

@@ -27,7 +27,7 @@ from pickenv.orchard import (
     load_fruit_size,
     sample_fruit,
 )
-from pickenv.toml_tables import MM, NUMBER, WHOLE, read, table
+from pickenv.toml_tables import MM, NUMBER, WHOLE, read, toml_table
 
 SHIPPED = Path(__file__).parent / "picking.toml"
 TRIES = 1000
@@ -62,7 +62,7 @@ class Orchard:
     size: FruitSize
 
 
-@table
+@toml_table
 class TreesTable:
     """[trees] of a picking file: presets of `pickenv.orchard`, and fruit per metre of row."""
 
@@ -72,7 +72,7 @@ class TreesTable:
     per_metre: Annotated[float, NUMBER.not_negative]
 
 
-@table
+@toml_table
 class Lab:
     """[lab] of a picking file: images, fruit in each, size of the image and least distance of fruit, m."""
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
-from pickenv.toml_tables import MM, WHOLE, read, table
+from pickenv.toml_tables import MM, WHOLE, read, toml_table
 
 SHIPPED = Path(__file__).parent / "strategy.toml"
 
@@ -44,7 +44,7 @@ class Zone:
         return np.asarray((x >= self.left) & (x <= self.right) & (z >= self.bottom) & (z <= self.top))
 
 
-@table
+@toml_table
 class Grid:
     """How a tree's side is cut.
 

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array
-from pickenv.toml_tables import KG, NUMBER, Unit, table
+from pickenv.toml_tables import KG, NUMBER, Unit, toml_table
 
 GRAVITY = 9.80665  # m/s², standard
 
 
-@table
+@toml_table
 class Branch:
     """What fruit hangs from.
 

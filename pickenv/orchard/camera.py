@@ -19,13 +19,13 @@ from pickenv.errors import InputError
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.detections import Detections
-from pickenv.toml_tables import LX, NUMBER, PX, REQUIRED, SHARE, WHOLE_PX, Kinds, Unit, table
+from pickenv.toml_tables import LX, NUMBER, PX, REQUIRED, SHARE, WHOLE_PX, Kinds, Unit, toml_table
 
 DRAWS = 5  # normal numbers per measurement: three of noise, two for the side from which leaves hide the fruit
 SUNLIGHT = 100_000.0  # lx, a clear day
 
 
-@table
+@toml_table
 class Camera:
     """A camera as an error model.
 
@@ -86,7 +86,7 @@ class Camera:
             raise InputError(f"found_above {name} is {self.found_above}; give at least lost_below, {self.lost_below}")
 
 
-@table
+@toml_table
 class PairedCamera(Camera):
     """A camera of a file that gives its base line and disparity noise: its depth noise follows from them.
 

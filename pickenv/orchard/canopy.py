@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 from pickenv.errors import InputError
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array, Flags
-from pickenv.toml_tables import DEG, NUMBER, SHARE, table
+from pickenv.toml_tables import DEG, NUMBER, SHARE, toml_table
 
 ROUNDING = 1e-9  # m
 
 
-@table
+@toml_table
 class Canopy:
     """The slab of foliage that one machine stop sees; foliage goes on along the row, fruit is wanted in ``width``.
 

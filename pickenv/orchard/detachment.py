@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike
 
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array, Flags
-from pickenv.toml_tables import NEWTON, NEWTON_METRE, NUMBER, table
+from pickenv.toml_tables import NEWTON, NEWTON_METRE, NUMBER, toml_table
 
 QUANTILE_95 = 1.6448536269514722  # of the standard normal
 
 
-@table
+@toml_table
 class Detachment:
     """Distribution of what holds the fruit.
 

@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 from pickenv.errors import InputError
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array, Integers
-from pickenv.toml_tables import NUMBER, REQUIRED, WHOLE, Unit, table
+from pickenv.toml_tables import NUMBER, REQUIRED, WHOLE, Unit, toml_table
 
 NEARLY_POISSON = 1.0 + 1e-9
 
 
-@table
+@toml_table
 class FruitMap:
     """A model of apples per block along a row of trees.
 
@@ -201,7 +201,7 @@ def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, s
     return np.asarray(clusters * fruit_map.cluster_size, dtype=np.int64)
 
 
-@table
+@toml_table
 class FruitSize:
     """Diameters, normal and cut at both ends, and the density that turns them into masses.
 

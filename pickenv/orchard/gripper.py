@@ -16,12 +16,12 @@ from numpy.typing import ArrayLike
 
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array, Flags
-from pickenv.toml_tables import DEG, NUMBER, REQUIRED, Check, Kinds, Unit, table
+from pickenv.toml_tables import DEG, NUMBER, REQUIRED, Check, Kinds, Unit, toml_table
 
 KIND = Check(lambda value: value in ("cup", "hand"), "'cup' or 'hand'")
 
 
-@table
+@toml_table
 class Cup:
     """A rigid cup: it takes the fruit if every misalignment stays within its tolerance.
 
@@ -52,7 +52,7 @@ class Cup:
         return (self.opening - self.fruit) / 2
 
 
-@table
+@toml_table
 class CompliantHand:
     """A hand with soft fingers: logit of success = intercept − lateral·|x| − axial·|z| − angle·|φ|.
 

@@ -17,7 +17,7 @@ from pickenv.errors import InputError
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array, Integers
 from pickenv.orchard.stereo import StereoCamera, project
-from pickenv.toml_tables import NUMBER, SHARE, Unit, table
+from pickenv.toml_tables import NUMBER, SHARE, Unit, toml_table
 
 BACKGROUND, LEAF = -1, -2
 SHARPNESS = 12  # exponent of the sun's reflection (Phong); 12 is a waxy skin
@@ -27,7 +27,7 @@ PATCH = 16  # px, patches of light and dark behind the trees
 Triple = tuple[float, float, float]
 
 
-@table
+@toml_table
 class Look:
     """Colours and light; colours are red, green, blue from 0 to 255.
 

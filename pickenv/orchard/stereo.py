@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from pickenv.errors import InputError
 from pickenv.orchard import checks, presets
 from pickenv.orchard.checks import MM, Array
-from pickenv.toml_tables import PX, SHARE, WHOLE, WHOLE_PX, table
+from pickenv.toml_tables import PX, SHARE, WHOLE, WHOLE_PX, toml_table
 
 
-@table
+@toml_table
 class StereoCamera:
     """Two parallel cameras.
 

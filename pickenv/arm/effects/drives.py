@@ -10,7 +10,7 @@ from typing import Annotated
 from pickenv.arm.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, nearest_whole
 from pickenv.arm.kinematics.forward import Scalar
-from pickenv.toml_tables import MILLISECONDS, table
+from pickenv.toml_tables import MILLISECONDS, toml_table
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Encoder:
     resolution: tuple[Scalar, ...]
 
 
-@table
+@toml_table
 class Servo:
     """Position loops that follow with an error proportional to speed: x' = (command - x) / time constant.
 

@@ -13,10 +13,10 @@ from typing import Annotated
 from pickenv.arm.effects.structure import GRAVITY, Load, turn_horizontally
 from pickenv.arm.kinematics.backend import exponential
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, attach
-from pickenv.toml_tables import HOURS, MM, NUMBER, Unit, table
+from pickenv.toml_tables import HOURS, MM, NUMBER, Unit, toml_table
 
 
-@table
+@toml_table
 class BaseTilt:
     """Tilt and sinkage of the machine that carries the arm.
 

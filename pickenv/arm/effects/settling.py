@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple
 from pickenv.arm.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, namespace_of
 from pickenv.arm.kinematics.forward import Scalar
-from pickenv.toml_tables import MILLISECONDS, NUMBER, Check, Unit, table
+from pickenv.toml_tables import MILLISECONDS, NUMBER, Check, Unit, toml_table
 
 TWO_PI = 6.283185307179586
 
@@ -24,7 +24,7 @@ BELOW_ONE = Check(
 )
 
 
-@table
+@toml_table
 class Settling:
     """Vibration of the structure behind each joint.
 

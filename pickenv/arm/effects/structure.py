@@ -13,13 +13,13 @@ from typing import Annotated, Any
 
 from pickenv.arm.joint_keys import BOOM, PER_JOINT, ByJoint
 from pickenv.arm.kinematics.forward import Chain, Flexure, Frame, Scalar, attach
-from pickenv.toml_tables import ARCMIN, DEG, KG, KG_PER_M, MM, NUMBER, WHOLE, Then, Unit, table
+from pickenv.toml_tables import ARCMIN, DEG, KG, KG_PER_M, MM, NUMBER, WHOLE, Then, Unit, toml_table
 
 GRAVITY = 9.80665
 """Standard acceleration of gravity, m/s^2 (ISO 80000-3)."""
 
 
-@table
+@toml_table
 class Load:
     """Masses that gravity pulls at.
 
@@ -34,7 +34,7 @@ class Load:
     payload: Annotated[Scalar, KG.not_negative] = 0.0
 
 
-@table
+@toml_table
 class JointCompliance:
     """Each joint yields under its gravity torque or force: dq = tau / k.
 
@@ -45,7 +45,7 @@ class JointCompliance:
     stiffness: Annotated[tuple[Scalar, ...], NUMBER.positive, PER_JOINT]
 
 
-@table
+@toml_table
 class BoomBending:
     """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
 
@@ -64,7 +64,7 @@ class BoomBending:
     mass_per_length: Annotated[Scalar, KG_PER_M.not_negative]
 
 
-@table
+@toml_table
 class RollerPlay:
     """A telescopic boom tips in its rollers: angle = clearance / overlap, and the overlap shrinks as the boom runs out.
 
@@ -103,7 +103,7 @@ HARMONICS = ByJoint(
 )
 
 
-@table
+@toml_table
 class TransmissionError:
     """Drives that do not deliver what the motor side shows: a lead error and periodic terms.
 

@@ -12,10 +12,10 @@ from typing import Annotated
 from pickenv.arm.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential
 from pickenv.arm.kinematics.forward import Chain, Scalar
-from pickenv.toml_tables import HOURS, KELVIN, Unit, table
+from pickenv.toml_tables import HOURS, KELVIN, Unit, toml_table
 
 
-@table
+@toml_table
 class ThermalGrowth:
     """Growth of each link with the arm's temperature.
 

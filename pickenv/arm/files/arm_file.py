@@ -17,7 +17,7 @@ from pickenv.arm.files.arm import MOST_RATIO, Arm
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, from_standard_dh
 from pickenv.arm.kinematics.pose_error import rotation_matrix
 from pickenv.errors import InputError
-from pickenv.toml_tables import DEG, DEG_PER_S, LINE, MM, MM_PER_S, WHOLE, Check, Kinds, Unit, read, table
+from pickenv.toml_tables import DEG, DEG_PER_S, LINE, MM, MM_PER_S, WHOLE, Check, Kinds, Unit, read, toml_table
 
 ARMS = Path(__file__).parent / "arms"
 
@@ -26,8 +26,8 @@ Type = Check(lambda value: value in ("R", "P"), "'R' (revolute) or 'P' (prismati
 Vector = tuple[float, float, float]
 
 
-@table
-class Link:
+@toml_table
+class JointTable:
     """One of the [[joints]], whatever moves it."""
 
     _: KW_ONLY
@@ -45,8 +45,8 @@ class Link:
     true_d: Annotated[float, MM] | None = None
 
 
-@table
-class Revolute(Link):
+@toml_table
+class Revolute(JointTable):
     """A link that its own joint turns."""
 
     _: KW_ONLY
@@ -56,8 +56,8 @@ class Revolute(Link):
     speed: Annotated[float, DEG_PER_S.positive]
 
 
-@table
-class Prismatic(Link):
+@toml_table
+class Prismatic(JointTable):
     """A link that its own joint slides."""
 
     _: KW_ONLY
@@ -67,8 +67,8 @@ class Prismatic(Link):
     speed: Annotated[float, MM_PER_S.positive]
 
 
-@table
-class Follower(Link):
+@toml_table
+class Follower(JointTable):
     """A link that another link's joint moves."""
 
     _: KW_ONLY
@@ -76,15 +76,15 @@ class Follower(Link):
     follows: Annotated[int, WHOLE]
 
 
-def _kind(joint: Mapping[str, Any]) -> type[Link]:
+def _kind(joint: Mapping[str, Any]) -> type[JointTable]:
     if "follows" in joint:
         return Follower
     slides = joint.get("type") == "P" or (joint.get("type") != "R" and "lower_mm" in joint)
     return Prismatic if slides else Revolute
 
 
-@table
-class Placement:
+@toml_table
+class PoseTable:
     """[base] or [tool]."""
 
     position: Annotated[Vector, MM] = (0.0, 0.0, 0.0)
@@ -95,7 +95,7 @@ class Placement:
         return Pose(np.array(self.position), rotation_matrix(np.array(self.rotation_vector)))
 
 
-@table
+@toml_table
 class ArmFile:
     """What an arm file holds; see `pickenv.arm.files.arm.Arm`."""
 
@@ -107,8 +107,8 @@ class ArmFile:
     name: Annotated[str, LINE] = ""
     source: Annotated[str, LINE] = ""
     convention: Literal["modified", "standard"] = "modified"
-    base: Placement = Placement()
-    tool: Placement = Placement()
+    base: PoseTable = PoseTable()
+    tool: PoseTable = PoseTable()
 
     def __post_init__(self) -> None:
         numbers = [joint.number for joint in self.joints]

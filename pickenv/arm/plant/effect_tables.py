@@ -11,12 +11,12 @@ from pickenv.arm.effects.drives import Encoder
 from pickenv.arm.effects.hysteresis import Backlash, StickBand
 from pickenv.arm.joint_keys import ByJoint, arm_in
 from pickenv.errors import InputError
-from pickenv.toml_tables import ARCMIN, ARCSEC, MM, NEWTON, NEWTON_METRE, NUMBER, UM, Then, table
+from pickenv.toml_tables import ARCMIN, ARCSEC, MM, NEWTON, NEWTON_METRE, NUMBER, UM, Then, toml_table
 
 TRAVEL = (ARCMIN.not_negative, MM.not_negative)
 
 
-@table
+@toml_table
 class BacklashTable:
     """Gaps; joints left out have none."""
 
@@ -25,7 +25,7 @@ class BacklashTable:
     ] = ()
 
 
-@table
+@toml_table
 class StickBandTable:
     """Friction bands; joints left out have none."""
 
@@ -33,7 +33,7 @@ class StickBandTable:
     scatter: Annotated[float, NUMBER.not_negative] = 0.0
 
 
-@table
+@toml_table
 class EncoderTable:
     """Counts; every joint has an encoder."""
 

@@ -39,7 +39,7 @@ from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant import dynamics
 from pickenv.arm.plant.dynamics import PlantState
-from pickenv.toml_tables import DEG, MM, table
+from pickenv.toml_tables import DEG, MM, toml_table
 
 EFFECTS = (
     "joint_compliance",
@@ -59,7 +59,7 @@ WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling
 BEYOND_BASIC = ("roller_play", "encoder", *WITH_STATE)
 
 
-@table
+@toml_table
 class MeasurementNoise:
     """Normal noise of the measuring instrument, per axis: position in m, attitude in rad."""
 

@@ -13,7 +13,7 @@ from pickenv.arm.plant.effect_tables import BY_JOINT
 from pickenv.arm.plant.plant import EFFECTS, Plant
 from pickenv.errors import InputError
 from pickenv.texts import is_file, shortened
-from pickenv.toml_tables import LINE, Check, Then, read, table
+from pickenv.toml_tables import LINE, Check, Then, read, toml_table
 
 PLANTS = Path(__file__).parent / "plants"
 
@@ -31,7 +31,7 @@ def _arm(name: Any, context: Any) -> Arm:
     return arm
 
 
-PlantFile: Any = table(
+PlantFile: Any = toml_table(
     make_dataclass(
         "PlantFile",
         [

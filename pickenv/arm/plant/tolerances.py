@@ -23,7 +23,7 @@ from pickenv.arm.effects.thermal import ThermalGrowth
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.errors import InputError
-from pickenv.toml_tables import DEG, KELVIN, MM, NUMBER, WHOLE, Key, Then, fault, read, table
+from pickenv.toml_tables import DEG, KELVIN, MM, NUMBER, WHOLE, Key, Then, fault, read, toml_table
 
 TOLERANCES = Path(__file__).parent / "tolerance_classes"
 
@@ -39,8 +39,8 @@ GRADE = WHOLE.within(min(GRADES), max(GRADES))
 LogSize = Annotated[float, NUMBER.not_negative]
 
 
-@table
-class Spread:
+@toml_table
+class SpreadTable:
     """[spread] of a tolerance file: the standard deviation of the logarithm of each size, 0 where it is left out."""
 
     joint_stiffness: LogSize = 0.0
@@ -56,7 +56,7 @@ class Spread:
     damping: LogSize = 0.0
 
 
-SPREADS = tuple(field.name for field in fields(Spread))
+SPREADS = tuple(field.name for field in fields(SpreadTable))
 
 
 def _sizes(found: Any, _context: Any) -> dict[str, float]:
@@ -69,7 +69,7 @@ def _range(rise: Any, _context: Any) -> Any:
     return rise
 
 
-@table
+@toml_table
 class Tolerances:
     """How far arms of one design may lie from each other; a tolerance file says it in sections.
 
@@ -89,7 +89,7 @@ class Tolerances:
     least_length: Annotated[float, MM.positive, Key(section="lengths")]
     angle: Annotated[float, DEG.not_negative, Key("half_width_deg", "angles")]
     distribution: Annotated[Literal["uniform", "normal"], Key(section="lengths")]
-    spread: Annotated[dict[str, float], Then(_sizes, Spread)]
+    spread: Annotated[dict[str, float], Then(_sizes, SpreadTable)]
     temperature_rise: Annotated[tuple[float, float], KELVIN, Then(_range), Key("rise_K", "temperature")]
 
 

@@ -20,7 +20,7 @@ from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
 from pickenv.calibration.residuals.residual_models import FITTERS
 from pickenv.errors import InputError
 from pickenv.limits import LIMITS
-from pickenv.toml_tables import ONCE, SHARE, WHOLE, Check, Key, Unit, made, table, toml_of
+from pickenv.toml_tables import ONCE, SHARE, WHOLE, Check, Key, Unit, made, toml_of, toml_table
 
 VERSION = 1
 """Raised whenever the same configuration gives other rows, so that old results are not mixed with new ones."""
@@ -30,7 +30,7 @@ METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in FITTERS))
 """No calibration; least squares; least squares and a learnt residual of that kind."""
 
 
-@table
+@toml_table
 class Noise:
     """Standard deviation of the tracker, per axis.
 
@@ -78,7 +78,7 @@ IN_PICKING, IN_CALIBRATION = Key(section="picking"), Key(section="calibration")
 PAYLOAD, RADIUS = Unit("kg").within(*LIMITS["payload_kg"]), Unit("mm").within(*LIMITS["radius_mm"]).positive
 
 
-@table
+@toml_table
 class StudyConfig:
     """A study; `load_study` reads it.
 

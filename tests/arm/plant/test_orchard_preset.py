@@ -222,7 +222,7 @@ MISTAKES = {
     "backlash in the wrong unit": (
         "width_mm = 0.10",
         "width_arcmin = 0.10",
-        ["'width_arcmin'", "perhaps width_mm is meant"],
+        ["perhaps width_mm is meant"],
     ),
     "preload missing": (", preload_N_m = 4.0", "", ["preload_N_m", "missing"]),
     "joint named twice": ("joint = 2, width_mm", "joint = 3, width_mm", ["joint", "each joint once"]),
