@@ -35,7 +35,7 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
     Args:
         kind: Name of the file beside this module, such as "camera"; also the word in error messages.
         name: A shipped preset, or a path that ends in .toml whose keys are those of one preset.
-        thing: The class that the table makes, marked with `pickenv.toml_tables.toml_table`, or what tells it from the table.
+        thing: The class that the table makes (`pickenv.toml_tables.toml_table`), or what tells it from the table.
 
     Raises:
         InputError: If the preset is unknown or a number is missing or impossible; names the file and the key.
