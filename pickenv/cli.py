@@ -15,6 +15,7 @@ from pickenv.commands import corrections, inspection, learning, plants, reports
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
 from pickenv.commands.guard import INTERRUPTED, guarded
+from pickenv.commands.schema import schema
 from pickenv.commands.studies import study
 
 app = typer.Typer(
@@ -141,6 +142,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         study,
     ),
     "Look at what came out": (inspection.inspect, reports.figures, reports.report),
+    "Write files": (schema,),
 }
 """Commands by what they are for, in the order in which `pickenv --help` shows them."""
 

@@ -29,6 +29,8 @@ GROUND = (
     "pickenv.reservations",
     "pickenv.texts",
     "pickenv.threads",
+    "pickenv.toml_faults",
+    "pickenv.toml_tables",
 )
 # Floors from the ground up; each floor is a list of rooms, each room the module prefixes it consists of.
 FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
@@ -64,7 +66,7 @@ UPWARDS = {("pickenv.calibration.pipeline.result", "pickenv.inspect.reports.cali
 HEAVY = (
     *("torch", "stable_baselines3", "sb3_contrib", "rerun", "matplotlib", "plotly", "PIL", "skimage", "sklearn"),
     *("pyarrow", "pandas", "ray", "grpc", "joblib", "ortools", "onnx", "onnxruntime", "tensorboard", "pettingzoo"),
-    *("mujoco", "typer", "rich", "yaml", "tqdm"),
+    *("mujoco", "typer", "rich", "yaml", "tqdm", "pydantic"),
 )
 DOORS = {"pickenv": 500, "pickenv.arm": 1300, "pickenv.calibration": 1300}
 """Where to enter, and how many modules at most come along: about a third more than do (315, 923 and 952)."""

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Geometry
-from pickenv.arm.files.arm_file import TO_SI
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements
@@ -43,6 +42,7 @@ from pickenv.calibration.reading.row_checks import (
     refuse_repeated_joints,
 )
 from pickenv.errors import InputError
+from pickenv.toml_tables import TO_SI
 
 __all__ = [
     "CONVENTIONS",

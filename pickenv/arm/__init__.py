@@ -1,6 +1,7 @@
 """Arms: geometry, kinematics, Jacobians, rank-aware inverse, and the plant (what the true arm does with a command)."""
 
-from pickenv.arm.files.arm_file import Arm, load_arm, shipped_arms
+from pickenv.arm.files.arm import Arm
+from pickenv.arm.files.load import load_arm, shipped_arms
 from pickenv.arm.kinematics.forward import forward, forward_torch
 from pickenv.arm.kinematics.geometry import Geometry, Pose, from_standard_dh
 from pickenv.arm.kinematics.inverse import InverseSolution, inverse

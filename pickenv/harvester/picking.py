@@ -9,35 +9,31 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.files.arm_file import read_toml
-from pickenv.arm.files.tables import Table
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
 from pickenv.harvester.trees import SHIPPED
 from pickenv.orchard import Branch, Cup, coupling, load_branch, load_gripper, swing
+from pickenv.toml_tables import MM, NUMBER, SHARE, Key, Then, Unit, fault, read, toml_table
 
 Flags = NDArray[np.bool_]
-KEYS = (
-    "gripper",
-    "branch",
-    "gather_mm",
-    "localisation_mm",
-    "visibility",
-    "cup_outer_mm",
-    "cluster_success",
-    "cut_success",
-    "undamaged",
-    "push_mm",
-    "push_spread",
-    "lasting",
-)
 
 
-@dataclass(frozen=True)
+def _branch(name: str, _context: Any) -> Branch:
+    return load_branch(name)
+
+
+def _cup(name: str, _context: Any) -> Cup:
+    cup = load_gripper(name)
+    if not isinstance(cup, Cup):
+        raise fault("a cup: the harvester's end-effector closes around fruit from below")
+    return cup
+
+
+@toml_table
 class Picking:
     """The picking model; see picking.toml.
 
@@ -56,18 +52,18 @@ class Picking:
         lasting: Share of a push that stays.
     """
 
-    cup: Cup
-    branch: Branch
-    gather: float
-    localisation: tuple[float, float, float]
-    visibility: float
-    outer: float
-    cluster_success: float
-    cut_success: float
-    undamaged: float
-    push: float
-    push_spread: float
-    lasting: float
+    cup: Annotated[Cup, Key("gripper"), Then(_cup, str)]
+    branch: Annotated[Branch, Then(_branch, str)]
+    gather: Annotated[float, MM.positive]
+    localisation: Annotated[tuple[float, float, float], MM.not_negative]
+    visibility: Annotated[float, SHARE]
+    outer: Annotated[float, Key("cup_outer_mm"), Unit("mm", 0.5e-3, most=MM.most).positive]
+    cluster_success: Annotated[float, SHARE]
+    cut_success: Annotated[float, SHARE]
+    undamaged: Annotated[float, SHARE]
+    push: Annotated[float, MM.not_negative]
+    push_spread: Annotated[float, NUMBER.not_negative]
+    lasting: Annotated[float, SHARE]
 
 
 @lru_cache(maxsize=4)
@@ -77,26 +73,7 @@ def load_picking(path: str | Path = SHIPPED) -> Picking:
     Raises:
         InputError: If a number is impossible or the gripper is not a cup.
     """
-    table = Table(read_toml(Path(path)).get("pick"), "pick", str(path), KEYS)
-    cup = load_gripper(str(table.table.get("gripper")))
-    if not isinstance(cup, Cup):
-        raise table.fail("gripper", "a cup: the harvester's end-effector closes around fruit from below")
-    shares = {}
-    for key in ("visibility", "cluster_success", "cut_success", "undamaged", "lasting"):
-        shares[key] = table.number(key)
-        if shares[key] > 1:
-            raise InputError(f"{path}: {key} of [pick] is {shares[key]}; give a share from 0 to 1")
-    x, y, z = (value * 1e-3 for value in table.numbers("localisation_mm", 3))
-    return Picking(
-        cup=cup,
-        branch=load_branch(str(table.table.get("branch"))),
-        gather=table.number("gather_mm", positive=True) * 1e-3,
-        localisation=(x, y, z),
-        outer=table.number("cup_outer_mm", positive=True) * 0.5e-3,
-        push=table.number("push_mm") * 1e-3,
-        push_spread=table.number("push_spread"),
-        **shares,
-    )
+    return read(Picking, path, section="pick")
 
 
 @dataclass(frozen=True, eq=False)

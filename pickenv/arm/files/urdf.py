@@ -22,13 +22,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm.files.arm_file import MOST_RATIO, Arm
-from pickenv.arm.files.plausible import LARGEST
+from pickenv.arm.files.arm import MOST_RATIO, Arm
 from pickenv.arm.kinematics.axes import PARALLEL, geometry_from_axes
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.texts import decimal_number, parsed, read_text, shortened
+from pickenv.toml_tables import M_PER_S, RAD, RAD_PER_S, M
 
 MOVING = {"revolute": False, "continuous": False, "prismatic": True}
 ROD_RADIUS, SHORTEST_ROD = 0.015, 0.02
@@ -219,10 +219,11 @@ def _limits(joint: Element, path: Path) -> tuple[float, float, float]:
             f"{path}: {kind} joint {_name(joint)} has no <limit>; give lower and upper in {unit}, and velocity"
         )
     attributes = {} if limit is None else limit.attrib
+    most, fastest = (M.most, M_PER_S.most) if unit == "m" else (RAD.most, RAD_PER_S.most)
     lower, upper = -np.pi, np.pi
     if kind != "continuous":
         lower, upper = (
-            _number(attributes.get(key, "0"), f"{key} limit of joint {_name(joint)}", LARGEST[unit], path)
+            _number(attributes.get(key, "0"), f"{key} limit of joint {_name(joint)}", most, path)
             for key in ("lower", "upper")
         )
         if lower >= upper:
@@ -230,9 +231,7 @@ def _limits(joint: Element, path: Path) -> tuple[float, float, float]:
                 f"{path}: joint {_name(joint)} has a lower limit of {lower:g} {unit}, not below its upper limit of "
                 f"{upper:g} {unit}; correct them"
             )
-    speed = _number(
-        attributes.get("velocity", "1"), f"velocity limit of joint {_name(joint)}", LARGEST[f"{unit}_per_s"], path
-    )
+    speed = _number(attributes.get("velocity", "1"), f"velocity limit of joint {_name(joint)}", fastest, path)
     if speed <= 0:
         raise InputError(
             f"{path}: the velocity limit of joint {_name(joint)} is {speed:g}; give the joint's largest speed in "
@@ -307,7 +306,7 @@ def _numbers(element: Element | None, key: str, path: Path) -> Array:
     values = np.array([np.nan if part is None else part for part in parts])
     if values.shape != (3,) or not np.isfinite(values).all():
         raise InputError(f"{path}: '{shortened(text)}' is not three numbers ({key})")
-    most = LARGEST["rad" if key == "rpy" else "m"]
+    most = (RAD if key == "rpy" else M).most
     if np.abs(values).max() > most:
         raise InputError(f"{path}: {key} '{shortened(text)}' has a number above {most:g}, which no arm has")
     return values

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,7 +41,7 @@ from pickenv.arm.effects.structure import (
     yielded_joints,
 )
 from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain, grown_joints, warmed
-from pickenv.arm.files.arm_file import Arm
+from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import (
     Chain,
     Flexure,
@@ -56,6 +56,7 @@ from pickenv.arm.kinematics.forward import (
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant.dynamics import Components, PlantState
+from pickenv.toml_tables import DEG, MM, toml_table
 
 EFFECTS = (
     "joint_compliance",
@@ -74,12 +75,12 @@ EFFECTS = (
 WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling", "servo")
 
 
-@dataclass(frozen=True)
+@toml_table
 class MeasurementNoise:
     """Normal noise of the measuring instrument, per axis: position in m, attitude in rad."""
 
-    position_std: float
-    attitude_std: float
+    position_std: Annotated[float, MM.not_negative]
+    attitude_std: Annotated[float, DEG.not_negative]
 
 
 def placed_chain(chain: Chain, place: Callable[[Array], Scalar]) -> Chain:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from scipy.special import ndtri
@@ -20,11 +20,10 @@ from pickenv.arm.effects.hysteresis import Backlash, StickBand
 from pickenv.arm.effects.settling import Settling
 from pickenv.arm.effects.structure import BoomBending, JointCompliance, RollerPlay, TransmissionError
 from pickenv.arm.effects.thermal import ThermalGrowth
-from pickenv.arm.files.arm_file import read_toml, refuse_unknown
-from pickenv.arm.files.tables import Table
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.errors import InputError
+from pickenv.toml_tables import DEG, KELVIN, MM, NUMBER, WHOLE, Key, Then, fault, read, toml_table
 
 TOLERANCES = Path(__file__).parent / "tolerance_classes"
 
@@ -36,25 +35,43 @@ Effect = TypeVar("Effect")
 LARGEST_DAMPING = 0.5
 """No structure is damped more; a draw from a wide spread stops here."""
 
-DISTRIBUTIONS = ("uniform", "normal")
-SPREADS = (
-    "joint_stiffness",
-    "flexural_rigidity",
-    "transmission_error",
-    "roller_clearance",
-    "backlash",
-    "friction",
-    "warm_up_time",
-    "ground_stiffness",
-    "sinkage",
-    "frequency",
-    "damping",
-)
+GRADE = WHOLE.within(min(GRADES), max(GRADES))
+LogSize = Annotated[float, NUMBER.not_negative]
 
 
-@dataclass(frozen=True)
+@toml_table
+class SpreadTable:
+    """[spread] of a tolerance file: the standard deviation of the logarithm of each size, 0 where it is left out."""
+
+    joint_stiffness: LogSize = 0.0
+    flexural_rigidity: LogSize = 0.0
+    transmission_error: LogSize = 0.0
+    roller_clearance: LogSize = 0.0
+    backlash: LogSize = 0.0
+    friction: LogSize = 0.0
+    warm_up_time: LogSize = 0.0
+    ground_stiffness: LogSize = 0.0
+    sinkage: LogSize = 0.0
+    frequency: LogSize = 0.0
+    damping: LogSize = 0.0
+
+
+SPREADS = tuple(field.name for field in fields(SpreadTable))
+
+
+def _sizes(found: Any, _context: Any) -> dict[str, float]:
+    return asdict(found)
+
+
+def _range(rise: Any, _context: Any) -> Any:
+    if rise[0] > rise[1]:
+        raise fault("the lower number first")
+    return rise
+
+
+@toml_table
 class Tolerances:
-    """How far arms of one design may lie from each other.
+    """How far arms of one design may lie from each other; a tolerance file says it in sections.
 
     Attributes:
         name: Name of the class.
@@ -68,12 +85,12 @@ class Tolerances:
     """
 
     name: str
-    it_grade: int
-    least_length: float
-    angle: float
-    distribution: str
-    spread: dict[str, float]
-    temperature_rise: tuple[float, float]
+    it_grade: Annotated[int, GRADE, Key(section="lengths")]
+    least_length: Annotated[float, MM.positive, Key(section="lengths")]
+    angle: Annotated[float, DEG.not_negative, Key("half_width_deg", "angles")]
+    distribution: Annotated[Literal["uniform", "normal"], Key(section="lengths")]
+    spread: Annotated[dict[str, float], Then(_sizes, SpreadTable)]
+    temperature_rise: Annotated[tuple[float, float], KELVIN, Then(_range), Key("rise_K", "temperature")]
 
 
 def it_tolerance(grade: int, length: Array | float) -> Array:
@@ -102,27 +119,7 @@ def load_tolerances(name: str | Path) -> Tolerances:
         raise InputError(
             f"unknown tolerance class '{name}'; give one of {shipped_tolerances()} or a path to a file (.toml)"
         )
-    content, where = read_toml(path), str(path)
-    refuse_unknown(content, ("name", "source", "lengths", "angles", "spread", "temperature"), where, "a tolerance file")
-    lengths = Table(content.get("lengths", {}), "lengths", where, ("it_grade", "least_length_mm", "distribution"))
-    grade = lengths.number("it_grade")
-    if grade not in GRADES:
-        raise lengths.fail("it_grade", f"a whole number from {min(GRADES)} to {max(GRADES)}")
-    angles = Table(content.get("angles", {}), "angles", where, ("half_width_deg",))
-    spread = Table(content.get("spread", {}), "spread", where, SPREADS)
-    temperature = Table(content.get("temperature", {}), "temperature", where, ("rise_K",))
-    low, high = temperature.numbers("rise_K", 2, signed=True)
-    if low > high:
-        raise temperature.fail("rise_K", "the lower number first")
-    return Tolerances(
-        name=str(content.get("name", path.stem)),
-        it_grade=int(grade),
-        least_length=lengths.number("least_length_mm", positive=True) * 1e-3,
-        angle=math.radians(angles.number("half_width_deg")),
-        distribution=lengths.choice("distribution", DISTRIBUTIONS, "uniform"),
-        spread={key: spread.number(key, default=0.0) for key in SPREADS},
-        temperature_rise=(low, high),
-    )
+    return read(Tolerances, path)
 
 
 def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import load_arm, load_plant
-from pickenv.arm.files.arm_file import Arm
+from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import Chain, chain_of, frames
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.arm.plant.plant import Plant
