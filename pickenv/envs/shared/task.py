@@ -130,8 +130,10 @@ class Task:
         """Number of an arm of the population.
 
         Raises:
-            InputError: If there is no such arm.
+            InputError: If there is no such arm, or no population.
         """
+        if self.arms == "fixed":
+            raise InputError("option arm needs a population; make the environment with arms='per_episode'")
         size = plant_count(self.plant) or 1
         if not isinstance(number, int | np.integer) or not 0 <= number < size:
             raise InputError(f"arm is {number!r}; the population has arms 0 to {size - 1}")
