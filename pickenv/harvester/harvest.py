@@ -19,7 +19,7 @@ from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.joint_motion import master_time, profile, travel_time
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.pick_point import pick_point
-from pickenv.harvester.picking import Outcome, Picking, attempt
+from pickenv.harvester.picking import Outcome, Picking, attempt, displacements, draw_luck
 from pickenv.harvester.trees import Tree
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
@@ -270,17 +270,10 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     hanging = ~state.detached
     hanging[numbers] = False
     fruit, diameters, masses = tree.fruit[numbers], tree.diameters[numbers], tree.masses[numbers]
-    sorted_outcome = attempt(
-        model,
-        tips[order],
-        fruit[order],
-        diameters[order],
-        masses[order],
-        entry[order],
-        tree.fruit[hanging],
-        rng,
-    )
-    outcome = _reordered(sorted_outcome, np.argsort(order))
+    luck = draw_luck(rng, len(order))
+    moved = displacements(model, fruit[order], masses[order], entry[order], luck)
+    done = attempt(model, tips[order], fruit[order], moved, diameters[order], tree.fruit[hanging], luck)
+    outcome = _reordered(done, np.argsort(order))
     aimed = task.work.joints[arm, local]
     state.repicks += int(state.attempted[numbers].sum())
     state.attempted[numbers] = True
