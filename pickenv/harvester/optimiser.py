@@ -13,7 +13,7 @@ import numpy as np
 from pickenv.arm.files.arm_file import read_toml
 from pickenv.arm.files.tables import Table
 from pickenv.errors import InputError
-from pickenv.harvester.assignment import hungarian_waves, lower_bound, nearest_neighbour
+from pickenv.harvester.rules import hungarian_waves, lower_bound, nearest_neighbour
 from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain
 from pickenv.harvester.zones import SHIPPED
 
