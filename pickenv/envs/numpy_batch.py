@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plants_on
-from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Outcome, Rows, Words
-from pickenv.envs.shared.backends import NUMPY, Scalar
+from pickenv.envs.shared.backends import NUMPY
 from pickenv.envs.shared.exact import exact_plant
 from pickenv.envs.shared.simulation import flat_observation, goal_observation, goal_reward, look, move, true_reward
 from pickenv.envs.shared.task import CONTROL_PERIOD, Task, as_numbers
@@ -40,35 +39,6 @@ class NumpyBatch(Batch):
         self._blocks = [slice(a, b) for a, b in self.blocks(count)]
         self._plants = [self.plant_of(block) for block in self._blocks]
         self.remember()
-
-    def numbers(self, values: Array) -> Array:
-        """Components next to each other."""
-        return np.ascontiguousarray(values)
-
-    def words(self, words: Words) -> Words:
-        """The words themselves."""
-        return words
-
-    def indices(self, rows: Rows) -> Rows:
-        """The numbers themselves."""
-        return rows
-
-    def flags(self, flags: Flags) -> Flags:
-        """The truth values themselves."""
-        return flags
-
-    def host(self, values: Scalar) -> NDArray[Any]:
-        """The numbers themselves."""
-        return np.asarray(values)
-
-    def put(self, column: Scalar, where: Any, values: Scalar) -> None:
-        """Write into some environments of a column."""
-        column[where] = values
-
-    def copied(self, out: Outcome) -> Outcome:
-        """The same, in memory of its own."""
-        found: Outcome = tree_map(np.copy, out)
-        return found
 
     def given(self, actions: ArrayLike) -> Array:
         """Actions as an array; where there is nothing to convert they are not copied."""

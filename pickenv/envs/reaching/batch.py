@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.dynamics import PlantState
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import arrays_of, plants_on
-from pickenv.arm.plant.tree import leaves
+from pickenv.arm.plant.tree import leaves, tree_map
 from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import Executor, Scalar
 from pickenv.envs.shared.simulation import Look, ReachState, begin, goal_attempt, look
@@ -69,7 +69,7 @@ class Outcome(NamedTuple):
 
 
 class Batch(ABC):
-    """The state of N reach tasks.
+    """The state of N reach tasks; where their numbers live is for `numbers` to `copy`: in NumPy, unless overridden.
 
     Attributes:
         x: The executor.
@@ -101,33 +101,37 @@ class Batch(ABC):
         self._memory = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
         self.columns = list(self.numbers(np.zeros((self.task.joints + 15 + sum(self._memory), self.count))))
 
-    @abstractmethod
     def numbers(self, values: Array) -> Scalar:
         """NumPy's numbers where the executor computes, one component ``(count,)`` per row."""
+        return np.ascontiguousarray(values)
 
-    @abstractmethod
     def words(self, words: Words) -> Scalar:
         """64-bit words where the executor computes."""
+        return words
 
-    @abstractmethod
     def indices(self, rows: Rows) -> Scalar:
         """Numbers of environments, or arms, as the executor indexes with them."""
+        return rows
 
-    @abstractmethod
     def flags(self, flags: Flags) -> Scalar:
         """Truth values where the executor computes."""
+        return flags
 
-    @abstractmethod
     def host(self, values: Scalar) -> NDArray[Any]:
         """The executor's numbers as a NumPy array."""
+        return np.asarray(values)
 
-    @abstractmethod
     def put(self, column: Scalar, where: Any, values: Scalar) -> None:
         """Write into some environments of a column."""
+        column[where] = values
 
-    @abstractmethod
+    def copy(self, values: Scalar) -> Scalar:
+        """An array in memory of its own."""
+        return np.copy(values)
+
     def copied(self, out: Outcome) -> Outcome:
         """The same, in memory of its own."""
+        return cast(Outcome, tree_map(self.copy, out))
 
     @abstractmethod
     def given(self, actions: ArrayLike) -> Scalar:

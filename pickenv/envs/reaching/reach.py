@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plants_on
+from pickenv.envs.screen import RENDER_MODES, Screen
 from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant
@@ -41,7 +42,6 @@ from pickenv.envs.shared.task import (
 from pickenv.errors import InputError
 
 EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
-RENDER_MODES = ("human", "rgb_array")
 
 Compensate = Callable[[Array], Array]
 Information = dict[str, Any]
@@ -192,7 +192,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         self._arm = 0
         self._state: ReachState | None = None
         self._scene: Look | None = None
-        self._window: Any = None
+        self._screen = Screen(self.metadata["render_fps"])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Information]:
         """Start an episode; see the class for `options`."""
@@ -238,30 +238,11 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
 
     def render(self) -> Any:
         """Draw the nominal ghost, the true arm and the fruit: an RGB array, or a window for "human"."""
-        if self.render_mode is None:
-            gym.logger.warn(
-                "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
-            )
-            return None
-        from pickenv.envs.shared.drawing import Window, reach_pixels
-
-        if self._scene is None:
-            raise InputError("render was called before reset; call reset first")
-        plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
-        parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
-        scene = Look(*parts)  # type: ignore[arg-type]
-        picture = reach_pixels(plant, self.joint_target, scene, self.task.tolerance_mm)
-        if self.render_mode == "rgb_array":
-            return picture
-        self._window = self._window or Window(self.metadata["render_fps"])
-        self._window.show(picture)
-        return None
+        return self._screen.show(self.render_mode, self._scene is not None, self._picture)
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
+        self._screen.close()
 
     @property
     def joint_target(self) -> Array:
@@ -277,6 +258,15 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
     def arm(self) -> int:
         """Number of the true arm in its population; 0 for a fixed one."""
         return self._arm
+
+    def _picture(self) -> NDArray[np.uint8]:
+        from pickenv.envs.shared.drawing import reach_pixels
+
+        assert self._scene is not None
+        plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
+        parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
+        scene = Look(*parts)  # type: ignore[arg-type]
+        return reach_pixels(plant, self.joint_target, scene, self.task.tolerance_mm)
 
     def _observe(self, scene: Look) -> tuple[Any, float]:
         """Observation and reward; variants with other observations override it."""

@@ -17,15 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plants_on
-from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.reaching.batch import Batch, Columns, Compensate, Flags, Outcome, Rows, Words
 from pickenv.envs.shared.arms import prepare
 from pickenv.envs.shared.backends import Executor, Scalar, torch_executor
 from pickenv.envs.shared.simulation import (
-    captured,
     flat_observation,
     goal_observation,
     goal_reward,
+    in_capture_region,
     look,
     move,
     true_reward,
@@ -126,10 +125,9 @@ class TorchBatch(Batch):
         """Write into some environments of a column."""
         column[where] = values.to(column.dtype) if isinstance(values, Tensor) else values
 
-    def copied(self, out: Outcome) -> Outcome:
-        """The same, in memory of its own."""
-        found: Outcome = tree_map(torch.clone, out)
-        return found
+    def copy(self, values: Tensor) -> Tensor:
+        """A tensor in memory of its own."""
+        return values.clone()
 
     def given(self, actions: ArrayLike | Tensor) -> Tensor:
         """Actions on the device."""
@@ -212,7 +210,7 @@ class TorchBatch(Batch):
             reward = goal_reward(self.x, self.task, *(part.to(self.dtype) for part in parts[1:]))
         else:
             reward, *out = out
-        success = captured(self.task, out[0], out[1])
+        success = in_capture_region(self.task, out[0], out[1])
         vectors = self._pack([*out[4:], *fruit], self.dtype) if self.poses else None
         return Outcome(tuple(parts), reward, success, tuple(out[:4]), vectors)
 

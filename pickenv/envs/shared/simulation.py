@@ -212,7 +212,7 @@ def look(
         angle_deg=angle_deg,
         noncompensable_deg=noncompensable_deg,
         compensable_deg=m.sqrt(x.where(rest > 0.0, rest, 0.0 * rest)),
-        success=captured(task, distance_mm, angle_deg),
+        success=in_capture_region(task, distance_mm, angle_deg),
     )
 
 
@@ -237,7 +237,7 @@ def length(x: Executor, vector: Components) -> Scalar:
     return x.m.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
 
 
-def captured(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:
+def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:
     """Whether a tool this far from the fruit has it inside the capture region."""
     return (distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg)
 
