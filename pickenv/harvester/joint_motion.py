@@ -8,8 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pickenv.arm.files.arm_file import read_toml
+from pickenv.arm.files.tables import Table
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.harvester.machine import Machine
+from pickenv.harvester.machine import SHIPPED, Machine
 
 
 def travel_time(distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
@@ -63,3 +65,10 @@ def workspace(machine: Machine, count: int, rng: np.random.Generator) -> Array:
     """Cups of all slaves at joints drawn evenly within the limits: Fig. 8, (count, arms, 3)."""
     joints = rng.uniform(machine.lower, machine.upper, (count, machine.joints))
     return machine.tips(joints[:, :3], joints[:, 3:].reshape(count, machine.arms, 3))
+
+
+def dense_workspace() -> tuple[tuple[float, ...], ...]:
+    """Where Li 2016, Fig. 8, finds the cloud of reached points dense: ranges of x, y and z in the base frame, m."""
+    keys = ("dense_x_mm", "dense_y_mm", "dense_z_mm")
+    table = Table(read_toml(SHIPPED).get("workspace"), "workspace", str(SHIPPED), keys)
+    return tuple(tuple(value * 1e-3 for value in table.numbers(key, 2, signed=True)) for key in keys)

@@ -257,7 +257,7 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
     """
     path = Path(path)
     content, where = read_toml(path), str(path)
-    refuse_unknown(content, ("machine", "body", "acceleration", "cycle", "true"), where, "a machine file")
+    refuse_unknown(content, ("machine", "body", "acceleration", "cycle", "workspace", "true"), where, "a machine file")
 
     def table(name: str, keys: tuple[str, ...]) -> Table:
         return Table(content.get(name), name, where, keys)

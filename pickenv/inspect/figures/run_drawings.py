@@ -11,6 +11,7 @@ import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.identifiability import RANK_TOLERANCE
+from pickenv.harvester.joint_motion import dense_workspace
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
 from pickenv.inspect.figures.plot_slices import error_slices
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
-LI2016_DENSE = ((-1.5, 1.5), (-1.7, -0.5), (0.4, 2.6))
-"""Where Li 2016, Fig. 8, finds the cloud dense: ranges of x, y and z, m."""
 
 
 @dataclass(frozen=True)
@@ -260,7 +259,7 @@ def harvest_drawings(trace: HarvestTrace) -> Drawings:
         Drawing(
             "workspace",
             "Where the cups get to, at joints drawn evenly within the limits.",
-            lambda: plot_harvest.workspace_cloud(trace.cloud, (LI2016_DENSE,)),
+            lambda: plot_harvest.workspace_cloud(trace.cloud, (dense_workspace(),)),
         ),
         Drawing(
             "joint_curves",
