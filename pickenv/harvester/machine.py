@@ -22,6 +22,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 
 SHIPPED = Path(__file__).parent / "li2016.toml"
+TABLES = ("machine", "body", "acceleration", "cycle", "workspace", "true")
 MOST_SLAVES = 6
 ROUNDING = 1e-9
 
@@ -257,7 +258,7 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
     """
     path = Path(path)
     content, where = read_toml(path), str(path)
-    refuse_unknown(content, ("machine", "body", "acceleration", "cycle", "workspace", "true"), where, "a machine file")
+    refuse_unknown(content, TABLES, where, "a machine file")
 
     def table(name: str, keys: tuple[str, ...]) -> Table:
         return Table(content.get(name), name, where, keys)
