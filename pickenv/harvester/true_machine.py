@@ -181,9 +181,7 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
     """
     keys = ("master", "slave", "seat_right_mm", "seat_ahead_mm", "seat_up_mm", "repeatability_mm")
     content = read_toml(Path(path))
-    refuse_unknown(
-        content, ("machine", "body", "acceleration", "cycle", "workspace", "true"), str(path), "a machine file"
-    )
+    refuse_unknown(content, TABLES, str(path), "a machine file")
     table = Table(content.get("true"), "true", str(path), keys)
     plants: list[Plant] = []
     for key in ("master", "slave"):

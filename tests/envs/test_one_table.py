@@ -39,13 +39,7 @@ KINDS = ["floats", "numpy", "native", "torch"]
 @pytest.fixture(scope="module")
 def protocol():
     """A study of arms as they are, each reaching for the table's fruit."""
-    nothing = {
-        "poses": (10,),
-        "noise": (Noise(0.0, 0.0),),
-        "it_grades": None,
-        "residual_poses": 1,
-        "payload_kg": (0.0,),
-    }
+    nothing = {"noise": (Noise(0.0, 0.0),), "it_grades": None, "residual_poses": 1, "payload_kg": (0.0,)}
     judged = {"radius_mm": TOLERANCE_MM, "share": 0.9, "tolerances": ("medium",), "methods": (RAW,)}
     counts = {"poses": (10,), "seed": 0, "arms": ARMS, "chunk": ARMS, "fruit": FRUIT}
     return prepare(StudyConfig(plant="qiao2026", **counts, **judged, **nothing))
