@@ -20,7 +20,7 @@ from pickenv.arm.files.tables import Table
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import EFFECTS
 from pickenv.errors import InputError
-from pickenv.harvester.machine import MOST_SLAVES, SHIPPED, Machine, composed, shifted
+from pickenv.harvester.machine import MOST_SLAVES, SHIPPED, TABLES, Machine, composed, shifted
 
 ROUNDS = 3
 """Corrections; each leaves a hundredth of what was before."""
