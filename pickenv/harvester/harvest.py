@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.tree import tree_map
 from pickenv.errors import InputError
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.interference import arm_distances
@@ -273,7 +274,8 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     luck = draw_luck(rng, len(order))
     moved = displacements(model, fruit[order], masses[order], entry[order], luck)
     done = attempt(model, tips[order], fruit[order], moved, diameters[order], tree.fruit[hanging], luck)
-    outcome = _reordered(done, np.argsort(order))
+    back = np.argsort(order)
+    outcome: Outcome = tree_map(lambda values: values[back], done)
     aimed = task.work.joints[arm, local]
     state.repicks += int(state.attempted[numbers].sum())
     state.attempted[numbers] = True
@@ -292,10 +294,6 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     if strategy.unload_full and state.load.max() >= machine.cycle.tube_fruit:
         _unload(machine, state)
     return bool((~outcome.detached).any())
-
-
-def _reordered(outcome: Outcome, order: NDArray[np.int64]) -> Outcome:
-    return Outcome(*(getattr(outcome, name)[order] for name in Outcome.__dataclass_fields__))
 
 
 def _unload(machine: Machine, state: Harvest) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Arm, Geometry, Pose, forward, load_arm
+from pickenv.arm import Arm, Geometry, Pose, load_arm
 from pickenv.arm.files.arm_file import read_toml, refuse_unknown
 from pickenv.arm.files.tables import Table
 from pickenv.arm.kinematics.geometry import Array
@@ -349,16 +349,6 @@ def composed(first: Pose, second: Pose) -> Pose:
     """The pose ``second`` given in the frame ``first``; batches broadcast."""
     turned = np.einsum("...ij,...j->...i", first.rotation, second.position)
     return Pose(first.position + turned, first.rotation @ second.rotation)
-
-
-def generic_tips(machine: Machine, master: ArrayLike, slaves: ArrayLike) -> Array:
-    """What `Machine.tips` gives, by the project's generic forward kinematics: the referee of eq (4)."""
-    master, slaves = np.asarray(master, dtype=float), np.asarray(slaves, dtype=float)
-    found = []
-    for i, chain in enumerate(machine.whole_arms):
-        here = np.broadcast_to(master, (*slaves.shape[:-2], 3))
-        found.append(forward(chain, np.concatenate([here, slaves[..., i, :]], axis=-1)).position)
-    return np.stack(found, axis=-2)
 
 
 def _wrapped(angle: Array) -> Array:

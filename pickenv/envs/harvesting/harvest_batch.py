@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pickenv.arm.files.arm_file import read_toml
 from pickenv.arm.files.tables import Table
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.tree import leaves
 from pickenv.envs.shared.task import CONTROL_PERIOD, check_number
 from pickenv.errors import InputError
 from pickenv.harvester.interference import arm_distances
@@ -163,8 +164,8 @@ class HarvestState:
 
     def put(self, rows: NDArray[np.intp], other: HarvestState) -> None:
         """Overwrite some machines."""
-        for name in self.__dataclass_fields__:
-            getattr(self, name)[rows] = getattr(other, name)
+        for mine, theirs in zip(leaves(self), leaves(other), strict=True):
+            mine[rows] = theirs
 
 
 def begin(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestState:
