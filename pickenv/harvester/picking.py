@@ -122,8 +122,8 @@ class Luck(NamedTuple):
 
 def draw_luck(rng: np.random.Generator, count: int) -> Luck:
     """Six numbers for each of ``count`` attempts."""
-    even = rng.random((count, 4))
-    return Luck(*even.T, rng.normal(size=count), rng.uniform(0.0, 2 * np.pi, count))
+    grasp, cluster, cut, whole = rng.random((count, 4)).T
+    return Luck(grasp, cluster, cut, whole, rng.normal(size=count), rng.uniform(0.0, 2 * np.pi, count))
 
 
 @dataclass(frozen=True, eq=False)
