@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Arm, Geometry, Pose, forward, load_arm
+from pickenv.arm import Arm, Geometry, Pose, load_arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.toml_tables import MM, SECONDS, WHOLE, Check, Key, Unit, read, toml_table
@@ -285,6 +285,15 @@ class TrueTable:
 
 
 @toml_table
+class WorkspaceTable:
+    """[workspace] of a machine file: where the cloud of reached points is dense, m, in the base frame."""
+
+    dense_x: Annotated[tuple[float, float], MM]
+    dense_y: Annotated[tuple[float, float], MM]
+    dense_z: Annotated[tuple[float, float], MM]
+
+
+@toml_table
 class MachineFile:
     """What a machine file holds."""
 
@@ -292,6 +301,7 @@ class MachineFile:
     body: Body
     acceleration: AccelerationTable
     cycle: Cycle
+    workspace: WorkspaceTable | None = None
     true: TrueTable | None = None
 
 
@@ -372,16 +382,6 @@ def composed(first: Pose, second: Pose) -> Pose:
     """The pose ``second`` given in the frame ``first``; batches broadcast."""
     turned = np.einsum("...ij,...j->...i", first.rotation, second.position)
     return Pose(first.position + turned, first.rotation @ second.rotation)
-
-
-def generic_tips(machine: Machine, master: ArrayLike, slaves: ArrayLike) -> Array:
-    """What `Machine.tips` gives, by the project's generic forward kinematics: the referee of eq (4)."""
-    master, slaves = np.asarray(master, dtype=float), np.asarray(slaves, dtype=float)
-    found = []
-    for i, chain in enumerate(machine.whole_arms):
-        here = np.broadcast_to(master, (*slaves.shape[:-2], 3))
-        found.append(forward(chain, np.concatenate([here, slaves[..., i, :]], axis=-1)).position)
-    return np.stack(found, axis=-2)
 
 
 def _wrapped(angle: Array) -> Array:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from pickenv.errors import InputError
-from pickenv.harvester.assignment import hungarian_waves, lower_bound, nearest_neighbour
+from pickenv.harvester.rules import hungarian_waves, lower_bound, nearest_neighbour
 from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain
 from pickenv.harvester.zones import SHIPPED
 from pickenv.toml_tables import NUMBER, read, toml_table

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,32 @@ def load_picking(path: str | Path = SHIPPED) -> Picking:
     return read(Picking, path, section="pick")
 
 
+class Luck(NamedTuple):
+    """What chance decides about attempts; each (picks,).
+
+    Attributes:
+        grasp: Uniform: whether the cup takes the fruit.
+        cluster: Uniform: whether it does although another fruit is in its way.
+        cut: Uniform: whether the blade meets the stalk.
+        whole: Uniform: whether the fruit stays whole.
+        push: Standard normal: how hard the cup pushes the foliage.
+        heading: Which way, rad.
+    """
+
+    grasp: Array
+    cluster: Array
+    cut: Array
+    whole: Array
+    push: Array
+    heading: Array
+
+
+def draw_luck(rng: np.random.Generator, count: int) -> Luck:
+    """Six numbers for each of ``count`` attempts."""
+    grasp, cluster, cut, whole = rng.random((count, 4)).T
+    return Luck(grasp, cluster, cut, whole, rng.normal(size=count), rng.uniform(0.0, 2 * np.pi, count))
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """What became of attempts, in the order of their times; each (picks,).
@@ -98,14 +124,7 @@ class Outcome:
 
 
 def attempt(
-    model: Picking,
-    tips: Array,
-    fruit: Array,
-    diameters: Array,
-    masses: Array,
-    entry: Array,
-    others: Array,
-    rng: np.random.Generator,
+    model: Picking, tips: Array, fruit: Array, moved: Array, diameters: Array, others: Array, luck: Luck
 ) -> Outcome:
     """Let cups go to fruit, one after another.
 
@@ -113,37 +132,33 @@ def attempt(
         model: The picking model.
         tips: True cups at the end of their rise, (picks, 3).
         fruit: True fruit at rest, (picks, 3).
+        moved: How far pushes have moved each when its cup comes, (picks, 3).
         diameters: (picks,).
-        masses: kg, (picks,).
-        entry: Times at which the cups go in, ascending, (picks,).
         others: Fruit that hangs and is not attempted here, (m, 3).
-        rng: Draws seven numbers a pick.
+        luck: What chance decides.
     """
     n = len(tips)
-    draws = rng.random((n, 4))
-    push = model.push * np.exp(model.push_spread * rng.normal(size=n))
-    heading = rng.uniform(0.0, 2 * np.pi, n)
-    moved = displacements(model, fruit, masses, entry, push, heading)
     offset = fruit + moved - tips
     lateral = np.hypot(offset[:, 0], offset[:, 1])
     clearance = (model.cup.opening - diameters) / 2
     taken = np.clip(1.0 - (lateral - clearance) / model.gather, 0.0, 1.0) * (np.abs(offset[:, 2]) <= model.cup.axial)
-    taken = np.where(clearance < 0, 0.0, taken)
+    alone = luck.grasp < np.where(clearance < 0, 0.0, taken)
+    cut = luck.cut < model.cut_success
     attached = np.zeros(n, dtype=bool)
     crowded = np.zeros(n, dtype=bool)
     hanging = np.ones(n, dtype=bool)
     for i in range(n):  # in order: what an earlier cup has taken is out of the way of a later one
         near = np.concatenate([fruit[hanging & (np.arange(n) != i)], others])
         crowded[i] = bool(in_the_way(model, fruit[i], float(diameters[i]), near).any())
-        attached[i] = draws[i, 0] < taken[i] and (not crowded[i] or draws[i, 1] < model.cluster_success)
-        hanging[i] = not (attached[i] and draws[i, 2] < model.cut_success)
-    detached = attached & (draws[:, 2] < model.cut_success)
+        attached[i] = alone[i] and (not crowded[i] or luck.cluster[i] < model.cluster_success)
+        hanging[i] = not (attached[i] and cut[i])
+    detached = attached & cut
     return Outcome(
         lateral=lateral,
         displaced=np.linalg.norm(moved, axis=-1),
         attached=attached,
         detached=detached,
-        collected=detached & (draws[:, 3] < model.undamaged),
+        collected=detached & (luck.whole < model.undamaged),
         crowded=crowded,
     )
 
@@ -155,18 +170,31 @@ def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Fl
     return np.asarray((level < model.outer + diameter / 2) & (away[:, 2] < diameter) & (away[:, 2] > -3 * diameter))
 
 
-def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, push: Array, heading: Array) -> Array:
+def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
+    """How far each cup that goes to ``fruit`` (picks, 3) at once displaces ``others`` (m, 3): (picks, m, 3).
+
+    It falls off with distance. The share `lasting` stays; the rest swings as the branch does, and dies away.
+    """
+    push = model.push * np.exp(model.push_spread * luck.push)
+    distance = np.linalg.norm(fruit[:, None] - others[None], axis=-1)
+    way = np.stack([np.cos(luck.heading), np.sin(luck.heading), np.zeros(len(fruit))], axis=-1)
+    return np.asarray((coupling(model.branch, distance) * push[:, None])[..., None] * way[:, None])
+
+
+def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, luck: Luck) -> Array:
     """How far earlier cups have moved each fruit when its own cup comes, (picks, 3).
 
-    A push falls off with distance from the fruit that the cup went to; the swinging part dies away, the rest stays.
+    Args:
+        model: The picking model.
+        fruit: True fruit at rest, (picks, 3).
+        masses: kg, (picks,).
+        entry: Times at which the cups go in, ascending, (picks,), s.
+        luck: What chance decides.
     """
     n = len(fruit)
     if n < 2:
         return np.zeros((n, 3))
     wait = entry[None, :] - entry[:, None]  # from push i to cup j
-    earlier = wait > 0
-    distance = np.linalg.norm(fruit[:, None] - fruit[None], axis=-1)
-    way = np.stack([np.cos(heading), np.sin(heading), np.zeros(n)], axis=-1)
-    start = (coupling(model.branch, distance) * push[:, None] * earlier)[..., None] * way[:, None]
+    start = pushes(model, fruit, fruit, luck) * (wait > 0)[..., None]
     swung, _ = swing(model.branch, start, np.zeros_like(start), np.broadcast_to(masses, (n, n)), np.maximum(wait, 0.0))
     return np.asarray((model.lasting * start + (1 - model.lasting) * swung).sum(axis=0))

@@ -125,6 +125,12 @@ def lab_runs() -> int:
     return _lab(SHIPPED).runs
 
 
+def lab_zone(canopy: Canopy) -> Array:
+    """Width, depth and height of what an image of Li's lab shows, m, (3,)."""
+    lab = _lab(SHIPPED)
+    return np.array([lab.width, canopy.depth, lab.height])
+
+
 def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corrected") -> Tree:
     """Draw one image of Li's lab: fruit all in reach from the pick point by ``method``, and not in clusters.
 
@@ -139,7 +145,7 @@ def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corr
         x = rng.uniform(-(canopy.width - wide) / 2, (canopy.width - wide) / 2) / 2
         z = rng.uniform(low, top - high)
         corner = np.array([x - wide / 2, -canopy.standoff - canopy.depth, z])
-        fruit = corner + np.array([wide, canopy.depth, high]) * rng.random((count, 3))
+        fruit = corner + lab_zone(canopy) * rng.random((count, 3))
         if count > 1 and _least_distance(fruit) < lab.apart:
             continue
         point = pick_point(machine, fruit, method)

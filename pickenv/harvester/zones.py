@@ -12,7 +12,6 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.toml_tables import MM, WHOLE, read, toml_table
 
@@ -95,8 +94,3 @@ def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> lis
                 Zone(f"row {row + 1}, column {column + 1}", x - half, x + wide + half, z - half, z + high + half)
             )
     return zones
-
-
-def border_fruit(zones: list[Zone], positions: Array) -> NDArray[np.bool_]:
-    """Fruit (n, 3) that more than one zone's image shows."""
-    return np.asarray(np.sum([zone.holds(positions) for zone in zones], axis=0) > 1)

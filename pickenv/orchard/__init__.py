@@ -62,6 +62,7 @@ from pickenv.orchard.occlusion import Occlusion, approach_clear, occlusion, reac
 from pickenv.orchard.placement import Fruit, sample_fruit
 from pickenv.orchard.presets import shipped
 from pickenv.orchard.render import Look, StereoPair, load_look, render_stereo, sample_leaves
+from pickenv.orchard.station import Station, load_station
 from pickenv.orchard.stereo import StereoCamera, load_stereo_camera, project, triangulate
 from pickenv.orchard.vision import Regions, fruit_mask, fruit_regions, locate, red_minus_green
 
@@ -84,6 +85,7 @@ __all__ = [
     "Misalignment",
     "Occlusion",
     "Regions",
+    "Station",
     "StereoCamera",
     "StereoPair",
     "Strength",
@@ -118,6 +120,7 @@ __all__ = [
     "load_fruit_size",
     "load_gripper",
     "load_look",
+    "load_station",
     "load_stereo_camera",
     "locate",
     "match_detections",

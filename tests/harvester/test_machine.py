@@ -6,7 +6,7 @@ import pytest
 from pickenv.arm import forward, load_arm
 from pickenv.errors import InputError
 from pickenv.harvester.joint_motion import joint_curves, profile, travel_time, workspace
-from pickenv.harvester.machine import generic_tips, load_machine
+from pickenv.harvester.machine import load_machine
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
 PICK_POINT = np.array([-80, -660, 1220]) * 1e-3
@@ -16,6 +16,12 @@ TABLE2_450 = np.array([[80, -0.05123, 273.328], [360, 0.11168, 289.6709], [580, 
 def random_joints(machine, rng, count=500):
     q = rng.uniform(machine.lower, machine.upper, (count, machine.joints))
     return q[:, :3], q[:, 3:].reshape(count, machine.arms, 3)
+
+
+def generic_tips(machine, master, slaves):
+    """What `Machine.tips` gives, by the project's generic forward kinematics."""
+    joints = (np.concatenate([master, slaves[:, i]], axis=-1) for i in range(machine.arms))
+    return np.stack([forward(arm, q).position for arm, q in zip(machine.whole_arms, joints, strict=True)], axis=-2)
 
 
 @pytest.mark.parametrize("arms", range(1, 7))

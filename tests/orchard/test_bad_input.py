@@ -30,6 +30,7 @@ from pickenv.orchard import (
     load_fruit_size,
     load_gripper,
     load_look,
+    load_station,
     load_stereo_camera,
     locate,
     match_detections,
@@ -139,6 +140,7 @@ LOADERS: dict[str, Callable[[str | Path], object]] = {
     "fruit_size": load_fruit_size,
     "gripper": load_gripper,
     "look": load_look,
+    "station": load_station,
     "vision": load_stereo_camera,
 }
 

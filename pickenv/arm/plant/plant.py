@@ -9,7 +9,7 @@ the joints alone; the others have a state, a tuple of components that runs on fl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
@@ -53,7 +53,7 @@ from pickenv.arm.kinematics.forward import (
     split_joints,
     tool_frame,
 )
-from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
+from pickenv.arm.kinematics.geometry import Geometry, Pose
 from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant.dynamics import Components, PlantState
 from pickenv.toml_tables import DEG, MM, toml_table
@@ -83,14 +83,11 @@ class MeasurementNoise:
     attitude_std: Annotated[float, DEG.not_negative]
 
 
-def placed_chain(chain: Chain, place: Callable[[Array], Scalar]) -> Chain:
-    """A chain of many arms with its arrays where the executor wants them."""
-    links = []
-    for link in chain.links:
-        beta = None if link.beta is None else (place(link.beta[0]), place(link.beta[1]))
-        numbers = {name: place(getattr(link, name)) for name in link._fields if name not in ("prismatic", "beta")}
-        links.append(link._replace(beta=beta, **numbers))
-    return chain._replace(links=tuple(links))
+class Ready(NamedTuple):
+    """A chain, and the geometry that it belongs to."""
+
+    geometry: Geometry
+    chain: Chain
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +111,7 @@ class Plant:
         settling: Vibration after moves, or None.
         encoder: Resolution of the motor encoders, or None.
         servo: Following error of the drives, or None.
-        place: Puts the arrays of a batch of arms where the executor wants them (`batch.plants_on`), or None.
+        ready: The geometry's chain where its numbers were moved or picked (`batch.plants_on`), or None to compute it.
     """
 
     name: str
@@ -133,15 +130,14 @@ class Plant:
     settling: Settling | None = None
     encoder: Encoder | None = None
     servo: Servo | None = None
-    place: Callable[[Array], Scalar] | None = None
+    ready: Ready | None = None
 
     @cached_property
     def chain(self) -> Chain:
         """The true geometry made ready for the executors, at the temperature at which it holds."""
-        if self.geometry.alpha.ndim == 1:
-            return chain_of(self.geometry)
-        chain = chain_of(self.geometry, np)
-        return chain if self.place is None else placed_chain(chain, self.place)
+        if self.ready is not None and self.ready.geometry is self.geometry:
+            return self.ready.chain
+        return chain_of(self.geometry, math if self.geometry.alpha.ndim == 1 else np)
 
     @cached_property
     def warm_chain(self) -> Chain:

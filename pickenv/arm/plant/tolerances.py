@@ -205,7 +205,7 @@ def _geometry(draws: _Draws) -> Geometry:
     n = nominal.joints
     deviation = draws.deviation("geometry")
     count = len(deviation)
-    numbers: dict[str, Any] = {name: np.broadcast_to(getattr(nominal, name), (count, n)) for name in LINK_PARAMETERS}
+    numbers: dict[str, Any] = {name: np.tile(getattr(nominal, name), (count, 1)) for name in LINK_PARAMETERS}
     for k, name in enumerate(("alpha", "a", "theta", "d")):
         if name in ("a", "d"):
             length = np.maximum(np.abs(getattr(nominal, name)), tolerances.least_length)

@@ -27,7 +27,9 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     A master arm (turn, lift, reach) carries one to six slave arms (lift, swing, stretch), each with a cup that takes a
     fruit from below, cuts its stalk and keeps it. One policy moves all joints. What moves is the machine as built,
     whose cups are 6 to 9 mm off while they forgive 5 to 11 mm; a cup that goes in pushes its neighbours' fruit away.
-    Arms never collide: a guard holds those that would come nearer than two arm radii and a margin.
+    Arms never collide: a guard holds those that would come nearer than two arm radii and a margin. What becomes of an
+    attempt is what `pickenv.harvester.picking` says, as in the reproduction of Li's experiment: how far off the cup is,
+    fruit in its way, blade and damage; pushed fruit swings on its branch, and a part of the push stays.
 
     ## Action Space
 
@@ -93,7 +95,8 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Version History
 
-    * v0: First version.
+    * v0: First version. Before its first release, attempts came to be judged as in the reproduction of Li's experiment:
+      pushes are log-normal and fruit swings. Returns from before cannot be compared.
     """
 
     metadata = {"render_modes": [], "render_fps": 10}  # noqa: RUF012

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
 from pickenv.envs.harvesting.harvest_env import LONGEST, checked_actions
@@ -93,7 +94,7 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         rewards = np.zeros(self.num_envs)
         going = np.flatnonzero(~again)
         if going.size:
-            some = HarvestState(**{k: getattr(self.state, k)[going] for k in HarvestState.__dataclass_fields__})
+            some: HarvestState = tree_map(lambda values: values[going], self.state)
             rngs = [self._rngs[i] for i in going]
             rewards[going] = batch.step(self.task, some, values[going], rngs, self.compensator)
             self.state.put(going, some)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar
-from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant import Plant, Ready
 
 ROUNDING = 1e-15
 
@@ -77,10 +77,8 @@ def exact_plant(plant: Plant) -> Plant:
     if load is not None and isinstance(load.payload, float):
         centre = tuple(tuple(exact(value) for value in point) for point in load.centre)
         load = replace(load, centre=centre, payload=exact(load.payload))
-    changed = replace(plant, load=load)
-    # Where its cached property keeps it; a batch of arms keeps the arrays that it had.
-    vars(changed)["chain"] = plant.chain._replace(base=tuple(exact(value) for value in plant.chain.base))
-    return changed
+    chain = plant.chain._replace(base=tuple(exact(value) for value in plant.chain.base))
+    return replace(plant, load=load, ready=Ready(plant.geometry, chain))
 
 
 def inexact(frame: Frame) -> tuple[Scalar, ...]:
