@@ -132,7 +132,14 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
 
 
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "Measure and correct a robot": (calibrate, corrections.plan_poses, corrections.apply, corrections.export, check),
+    "Measure and correct a robot": (
+        calibrate,
+        corrections.plan_poses,
+        corrections.apply,
+        corrections.export,
+        check,
+        schema,
+    ),
     "Simulate, learn and judge": (
         demo,
         plants.effects,
@@ -142,7 +149,6 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         study,
     ),
     "Look at what came out": (inspection.inspect, reports.figures, reports.report),
-    "Write files": (schema,),
 }
 """Commands by what they are for, in the order in which `pickenv --help` shows them."""
 

@@ -17,7 +17,7 @@ from pickenv.cli import app
 from pickenv.commands.schema import kinds
 from pickenv.errors import InputError
 from pickenv.harvester import machine, trees, zones
-from pickenv.orchard import presets
+from pickenv.orchard import preset_files
 from pickenv.toml_faults import line_of
 from pickenv.toml_tables import DEG, MM, NUMBER, WHOLE, Key, Unit, json_schema, read, toml_table
 
@@ -135,7 +135,7 @@ def test_a_shipped_file_fits_the_schema_of_its_kind(kind: str, path: Path) -> No
 
 @pytest.mark.parametrize("kind", [kind for kind in kinds() if kind not in WHOLE_FILES])
 def test_shipped_presets_fit_the_schema_of_their_kind(kind: str) -> None:
-    content = tomllib.loads((presets.FOLDER / f"{kind}.toml").read_text(encoding="utf-8"))
+    content = tomllib.loads((preset_files.FOLDER / f"{kind}.toml").read_text(encoding="utf-8"))
     for preset in content.values():
         jsonschema.validate(preset, json_schema(kinds()[kind]))
 

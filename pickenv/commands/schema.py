@@ -28,6 +28,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.arm.plant.plant_file import PlantFile
     from pickenv.arm.plant.tolerances import Tolerances
     from pickenv.calibration.reading.description_file import DescriptionFile
+    from pickenv.envs.harvesting.harvest_batch import Rules
     from pickenv.harvester.machine import MachineFile
     from pickenv.harvester.optimiser import Effort
     from pickenv.harvester.pick_point import Search
@@ -36,6 +37,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.harvester.zones import Grid
     from pickenv.orchard.camera import CameraFile
     from pickenv.orchard.gripper import GripperFile
+    from pickenv.orchard.station import Station
     from pickenv.study.design.config import StudyConfig
     from pickenv.toml_tables import toml_table
 
@@ -53,10 +55,13 @@ def kinds() -> dict[str, Any]:
         "fruit_size": orchard.FruitSize,
         "gripper": GripperFile,
         "look": orchard.Look,
+        "station": Station,
         "vision": orchard.StereoCamera,
         "machine": MachineFile,
         "strategy": toml_table(
             make_dataclass("Strategy", [("zones", Grid), ("search", Search), ("optimiser", Effort)])
         ),
-        "picking": toml_table(make_dataclass("PickingFile", [("pick", Picking), ("lab", Lab), ("trees", TreesTable)])),
+        "picking": toml_table(
+            make_dataclass("PickingFile", [("pick", Picking), ("task", Rules), ("lab", Lab), ("trees", TreesTable)])
+        ),
     }

@@ -60,7 +60,7 @@ from pickenv.orchard.gripper import (
 )
 from pickenv.orchard.occlusion import Occlusion, approach_clear, occlusion, reachable
 from pickenv.orchard.placement import Fruit, sample_fruit
-from pickenv.orchard.presets import shipped
+from pickenv.orchard.preset_files import shipped
 from pickenv.orchard.render import Look, StereoPair, load_look, render_stereo, sample_leaves
 from pickenv.orchard.station import Station, load_station
 from pickenv.orchard.stereo import StereoCamera, load_stereo_camera, project, triangulate

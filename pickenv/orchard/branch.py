@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.orchard import checks, presets
+from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array
 from pickenv.toml_tables import KG, NUMBER, Unit, toml_table
 
@@ -47,7 +47,7 @@ class Branch:
 
 def load_branch(name: str | Path) -> Branch:
     """Read a branch by name (`shipped("branch")`) or from a path to a TOML file."""
-    return presets.load("branch", name, Branch)
+    return preset_files.load("branch", name, Branch)
 
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
+from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.detections import Detections
 from pickenv.toml_tables import LX, NUMBER, PX, REQUIRED, SHARE, WHOLE_PX, Kinds, Unit, toml_table
@@ -119,7 +119,7 @@ CameraFile: TypeAlias = Annotated[Camera | PairedCamera, Kinds(camera_kind)]
 
 def load_camera(name: str | Path) -> Camera:
     """Read a camera by name (`shipped("camera")`) or from a path to a TOML file."""
-    found = presets.load("camera", name, camera_kind)
+    found = preset_files.load("camera", name, camera_kind)
     return Camera(**{field.name: getattr(found, field.name) for field in fields(Camera)})
 
 

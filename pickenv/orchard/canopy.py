@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
+from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.toml_tables import DEG, NUMBER, SHARE, toml_table
 
@@ -63,7 +63,7 @@ class Canopy:
 
 def load_canopy(name: str | Path) -> Canopy:
     """Read a canopy by name (`shipped("canopy")`) or from a path to a TOML file."""
-    return presets.load("canopy", name, Canopy)
+    return preset_files.load("canopy", name, Canopy)
 
 
 def face(canopy: Canopy, height: ArrayLike) -> Array:

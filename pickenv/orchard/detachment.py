@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.orchard import checks, presets
+from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.toml_tables import NEWTON, NEWTON_METRE, NUMBER, toml_table
 
@@ -51,7 +51,7 @@ class Strength:
 
 def load_detachment(name: str | Path) -> Detachment:
     """Read detachment limits by name (`shipped("detachment")`) or from a path to a TOML file."""
-    return presets.load("detachment", name, Detachment)
+    return preset_files.load("detachment", name, Detachment)
 
 
 def sample_strength(detachment: Detachment, shape: int | tuple[int, ...], rng: np.random.Generator) -> Strength:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
+from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Integers
 from pickenv.toml_tables import NUMBER, REQUIRED, WHOLE, Unit, toml_table
 
@@ -248,12 +248,12 @@ def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
 
 def load_fruit_map(name: str | Path) -> FruitMap:
     """Read a fruit map by name (`shipped("fruit")`) or from a path to a TOML file."""
-    return presets.load("fruit", name, FruitMap)
+    return preset_files.load("fruit", name, FruitMap)
 
 
 def load_fruit_size(name: str | Path) -> FruitSize:
     """Read fruit diameters and density by name (`shipped("fruit_size")`) or from a path to a TOML file."""
-    return presets.load("fruit_size", name, FruitSize)
+    return preset_files.load("fruit_size", name, FruitSize)
 
 
 def _counts(counts: ArrayLike) -> Array:

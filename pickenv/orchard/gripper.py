@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.orchard import checks, presets
+from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.toml_tables import DEG, NUMBER, REQUIRED, Check, Kinds, Unit, toml_table
 
@@ -152,7 +152,7 @@ def captured(
 
 def load_gripper(name: str | Path) -> Gripper:
     """Read a gripper by name (`shipped("gripper")`) or from a path to a TOML file."""
-    return presets.load("gripper", name, gripper_kind)
+    return preset_files.load("gripper", name, gripper_kind)
 
 
 def gripper_kind(table: Mapping[str, Any]) -> type[Gripper]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
+from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Integers
 from pickenv.orchard.stereo import StereoCamera, project
 from pickenv.toml_tables import NUMBER, SHARE, Unit, toml_table
@@ -78,7 +78,7 @@ class StereoPair:
 
 def load_look(name: str | Path) -> Look:
     """Read a look by name (`shipped("look")`) or from a path to a TOML file."""
-    return presets.load("look", name, Look)
+    return preset_files.load("look", name, Look)
 
 
 def sample_leaves(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from pickenv.orchard import checks, presets
+from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM
 from pickenv.toml_tables import Unit, toml_table
 
@@ -58,4 +58,4 @@ class Station:
 
 def load_station(name: str | Path) -> Station:
     """Read a station by name (`shipped("station")`) or from a path to a TOML file."""
-    return presets.load("station", name, Station)
+    return preset_files.load("station", name, Station)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
+from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array
 from pickenv.toml_tables import PX, SHARE, WHOLE, WHOLE_PX, toml_table
 
@@ -61,7 +61,7 @@ class StereoCamera:
 
 def load_stereo_camera(name: str | Path) -> StereoCamera:
     """Read a stereo camera by name (`shipped("vision")`) or from a path to a TOML file."""
-    return presets.load("vision", name, StereoCamera)
+    return preset_files.load("vision", name, StereoCamera)
 
 
 def project(camera: StereoCamera, positions: ArrayLike) -> Array:

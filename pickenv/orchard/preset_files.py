@@ -14,7 +14,7 @@ from pickenv.errors import InputError
 from pickenv.texts import is_file, shortened
 from pickenv.toml_tables import made, toml_of
 
-FOLDER = Path(__file__).parent
+FOLDER = Path(__file__).parent / "presets"
 Thing = TypeVar("Thing")
 
 
