@@ -24,11 +24,12 @@ from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, framed, identified, learnt
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.gate import GateReport, judge_residuals
+from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
 from pickenv.calibration.residuals.residual_models import FITTERS, QUICK_FITTERS
 from pickenv.errors import InputError
 
@@ -259,7 +260,7 @@ def _add_terms(work: Work) -> Work:
     while terms := terms_of("+".join(names) or "none", work.arm, work.train):
         found = identify_terms(terms, geometric.identification, work.train, known)
         if found.converged:
-            kinds = sorted({term.specification()["kind"] for term in terms})
+            kinds = sorted({kind_of_term(term) for term in terms})
             record = {**geometric.calibration.record, "terms": kinds}
             calibration = replace(geometric.calibration, model=found.arm_model, record=record)
             work = work.with_fit(f"{name}+{'+'.join(names)}", Fit(calibration, found, geometric.aligned))
@@ -306,23 +307,16 @@ def _verdicts(work: Work, train: Measurements, names: tuple[str, ...]) -> GateRe
         return identify_terms(work.terms, bare, rows, known).arm_model
 
     rng = np.random.default_rng(work.choices.seed)
-    return _most_successful(judge_residuals(data, refit, rng, models=names, fitters=QUICK_FITTERS))
+    return gate_residuals(data, refit, rng, models=names, fitters=QUICK_FITTERS, rank=_error_on_both)
 
 
-def _most_successful(report: GateReport) -> GateReport:
-    """The report with the model selected that wins most on both: the blocks held out, and the inner ones.
+def _error_on_both(verdict: GateVerdict) -> float:
+    """What a model leaves of the error on the blocks held out, times what it leaves on the inner ones.
 
     Both lie within the training rows here, so both may rank; a model that shone on one of them by luck counts half.
     """
-    ranked = [
-        (verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms, verdict)
-        for verdict in report.verdicts
-        if verdict.accepted and verdict.inner_rms is not None and verdict.geometric_inner_rms is not None
-    ]
-    if report.selected is None or not ranked:
-        return report
-    best = min(ranked, key=lambda pair: pair[0])[1]
-    return replace(report, selected=best.model, blocked_rms=best.blocked_rms)
+    assert verdict.inner_rms is not None and verdict.geometric_inner_rms is not None
+    return verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms
 
 
 STAGES: tuple[Callable[[Work], Work], ...] = (_check, _align, _identify, _check_again, _add_terms, _learn)
