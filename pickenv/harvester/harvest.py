@@ -116,11 +116,6 @@ class Harvest:
     phases: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("move", "image", "pick", "unload"), 0.0))
     repicks: int = 0
 
-    @property
-    def out_of_reach(self) -> NDArray[np.int64]:
-        """Numbers of the fruit that images showed but no arm could reach from any pick point."""
-        return np.flatnonzero(self.seen & ~self.reachable)
-
     def spend(self, phase: str, seconds: float) -> None:
         """Let the clock run."""
         self.seconds += seconds

@@ -95,7 +95,7 @@ class HarvestTask:
         return self.machine.joints + self.machine.arms + 4 * self.fruit
 
 
-def make_task(
+def make_harvest_task(
     slaves: int | None = None, spacing_mm: float | None = None, fruit: int = 8, ideal: bool = False
 ) -> HarvestTask:
     """Check the arguments of an environment and read its files.
@@ -165,7 +165,7 @@ class HarvestState:
             mine[rows] = theirs
 
 
-def begin(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestState:
+def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestState:
     """Draw a zone for each generator; the master stands at its pick point, the slaves rest."""
     machine, n, wanted = task.machine, len(rngs), task.fruit
     canopy, size = task.orchard.canopy, task.orchard.size

@@ -113,7 +113,7 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """See the class for the arguments; raises `InputError` for impossible ones."""
         if render_mode is not None:
             raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
-        self.task: HarvestTask = batch.make_task(slaves, spacing_mm, fruit, ideal)
+        self.task: HarvestTask = batch.make_harvest_task(slaves, spacing_mm, fruit, ideal)
         self.render_mode = render_mode
         self.compensator: Compensate | None = None
         low, high = batch.bounds(self.task)
@@ -127,7 +127,7 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Start with another zone; there are no options."""
         super().reset(seed=seed)
         given_options(options, ())
-        self.state = batch.begin(self.task, [self.np_random])
+        self.state = batch.begin_zones(self.task, [self.np_random])
         return batch.observe(self.task, self.state)[0], self._information()
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:

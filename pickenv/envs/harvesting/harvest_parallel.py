@@ -38,7 +38,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         """See the class."""
         if render_mode is not None:
             raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
-        self.task: HarvestTask = batch.make_task(**arguments)
+        self.task: HarvestTask = batch.make_harvest_task(**arguments)
         self.max_cycles, self.render_mode = max_cycles, render_mode
         self.possible_agents = ["master", *(f"slave_{i}" for i in range(self.task.machine.arms))]
         self.agents: list[str] = []
@@ -66,7 +66,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         if seed is not None:
             self._rng = np.random.default_rng(seed)
         self.agents = list(self.possible_agents)
-        self._state = batch.begin(self.task, [self._rng])
+        self._state = batch.begin_zones(self.task, [self._rng])
         return self._seen(), self._told()
 
     def step(

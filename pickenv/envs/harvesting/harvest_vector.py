@@ -48,7 +48,7 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
         if num_envs < 1:
             raise InputError(f"{num_envs} environments are impossible; give 1 or more")
-        self.task: HarvestTask = batch.make_task(**arguments)
+        self.task: HarvestTask = batch.make_harvest_task(**arguments)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.max_episode_steps, self.render_mode = num_envs, max_episode_steps, None
@@ -122,7 +122,7 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._rngs = [old[i] if old and value is None else seeding.np_random(value)[0] for i, value in enumerate(given)]
 
     def _restart(self, rows: Rows) -> None:
-        fresh = batch.begin(self.task, [self._rngs[i] for i in rows])
+        fresh = batch.begin_zones(self.task, [self._rngs[i] for i in rows])
         if self.state is None:
             self.state = fresh
         else:
