@@ -180,6 +180,9 @@ class Key:
     section: str = ""
 
 
+GRAVITY = 9.80665
+"""Standard acceleration of gravity, m/s^2 (ISO 80000-3)."""
+
 NUMBER, WHOLE = Unit(), Unit(whole=True)
 SHARE = NUMBER.within(0.0, 1.0)
 MM, UM, M = Unit("mm", 1e-3, most=1e5), Unit("um", 1e-6, most=1e8), Unit("m", most=100.0)

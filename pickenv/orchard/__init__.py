@@ -9,6 +9,7 @@ from pickenv.orchard.branch import natural_frequencies as natural_frequencies
 from pickenv.orchard.branch import pushed as pushed
 from pickenv.orchard.branch import settling_time as settling_time
 from pickenv.orchard.branch import swing as swing
+from pickenv.orchard.camera import DRAWS as DRAWS
 from pickenv.orchard.camera import Camera as Camera
 from pickenv.orchard.camera import camera_frame as camera_frame
 from pickenv.orchard.camera import depth_bias as depth_bias
