@@ -5,8 +5,10 @@ from types import ModuleType as _ModuleType
 from pickenv.arm.files.arm import Arm as Arm
 from pickenv.arm.files.load import load_arm as load_arm
 from pickenv.arm.files.load import shipped_arms as shipped_arms
+from pickenv.arm.kinematics.forward import Frame as Frame
 from pickenv.arm.kinematics.forward import forward as forward
 from pickenv.arm.kinematics.forward import forward_torch as forward_torch
+from pickenv.arm.kinematics.geometry import Array as Array
 from pickenv.arm.kinematics.geometry import Geometry as Geometry
 from pickenv.arm.kinematics.geometry import Pose as Pose
 from pickenv.arm.kinematics.geometry import from_standard_dh as from_standard_dh

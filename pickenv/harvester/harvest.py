@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.arm.plant.tree import tree_map
 from pickenv.errors import InputError
 from pickenv.harvester.assignment import assign

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.bootstrap import interval95, resampled
 from pickenv.errors import InputError
 from pickenv.harvester.harvest import Harvest, Round

@@ -15,8 +15,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Arm, Geometry, Pose, load_arm
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, Geometry, Pose, load_arm
 from pickenv.errors import InputError
 from pickenv.toml_tables import MM, SECONDS, WHOLE, Check, Key, Unit, read, toml_table
 

@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.errors import InputError
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.zones import SHIPPED

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.harvester.interference import excursion_distances
 from pickenv.harvester.joint_motion import travel_time
 from pickenv.harvester.machine import Machine

@@ -13,12 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Geometry, Plant, Pose, displace_pose, forward, inverse, pose_error
+from pickenv.arm import Array, Frame, Geometry, Plant, PlantState, Pose, displace_pose, forward, inverse, pose_error
 from pickenv.arm.effects.hysteresis import one_stop
-from pickenv.arm.kinematics.forward import Frame, pose_of
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import Cube, largest_cube
-from pickenv.arm.plant.dynamics import PlantState
 from pickenv.arm.plant.motion import Pace, moved
 from pickenv.errors import InputError
 

@@ -10,11 +10,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.forward import Frame
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm import Array, Frame, Plant, PlantState, plant_at
 from pickenv.envs.picking.pick_reach import reach_of
 from pickenv.envs.picking.pick_scene import PickScene, PickSetting, draw_scene, make_setting, upright_turn
 from pickenv.envs.shared.arms import population_size

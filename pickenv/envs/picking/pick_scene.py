@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv import orchard as trees
-from pickenv.arm.kinematics.forward import Frame
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Frame
 from pickenv.envs.picking.pick_reach import UP, Flags, Reach
 from pickenv.envs.shared.task import as_numbers
 from pickenv.errors import InputError

@@ -13,10 +13,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import arrays_of, plants_on
+from pickenv.arm import Array, Plant, PlantState, plants_on
+from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.arm.plant.tree import leaves, tree_map
 from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import Executor, Scalar

@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plants_on
+from pickenv.arm import Array, Plant, plants_on
 from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Rows, Views, Words
 from pickenv.envs.shared.backends import NUMPY
 from pickenv.envs.shared.exact import exact_plant

@@ -10,9 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at, plants_on
+from pickenv.arm import Array, Plant, plant_at, plants_on
 from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant

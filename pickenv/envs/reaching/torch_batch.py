@@ -14,9 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plants_on
+from pickenv.arm import Array, Plant, plants_on
 from pickenv.envs.reaching.batch import Batch, Columns, Compensate, Flags, Rows, Views, Words
 from pickenv.envs.shared.arms import prepare
 from pickenv.envs.shared.backends import Executor, Scalar, torch_executor

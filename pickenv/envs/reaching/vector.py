@@ -10,9 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm import Array, Plant, plant_at
 from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Start, Views
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals

@@ -17,9 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
+from pickenv.arm import Array, Plant
 from pickenv.arm.kinematics.forward import chain_of, frames
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
 from pickenv.envs.shared.simulation import View
 from pickenv.errors import InputError
 

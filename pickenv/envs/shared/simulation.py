@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from pickenv.arm import Frame, Plant, PlantState
 from pickenv.arm.kinematics.backend import chosen, clipped
-from pickenv.arm.kinematics.forward import Frame, Scalar, attach, frames
+from pickenv.arm.kinematics.forward import Scalar, attach, frames
 from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.plant import Plant
 from pickenv.envs.shared.backends import Executor
 from pickenv.envs.shared.exact import inexact
 from pickenv.envs.shared.streams import CAMERA, FRUIT, normal, stream_key, uniform
