@@ -19,7 +19,20 @@ from scipy.special import ndtri
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.errors import InputError
-from pickenv.toml_tables import DEG, KELVIN, MM, NUMBER, WHOLE, Key, Then, fault, read, toml_table
+from pickenv.toml_tables import (
+    DEG,
+    KELVIN,
+    MM,
+    NUMBER,
+    WHOLE,
+    Key,
+    Then,
+    fault,
+    file_named,
+    read,
+    shipped_in,
+    toml_table,
+)
 
 TOLERANCES = Path(__file__).parent / "tolerance_classes"
 
@@ -97,7 +110,7 @@ def it_tolerance(grade: int, length: Array | float) -> Array:
 
 def shipped_tolerances() -> list[str]:
     """Names of the tolerance classes that come with pickenv."""
-    return sorted(path.stem for path in TOLERANCES.glob("*.toml"))
+    return shipped_in(TOLERANCES)
 
 
 def load_tolerances(name: str | Path) -> Tolerances:
@@ -106,14 +119,7 @@ def load_tolerances(name: str | Path) -> Tolerances:
     Raises:
         InputError: If it is unknown or a number is impossible; the message names the file and the key.
     """
-    path = Path(name)
-    if path.suffix != ".toml":
-        path = TOLERANCES / f"{name}.toml"
-    if not path.is_file():
-        raise InputError(
-            f"unknown tolerance class '{name}'; give one of {shipped_tolerances()} or a path to a file (.toml)"
-        )
-    return read(Tolerances, path)
+    return read(Tolerances, file_named("tolerance class", name, TOLERANCES))
 
 
 def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:
