@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, dataclass_transform, get_args, get_origin, get_type_hints
 
 from pickenv.errors import InputError
-from pickenv.texts import parsed, read_text
+from pickenv.texts import is_file, parsed, read_text, shortened
 from pickenv.toml_faults import lacks, sentence
 
 Thing = TypeVar("Thing")
@@ -179,6 +179,9 @@ class Key:
     name: str = ""
     section: str = ""
 
+
+GRAVITY = 9.80665
+"""Standard acceleration of gravity, m/s^2 (ISO 80000-3)."""
 
 NUMBER, WHOLE = Unit(), Unit(whole=True)
 SHARE = NUMBER.within(0.0, 1.0)
@@ -349,6 +352,31 @@ def read(kind: type[Thing], path: str | Path, *, section: str = "", context: Any
     if section not in content and section:
         raise InputError(f"{path}: section [{section}] is missing")
     return made(kind, content, str(path), text=text, section=section, context=context)
+
+
+def shipped_in(folder: Path) -> list[str]:
+    """Names of the TOML files of a folder that comes with pickenv."""
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml") -> Path:
+    """The TOML file of ``folder`` that has this name, or the one whose path is given.
+
+    Args:
+        kind: What it holds, for messages.
+        name: A name of `shipped_in`, or a path ending in .toml.
+        folder: Where the shipped files lie.
+        endings: Endings of files that may be given instead, for messages.
+
+    Raises:
+        InputError: If there is no such file.
+    """
+    given = Path(name).suffix == ".toml"
+    path = Path(name) if given else folder / f"{name}.toml"
+    if is_file(path):
+        return path
+    fault = f"{kind} file {shortened(path, 300)} does not exist" if given else f"unknown {kind} '{shortened(name)}'"
+    raise InputError(f"{fault}; give one of {shipped_in(folder)} or a path to a file ({endings})")
 
 
 def toml_of(path: str | Path) -> tuple[dict[str, Any], str]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.arm.plant.tree import tree_map
 from pickenv.errors import InputError
 from pickenv.harvester.assignment import assign
@@ -115,11 +115,6 @@ class Harvest:
     seconds: float = 0.0
     phases: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("move", "image", "pick", "unload"), 0.0))
     repicks: int = 0
-
-    @property
-    def out_of_reach(self) -> NDArray[np.int64]:
-        """Numbers of the fruit that images showed but no arm could reach from any pick point."""
-        return np.flatnonzero(self.seen & ~self.reachable)
 
     def spend(self, phase: str, seconds: float) -> None:
         """Let the clock run."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.harvester.machine import SHIPPED, Machine, MachineFile
 from pickenv.toml_tables import read
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Arm, Geometry, Pose, load_arm
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, Geometry, Pose, load_arm
 from pickenv.errors import InputError
 from pickenv.toml_tables import MM, SECONDS, WHOLE, Check, Key, Unit, read, toml_table
 
@@ -151,11 +150,6 @@ class Machine:
         """Largest speeds of all joints."""
         return np.concatenate([self.master.speed, *(slave.speed for slave in self.slaves)])
 
-    @cached_property
-    def whole_arms(self) -> tuple[Geometry, ...]:
-        """For each slave the whole chain of six joints from base to cup, for the generic kinematics."""
-        return tuple(joined(self.master.nominal, slave.nominal) for slave in self.slaves)
-
     def frame3(self, master: ArrayLike) -> Array:
         """Origin of frame 3 for master joints (..., 3): last column of eq (2)."""
         theta1, d2, d3 = np.moveaxis(np.asarray(master, dtype=float), -1, 0)
@@ -226,21 +220,6 @@ class Machine:
     def reach(self, master: ArrayLike, targets: ArrayLike) -> Flags:
         """Which slave reaches which target (..., n, 3) from master joints (..., 3): (..., arms, n)."""
         return self.within_limits(self.slave_inverse(master, targets))
-
-
-def joined(master: Geometry, slave: Geometry) -> Geometry:
-    """The serial chain of a master and the slave that it carries."""
-    tables: dict[str, Any] = {name: np.concatenate([getattr(master, name), getattr(slave, name)]) for name in _TABLES}
-    return replace(
-        master,
-        joint_names=master.joint_names + slave.joint_names,
-        prismatic=master.prismatic + slave.prismatic,
-        tool=slave.tool,
-        **tables,
-    )
-
-
-_TABLES = ("alpha", "a", "theta", "d", "beta", "lower", "upper")
 
 
 ARM = Check(lambda value: isinstance(value, str), "the name of an arm or the path of an arm file")

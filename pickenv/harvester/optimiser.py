@@ -12,7 +12,7 @@ import numpy as np
 
 from pickenv.errors import InputError
 from pickenv.harvester.rules import hungarian_waves, lower_bound, nearest_neighbour
-from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain
+from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain_lists
 from pickenv.harvester.zones import SHIPPED
 from pickenv.toml_tables import NUMBER, read, toml_table
 
@@ -32,7 +32,7 @@ def local_search(
         patience: Rounds, as a multiple of the strategy file's.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    lists = plain(work)
+    lists = plain_lists(work)
     starts = [_by_height(work), nearest_neighbour(work), hungarian_waves(work)]
     values = [makespan_of(lists, plan) for plan in starts]
     best = [list(fruit) for fruit in starts[int(np.argmin(values))]]
@@ -116,7 +116,7 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
     """
     limit = lower_bound(work)
     start = local_search(work, rng, bound=limit, patience=6.0)
-    lists = plain(work)
+    lists = plain_lists(work)
     value = makespan_of(lists, start)
     if sum(len(fruit) for fruit in start) < 2 or value <= limit * 1.01:
         return start

@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.errors import InputError
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.zones import SHIPPED
@@ -103,25 +103,6 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Pi
     if not np.isfinite(master).all():
         raise InputError("the pick point is nearer to the axis than frame 3 can come; choose another zone")
     return PickPoint(master, machine.frame3(master), machine.reach(master, fruit))
-
-
-def hold(machine: Machine, master: ArrayLike, fruit: ArrayLike | None = None) -> PickPoint:
-    """A pick point given by hand.
-
-    Raises:
-        InputError: If the master cannot stand there; names the joint.
-    """
-    master = np.asarray(master, dtype=float)
-    low, high = machine.master.nominal.lower, machine.master.nominal.upper
-    if not machine.master_within_limits(master):
-        worst = int(np.argmax(np.where(np.isfinite(master), np.maximum(low - master, master - high), np.inf)))
-        name = machine.master.nominal.joint_names[worst]
-        raise InputError(
-            f"the pick point is unreachable: {name} would be {master[worst]:.4g}, outside "
-            f"{low[worst]:.4g} to {high[worst]:.4g} (rad, m); choose a point inside the master's range"
-        )
-    some = np.zeros((0, 3)) if fruit is None else np.asarray(fruit, dtype=float)
-    return PickPoint(master, machine.frame3(master), machine.reach(master, some))
 
 
 def searched(machine: Machine, fruit: Array) -> Array:

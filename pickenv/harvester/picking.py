@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.harvester.trees import SHIPPED
 from pickenv.orchard import Branch, Cup, coupling, load_branch, load_gripper, swing
 from pickenv.toml_tables import MM, NUMBER, SHARE, Key, Then, Unit, fault, read, toml_table

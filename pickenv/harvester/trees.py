@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.errors import InputError
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.pick_point import pick_point

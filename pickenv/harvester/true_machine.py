@@ -14,8 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Geometry, Plant, Pose, forward, load_plant
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry, Plant, Pose, forward, load_plant
 from pickenv.arm.plant.plant import EFFECTS
 from pickenv.errors import InputError
 from pickenv.harvester.machine import SHIPPED, Machine, MachineFile, composed, shifted

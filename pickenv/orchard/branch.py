@@ -14,9 +14,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array
-from pickenv.toml_tables import KG, NUMBER, Unit, toml_table
-
-GRAVITY = 9.80665  # m/s², standard
+from pickenv.toml_tables import GRAVITY, KG, NUMBER, Unit, toml_table
 
 
 @toml_table

@@ -22,7 +22,6 @@ from pickenv.orchard.detections import Detections
 from pickenv.toml_tables import LX, NUMBER, PX, REQUIRED, SHARE, WHOLE_PX, Kinds, Unit, toml_table
 
 DRAWS = 5  # normal numbers per measurement: three of noise, two for the side from which leaves hide the fruit
-SUNLIGHT = 100_000.0  # lx, a clear day
 
 
 @toml_table
@@ -51,6 +50,7 @@ class Camera:
         found_above: Visible share above which only ``dropout`` loses it; linear between the two.
         occlusion_pull: Largest pull of the centroid to the visible side, in radii.
         false_detections: Mean number of detections per image where there is no fruit.
+        light: Light in which it is used, unless told otherwise, lx.
     """
 
     name: str
@@ -74,6 +74,7 @@ class Camera:
     found_above: Annotated[float, SHARE, REQUIRED] = 0.0
     occlusion_pull: Annotated[float, SHARE, REQUIRED] = 0.0
     false_detections: Annotated[float, NUMBER.not_negative, REQUIRED] = 0.0
+    light: Annotated[float, LX.not_negative] = 100_000.0
 
     def __post_init__(self) -> None:
         name = f"of camera '{self.name}'"
@@ -131,18 +132,17 @@ def stereo_depth_noise(focal_length: float, baseline: float, disparity_noise: fl
     return disparity_noise / (focal_length * baseline)
 
 
-def depth_noise(camera: Camera, distance: ArrayLike, light: ArrayLike = SUNLIGHT) -> Array:
-    """Standard deviation along the line of sight, m, at distances in m under light in lx."""
+def depth_noise(camera: Camera, distance: ArrayLike, light: ArrayLike | None = None) -> Array:
+    """Standard deviation along the line of sight, m, at distances in m under light in lx, the camera's own if None."""
     law = np.hypot(camera.depth_noise_floor, camera.depth_noise * np.asarray(distance, dtype=float) ** 2)
-    brighter = checks.numbers("the light (lx)", light, lowest=0.0) - camera.noise_light
-    growth = np.exp(camera.noise_growth * brighter)
-    return np.asarray(law * growth)
+    light = camera.light if light is None else checks.numbers("the light (lx)", light, lowest=0.0)
+    return np.asarray(law * np.exp(camera.noise_growth * (light - camera.noise_light)))
 
 
-def depth_bias(camera: Camera, distance: ArrayLike, light: ArrayLike = SUNLIGHT) -> Array:
+def depth_bias(camera: Camera, distance: ArrayLike, light: ArrayLike | None = None) -> Array:
     """Mean error along the line of sight, m; positive is too far."""
     beyond = np.asarray(distance, dtype=float) - camera.bias_distance
-    brighter = np.asarray(light, dtype=float) - camera.bias_light
+    brighter = np.asarray(camera.light if light is None else light, dtype=float) - camera.bias_light
     return np.asarray(camera.bias + camera.bias_per_distance * beyond + camera.bias_per_light * brighter)
 
 
@@ -160,7 +160,7 @@ def measured_positions(
     viewpoint: ArrayLike,
     draws: ArrayLike,
     *,
-    light: ArrayLike = SUNLIGHT,
+    light: ArrayLike | None = None,
     visible: ArrayLike = 1.0,
     diameters: ArrayLike = 0.0,
     visible_side: ArrayLike | None = None,
@@ -172,7 +172,7 @@ def measured_positions(
         positions: True fruit centres, m, shape (..., 3).
         viewpoint: Camera positions, m, shape (..., 3).
         draws: Standard normal numbers, shape (..., DRAWS): the caller owns the randomness.
-        light: lx, shape (...).
+        light: lx, shape (...); None is the camera's own.
         visible: Visible share of each fruit, shape (...).
         diameters: Fruit diameters, m, shape (...); they scale the pull of occlusion.
         visible_side: Directions in which the visible part lies, shape (..., 3), zero or None where leaves decide at
@@ -245,7 +245,7 @@ def detect(
     looking: ArrayLike,
     rng: np.random.Generator,
     *,
-    light: float = SUNLIGHT,
+    light: float | None = None,
     visible: ArrayLike = 1.0,
     visible_side: ArrayLike | None = None,
 ) -> Detections:
@@ -258,7 +258,7 @@ def detect(
         viewpoint: Camera position, m, shape (3,).
         looking: Direction in which the camera looks, shape (3,).
         rng: Source of every random draw; its use does not depend on what is found.
-        light: lx.
+        light: lx; None is the camera's own.
         visible: Visible share of each fruit, see `occlusion`.
         visible_side: See `Occlusion.visible_side`.
 
@@ -266,7 +266,6 @@ def detect(
         Detections in the frame of ``positions``; confidence is the visible share, one half for false ones.
     """
     positions, diameters = checks.fruit_arrays(positions, diameters)
-    checks.not_negative("the light (lx)", light)
     viewpoint = checks.points("the viewpoint", viewpoint)
     count = len(positions)
     share = np.broadcast_to(checks.numbers("the visible share", visible, lowest=0.0), (count,))

@@ -17,12 +17,9 @@ from pickenv.errors import InputError
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Integers
 from pickenv.orchard.stereo import StereoCamera, project
-from pickenv.toml_tables import NUMBER, SHARE, Unit, toml_table
+from pickenv.toml_tables import NUMBER, SHARE, WHOLE, WHOLE_PX, Unit, toml_table
 
 BACKGROUND, LEAF = -1, -2
-SHARPNESS = 12  # exponent of the sun's reflection (Phong); 12 is a waxy skin
-PATCH = 16  # px, patches of light and dark behind the trees
-
 
 Triple = tuple[float, float, float]
 
@@ -42,6 +39,8 @@ class Look:
         pixel_noise: Standard deviation of the sensor's noise, grey levels.
         sun: Direction in which the light falls against, towards the sun, camera frame.
         source: Where its numbers come from.
+        sharpness: Exponent of the sun's reflection (Phong).
+        patch: Edge of the patches of light and dark behind the trees, px.
     """
 
     fruit: Annotated[Triple, Unit("rgb")]
@@ -54,6 +53,8 @@ class Look:
     pixel_noise: Annotated[float, NUMBER.not_negative]
     sun: Annotated[Triple, NUMBER]
     source: str = ""
+    sharpness: Annotated[int, WHOLE.at_least(1)] = 12
+    patch: Annotated[int, WHOLE_PX.at_least(1)] = 16
 
     def __post_init__(self) -> None:
         checks.bounded("a look", self)
@@ -165,7 +166,7 @@ def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
     facing = np.clip(sun[0] * u + sun[1] * v - sun[2] * ahead, 0.0, None)
     mirrored = np.clip(2 * facing * ahead + sun[2], 0.0, None)  # the reflected ray's share towards the camera
     light = look.ambient + (1.0 - look.ambient) * facing
-    white = 255.0 * look.highlight * mirrored[..., None] ** SHARPNESS
+    white = 255.0 * look.highlight * mirrored[..., None] ** look.sharpness
     return square <= 1.0, np.asarray(light[..., None] * np.array(look.fruit) + white, dtype=np.float64)
 
 
@@ -182,6 +183,6 @@ def _leaf_shapes(look: Look, count: int, rng: np.random.Generator) -> tuple[Arra
 
 def _background(look: Look, image: tuple[int, int], rng: np.random.Generator) -> Array:
     """Patches of light and dark."""
-    coarse = 0.7 + 0.6 * rng.random((image[1] // PATCH + 1, image[0] // PATCH + 1))
-    fine = np.kron(coarse, np.ones((PATCH, PATCH)))[: image[1], : image[0]]
+    coarse = 0.7 + 0.6 * rng.random((image[1] // look.patch + 1, image[0] // look.patch + 1))
+    fine = np.kron(coarse, np.ones((look.patch, look.patch)))[: image[1], : image[0]]
     return np.asarray(fine[..., None] * np.array(look.background))

@@ -34,6 +34,7 @@ class StereoCamera:
         dilations: Dilations of 3 × 3 at the end.
         least_area_share: Regions below this share of the largest are noise.
         least_correlation: Correlation from which a match counts.
+        margin: Surroundings that the matched patch takes along, px: edges carry the match.
     """
 
     name: str
@@ -47,6 +48,7 @@ class StereoCamera:
     dilations: Annotated[int, WHOLE.not_negative]
     least_area_share: Annotated[float, SHARE]
     least_correlation: Annotated[float, SHARE]
+    margin: Annotated[int, WHOLE_PX.not_negative] = 3
 
     def __post_init__(self) -> None:
         name = f"of stereo camera '{self.name}'"

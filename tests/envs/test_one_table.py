@@ -149,13 +149,13 @@ DIAMETERS_MM = (60.0, 66.0, 70.0, 71.0)
 def test_a_cup_this_far_off_does_the_same_in_the_experiment_in_one_machine_and_in_many(
     axial_mm, diameter_mm, grasp, monkeypatch
 ):
-    task = harvest_batch.make_task(slaves=1, fruit=1)
+    task = harvest_batch.make_harvest_task(slaves=1, fruit=1)
     task = replace(task, model=replace(task.model, cut_success=1.0, undamaged=1.0))
     luck = draw_luck(np.random.default_rng(0), 1)._replace(grasp=np.array([grasp]))
     monkeypatch.setattr(harvest_batch, "draw_luck", lambda *_: luck)
     rngs = [np.random.default_rng(i) for i in range(len(LATERAL_MM))]
     miss = np.array([[lateral * 1e-3, 0.0, axial_mm * 1e-3] for lateral in LATERAL_MM])
-    many = harvest_batch.begin(task, rngs)
+    many = harvest_batch.begin_zones(task, rngs)
     many.diameters[:] = diameter_mm * 1e-3
     fruit = many.fruit[:, 0].copy()
     still, none = np.zeros((1, 3)), np.zeros((0, 3))
@@ -169,7 +169,7 @@ def test_a_cup_this_far_off_does_the_same_in_the_experiment_in_one_machine_and_i
     harvest_batch.attempts(task, many, (fruit + miss)[:, None], rngs)
     assert (many.status[:, 0] == harvest_batch.COLLECTED).tolist() == expected
     for i in range(len(LATERAL_MM)):
-        one = harvest_batch.begin(task, [np.random.default_rng(i)])
+        one = harvest_batch.begin_zones(task, [np.random.default_rng(i)])
         one.diameters[:] = diameter_mm * 1e-3
         harvest_batch.attempts(task, one, (one.fruit[0, 0] + miss[i])[None, None], rngs[:1])
         assert (one.status[0, 0] == harvest_batch.COLLECTED) == expected[i]

@@ -16,9 +16,9 @@ AWAY = np.array([0.0, 0.0, 9.0])
 
 def zone(seed=0, fruit=8, **changes):
     """A task, and one machine before a zone."""
-    task = batch.make_task(fruit=fruit)
+    task = batch.make_harvest_task(fruit=fruit)
     task = replace(task, model=replace(task.model, **changes))
-    return task, batch.begin(task, [np.random.default_rng(seed)])
+    return task, batch.begin_zones(task, [np.random.default_rng(seed)])
 
 
 def tried_one_by_one(task, state, order, miss, gap, luck, monkeypatch):
@@ -140,7 +140,7 @@ def test_two_cups_at_one_fruit_are_one_attempt(monkeypatch):
 
 
 def test_pushes_fall_off_with_distance_and_have_the_stated_median():
-    model = batch.make_task().model
+    model = batch.make_harvest_task().model
     luck = draw_luck(np.random.default_rng(0), 4001)
     here = np.zeros((4001, 3))
     pushed = np.linalg.norm(pushes(model, here, np.array([[0.0, 0, 0], [0.3, 0, 0]]), luck), axis=-1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.harvester.pick_point import METHODS, border_indices, hold, pick_point
+from pickenv.harvester.pick_point import METHODS, border_indices, pick_point
 from pickenv.harvester.zones import Grid, cut, load_grid
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
@@ -60,12 +60,6 @@ def test_an_unknown_method_is_refused(machine):
 def test_fruit_at_the_axis_gives_an_unreachable_pick_point(machine):
     with pytest.raises(InputError, match="axis"):
         pick_point(machine, np.array([[0.0, -0.3, 1.0], [0.1, -0.31, 1.0]]), "corrected")
-
-
-def test_an_unreachable_pick_point_names_its_joint(machine):
-    with pytest.raises(InputError, match=r"pick point is unreachable: d2 vertical screw"):
-        hold(machine, [-1.5, 3.0, 0.5])
-    assert hold(machine, machine.master_start, TARGETS).reached.shape == (3, 3)
 
 
 def test_zones_cover_the_side_and_overlap():

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import Annotated
 
-from pickenv.arm.effects.structure import GRAVITY, Load, turn_horizontally
+from pickenv.arm.effects.structure import Load, turn_horizontally
 from pickenv.arm.kinematics.backend import exponential
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, attach
-from pickenv.toml_tables import HOURS, MM, NUMBER, Unit, toml_table
+from pickenv.toml_tables import GRAVITY, HOURS, MM, NUMBER, Unit, toml_table
 
 
 @toml_table

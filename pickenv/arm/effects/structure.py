@@ -13,10 +13,7 @@ from typing import Annotated, Any
 
 from pickenv.arm.files.joint_keys import BOOM, PER_JOINT, ByJoint
 from pickenv.arm.kinematics.forward import Chain, Flexure, Frame, Scalar, attach
-from pickenv.toml_tables import ARCMIN, DEG, KG, KG_PER_M, MM, NUMBER, WHOLE, Then, Unit, toml_table
-
-GRAVITY = 9.80665
-"""Standard acceleration of gravity, m/s^2 (ISO 80000-3)."""
+from pickenv.toml_tables import ARCMIN, DEG, GRAVITY, KG, KG_PER_M, MM, NUMBER, WHOLE, Then, Unit, toml_table
 
 
 @toml_table

@@ -7,13 +7,12 @@ from pathlib import Path
 
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.arm_file import ARMS, read_arm
-from pickenv.errors import InputError
-from pickenv.texts import is_file, shortened
+from pickenv.toml_tables import file_named, shipped_in
 
 
 def shipped_arms() -> list[str]:
     """Names of the arms that come with pickenv."""
-    return sorted(path.stem for path in ARMS.glob("*.toml"))
+    return shipped_in(ARMS)
 
 
 def load_arm(name: str | Path) -> Arm:
@@ -27,18 +26,7 @@ def load_arm(name: str | Path) -> Arm:
         from pickenv.arm.files.urdf import load_urdf
 
         return load_urdf(stem, tip or None)
-    path = Path(name)
-    if path.suffix == ".toml":
-        if not is_file(path):
-            raise InputError(
-                f"arm file {shortened(path, 300)} does not exist; give a path to a TOML file or one of {shipped_arms()}"
-            )
-    else:
-        path = ARMS / f"{name}.toml"
-        if not is_file(path):
-            raise InputError(
-                f"unknown arm '{shortened(name)}'; give one of {shipped_arms()} or a path to an arm file (.toml, .urdf)"
-            )
+    path = file_named("arm", name, ARMS, ".toml, .urdf")
     return _read(path, path.stat().st_mtime_ns)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import ModuleType
 from typing import Annotated, Any, NamedTuple
@@ -58,20 +58,6 @@ from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant.dynamics import Components, PlantState
 from pickenv.toml_tables import DEG, MM, toml_table
 
-EFFECTS = (
-    "joint_compliance",
-    "boom_bending",
-    "transmission_error",
-    "measurement_noise",
-    "roller_play",
-    "backlash",
-    "stick_band",
-    "thermal_growth",
-    "base_tilt",
-    "settling",
-    "encoder",
-    "servo",
-)
 WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling", "servo")
 
 
@@ -232,18 +218,20 @@ class Plant:
         """True tool pose, free of measurement noise, for joint commands ``(..., n)`` in rad and m."""
         return pose_of(self.tool_frame(np, split_joints(self.geometry.joints, q)))
 
-    def tool_frame_floats(self, q: Sequence[float]) -> Frame:
-        """True tool frame for one joint command, on Python floats: the fast path of a single environment."""
-        return self.tool_frame(math, q)
-
     def measured_pose(self, q: ArrayLike, rng: np.random.Generator) -> Pose:
         """Tool pose as an instrument with this plant's measurement noise reports it."""
-        pose = self.tool_pose(q)
+        return self.measured(self.tool_pose(q), rng)
+
+    def measured(self, pose: Pose, rng: np.random.Generator) -> Pose:
+        """A pose, or a batch of them, as an instrument with this plant's measurement noise reports it."""
         noise = self.measurement_noise
         if noise is None:
             return pose
         scale = np.repeat([noise.position_std, noise.attitude_std], 3)
         return displace_pose(pose, rng.normal(size=(*pose.position.shape[:-1], 6)) * scale)
+
+
+EFFECTS = tuple(part.name for part in fields(Plant) if part.name not in ("name", "arm", "geometry", "load", "ready"))
 
 
 class _Gear(NamedTuple):

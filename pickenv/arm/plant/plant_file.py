@@ -12,8 +12,7 @@ from pickenv.arm.files.load import load_arm
 from pickenv.arm.plant.effect_tables import BY_JOINT
 from pickenv.arm.plant.plant import EFFECTS, Plant
 from pickenv.errors import InputError
-from pickenv.texts import is_file, shortened
-from pickenv.toml_tables import LINE, Check, Then, read, toml_table
+from pickenv.toml_tables import LINE, Check, Then, file_named, read, shipped_in, toml_table
 
 PLANTS = Path(__file__).parent / "plants"
 
@@ -48,7 +47,7 @@ PlantFile: Any = toml_table(
 
 def shipped_plants() -> list[str]:
     """Names of the plant presets that come with pickenv."""
-    return sorted(path.stem for path in PLANTS.glob("*.toml"))
+    return shipped_in(PLANTS)
 
 
 def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
@@ -61,13 +60,7 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
     Raises:
         InputError: If the plant or an effect is unknown or a number is impossible; names the file and the key.
     """
-    path = Path(name)
-    if path.suffix != ".toml":
-        path = PLANTS / f"{name}.toml"
-    if not is_file(path):
-        raise InputError(
-            f"unknown plant '{shortened(name)}'; give one of {shipped_plants()} or a path to a plant file (.toml)"
-        )
+    path = file_named("plant", name, PLANTS)
     parts = dict(vars(read(PlantFile, path, context={})))
     del parts["source"]
     plant = Plant(geometry=parts["arm"].true, **parts)

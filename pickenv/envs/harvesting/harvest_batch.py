@@ -11,9 +11,10 @@ from functools import cached_property, lru_cache
 from typing import Annotated
 
 import numpy as np
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
 from pickenv.envs.shared.task import CONTROL_PERIOD, check_number
 from pickenv.errors import InputError
@@ -89,20 +90,27 @@ class HarvestTask:
         """Periods that sensing and cutting take."""
         return int(np.ceil((self.machine.cycle.sense + self.machine.cycle.cut) / CONTROL_PERIOD - 1e-9))
 
-    @property
-    def observation_size(self) -> int:
-        """Length of an observation."""
-        return self.machine.joints + self.machine.arms + 4 * self.fruit
+    @cached_property
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Smallest and largest observation."""
+        box = spaces(self)[0]
+        return box.low, box.high
 
 
-def make_task(
-    slaves: int | None = None, spacing_mm: float | None = None, fruit: int = 8, ideal: bool = False
+def make_harvest_task(
+    slaves: int | None = None,
+    spacing_mm: float | None = None,
+    fruit: int = 8,
+    ideal: bool = False,
+    render_mode: str | None = None,
 ) -> HarvestTask:
     """Check the arguments of an environment and read its files.
 
     Raises:
         InputError: If one of them is impossible.
     """
+    if render_mode is not None:
+        raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
     if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
     if spacing_mm is not None:
@@ -165,7 +173,7 @@ class HarvestState:
             mine[rows] = theirs
 
 
-def begin(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestState:
+def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestState:
     """Draw a zone for each generator; the master stands at its pick point, the slaves rest."""
     machine, n, wanted = task.machine, len(rngs), task.fruit
     canopy, size = task.orchard.canopy, task.orchard.size
@@ -353,17 +361,16 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
     shown = pickable(state)[..., None]
     local = np.stack([right, ahead, away[..., 2]], axis=-1) * shown
     parts = [scaled, state.busy / task.lead, np.concatenate([local, shown], axis=-1).reshape(len(scaled), -1)]
-    low, high = bounds(task)
-    return np.asarray(np.clip(np.concatenate(parts, axis=1), low, high), dtype=np.float32)
+    return np.asarray(np.clip(np.concatenate(parts, axis=1), *task.bounds), dtype=np.float32)
 
 
-def bounds(task: HarvestTask) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Smallest and largest observation."""
+def spaces(task: HarvestTask, extra: int = 0) -> tuple[Box, Box]:
+    """Observation space, with room for some numbers from 0 to 1 at its end, and action space."""
     joints, arms, most = task.machine.joints, task.machine.arms, task.rules.shown
-    slot = [most, most, most, 1.0]
-    high = np.array([1.0] * joints + [1.0] * arms + slot * task.fruit, dtype=np.float32)
-    low = np.array([-1.0] * joints + [0.0] * arms + [-most, -most, -most, 0.0] * task.fruit, dtype=np.float32)
-    return low, high
+    high = [1.0] * (joints + arms) + [most, most, most, 1.0] * task.fruit + [1.0] * extra
+    low = [-1.0] * joints + [0.0] * arms + [-most, -most, -most, 0.0] * task.fruit + [0.0] * extra
+    observations = Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
+    return observations, Box(-1.0, 1.0, (joints,), np.float32)
 
 
 def information(state: HarvestState) -> dict[str, NDArray[np.generic]]:

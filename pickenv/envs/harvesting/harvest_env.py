@@ -111,14 +111,10 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_mode: str | None = None,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        if render_mode is not None:
-            raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
-        self.task: HarvestTask = batch.make_task(slaves, spacing_mm, fruit, ideal)
-        self.render_mode = render_mode
+        self.task: HarvestTask = batch.make_harvest_task(slaves, spacing_mm, fruit, ideal, render_mode)
+        self.render_mode = None
         self.compensator: Compensate | None = None
-        low, high = batch.bounds(self.task)
-        self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.task.machine.joints,), np.float32)
+        self.observation_space, self.action_space = batch.spaces(self.task)
         self.state: HarvestState | None = None
 
     def reset(
@@ -127,7 +123,7 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Start with another zone; there are no options."""
         super().reset(seed=seed)
         given_options(options, ())
-        self.state = batch.begin(self.task, [self.np_random])
+        self.state = batch.begin_zones(self.task, [self.np_random])
         return batch.observe(self.task, self.state)[0], self._information()
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:

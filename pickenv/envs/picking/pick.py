@@ -10,16 +10,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.forward import Frame
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm import Array, Frame, Plant, PlantState, plant_at
 from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_scene import Orchard, PickScene, draw_scene, make_orchard, upright_turn
+from pickenv.envs.picking.pick_scene import PickScene, PickSetting, draw_scene, make_setting, upright_turn
 from pickenv.envs.shared.arms import population_size
 from pickenv.envs.shared.backends import FLOATS
-from pickenv.envs.shared.screen import RENDER_MODES, Screen
+from pickenv.envs.shared.rendering import RENDER_MODES, Screen
 from pickenv.envs.shared.simulation import move, nominal_frames, nominal_readings, scaled
 from pickenv.envs.shared.spaces import box, given_options
 from pickenv.envs.shared.task import (
@@ -219,7 +215,7 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             population_seed=population_seed,
         )
         self.plant: Plant = self.task.plant if arms == "fixed" else plant_at(self.task.plant, 0)
-        self.orchard: Orchard = make_orchard(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks)
+        self.orchard: PickSetting = make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks)
         self.render_mode = render_mode
         self.compensator: Compensate | None = None
         self._reach = reach_of(self.plant.arm.nominal, self.orchard.station.approach)

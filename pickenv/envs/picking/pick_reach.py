@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from pickenv.arm.kinematics.forward import forward
-from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
-from pickenv.arm.kinematics.inverse import inverse
+from pickenv.arm import Array, Geometry, Pose, forward, inverse
 from pickenv.errors import InputError
 
 ITERATIONS = 8

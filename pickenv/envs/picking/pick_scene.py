@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv import orchard as trees
-from pickenv.arm.kinematics.forward import Frame
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Frame
 from pickenv.envs.picking.pick_reach import UP, Flags, Reach
 from pickenv.envs.shared.task import as_numbers
 from pickenv.errors import InputError
+from pickenv.orchard.camera import DRAWS
 
 CLOSE, OPEN = 0.5, -0.5
 """Commands beyond which the gripper closes and opens."""
@@ -29,7 +29,7 @@ ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
 
 
 @dataclass(frozen=True, eq=False)
-class Orchard:
+class PickSetting:
     """What kind of fruit hangs before the arm, what sees it and what takes it."""
 
     canopy: trees.Canopy
@@ -43,9 +43,9 @@ class Orchard:
     looks: int
 
 
-def make_orchard(
+def make_setting(
     canopy: str, fruit_map: str, fruit_size: str, camera: str, gripper: str, fruit: float, looks: int
-) -> Orchard:
+) -> PickSetting:
     """Read the presets; ``fruit`` is the mean number of fruit in the section before the arm."""
     whole, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
     station = trees.load_station("qiao2026")
@@ -55,7 +55,7 @@ def make_orchard(
         depth=min(station.depth, whole.depth),
         top=min(whole.bottom + station.height, whole.top),
     )
-    return Orchard(
+    return PickSetting(
         canopy=section,
         fruit_map=crop.scaled(fruit / section.width),
         size=trees.load_fruit_size(fruit_size),
@@ -68,17 +68,17 @@ def make_orchard(
     )
 
 
-def to_base(orchard: Orchard, positions: Array) -> Array:
+def to_base(orchard: PickSetting, positions: Array) -> Array:
     """Positions (..., 3) of the orchard frame in the base frame."""
     return _origin(orchard) + positions * [-1.0, -1.0, 1.0]
 
 
-def to_orchard(orchard: Orchard, positions: Array) -> Array:
+def to_orchard(orchard: PickSetting, positions: Array) -> Array:
     """Positions (..., 3) of the base frame in the orchard frame."""
     return np.asarray((positions - _origin(orchard)) * [-1.0, -1.0, 1.0])
 
 
-def _origin(orchard: Orchard) -> Array:
+def _origin(orchard: PickSetting) -> Array:
     station = orchard.station
     return np.array([station.middle, station.face, station.mount - orchard.canopy.bottom])
 
@@ -115,7 +115,7 @@ class PickScene:
         detached_at: Height of the believed tool when the fruit in it came off, m.
     """
 
-    orchard: Orchard
+    orchard: PickSetting
     rest: Array
     diameters: Array
     masses: Array
@@ -274,7 +274,7 @@ class PickScene:
         self.displacement = moved * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
 
 
-def draw_scene(orchard: Orchard, reach: Reach, rng: np.random.Generator, given: Any = None) -> PickScene:
+def draw_scene(orchard: PickSetting, reach: Reach, rng: np.random.Generator, given: Any = None) -> PickScene:
     """The fruit of an episode, at least one of it in reach.
 
     Args:
@@ -306,14 +306,14 @@ def draw_scene(orchard: Orchard, reach: Reach, rng: np.random.Generator, given: 
 
 
 def _seen_scene(
-    orchard: Orchard, reach: Reach, rng: np.random.Generator, positions: Array, diameters: Array
+    orchard: PickSetting, reach: Reach, rng: np.random.Generator, positions: Array, diameters: Array
 ) -> PickScene:
     """Look at fruit in the orchard frame, and say which of it the arm can try."""
     canopy, camera, count = orchard.canopy, orchard.camera, len(positions)
     viewpoint = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2])
     hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
     found = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=-1), hidden.visible)
-    draws = rng.normal(size=(count, trees.DRAWS))
+    draws = rng.normal(size=(count, DRAWS))
     draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
     believed = trees.measured_positions(
         camera,

@@ -13,14 +13,12 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import arrays_of, plants_on
+from pickenv.arm import Array, Plant, PlantState, plants_on
+from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.arm.plant.tree import leaves, tree_map
 from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import Executor, Scalar
-from pickenv.envs.shared.simulation import Look, ReachState, begin, goal_attempt, look
+from pickenv.envs.shared.simulation import ReachState, View, begin, goal_attempt, look
 from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, MOST_ACTION, Task
 from pickenv.errors import InputError
@@ -50,15 +48,15 @@ class Start(NamedTuple):
     arm: NDArray[np.intp] | None = None
 
 
-class Outcome(NamedTuple):
-    """What many environments show, component by component, one column per environment; see `simulation.Look`.
+class Views(NamedTuple):
+    """What many environments show, component by component, one column per environment; see `simulation.View`.
 
     Attributes:
         observation: One array ``(k, count)`` per part of the observation, float32.
         reward: ``(count,)``.
         success: ``(count,)``.
         numbers: What `simulation.NUMBER_KEYS` names, four rows ``(count,)``.
-        vectors: `Look.vectors`, ``(12 + n, count)``; nothing without poses.
+        vectors: `View.vectors`, ``(12 + n, count)``; nothing without poses.
     """
 
     observation: tuple[Scalar, ...]
@@ -129,9 +127,9 @@ class Batch(ABC):
         """An array in memory of its own."""
         return np.copy(values)
 
-    def copied(self, out: Outcome) -> Outcome:
+    def copied(self, out: Views) -> Views:
         """The same, in memory of its own."""
-        return cast(Outcome, tree_map(self.copy, out))
+        return cast(Views, tree_map(self.copy, out))
 
     @abstractmethod
     def given(self, actions: ArrayLike) -> Scalar:
@@ -142,11 +140,11 @@ class Batch(ABC):
         """Actions ``(N, n)`` as components ``(n, N)``, their least and their largest number."""
 
     @abstractmethod
-    def show(self, rows: Rows, compensate: Compensate | None) -> Outcome:
+    def show(self, rows: Rows, compensate: Compensate | None) -> Views:
         """What the environments ``rows`` show at the beginning of their episodes."""
 
     @abstractmethod
-    def advance(self, actions: Scalar, moments: Words, live: Flags | None, compensate: Compensate | None) -> Outcome:
+    def advance(self, actions: Scalar, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
         """Act in all environments.
 
         Args:
@@ -177,14 +175,14 @@ class Batch(ABC):
             self.write(self.columns, some, (*state.target, *state.goal, *state.seen))
             self.write(self.columns[n + 15 :], some, list(chain.from_iterable(state.plant)))
 
-    def scene(self, row: int, compensate: Compensate | None) -> tuple[Array, Look]:
+    def scene(self, row: int, compensate: Compensate | None) -> tuple[Array, View]:
         """Joint target and everything that can be seen of one environment, on floats; no time passes."""
         where = self.indices(np.array([row]))
         state = self.state_of([column[where] for column in self.columns])
         command, key = self.commands(compensate, list(state.target)), self.keys[where]
         _, scene = look(self.x, self.task, self.plant_of(where), state, command, key, key * 0, 0.0)
         plain = (tuple(map(self._float, part)) if isinstance(part, tuple) else self._float(part) for part in scene)
-        return np.array([self._float(value) for value in state.target]), Look(*plain)  # type: ignore[arg-type]
+        return np.array([self._float(value) for value in state.target]), View(*plain)  # type: ignore[arg-type]
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on."""
@@ -216,13 +214,13 @@ class Batch(ABC):
             )
         return numbers
 
-    def merged(self, out: Outcome, rows: Rows, some: Outcome) -> Outcome:
+    def merged(self, out: Views, rows: Rows, some: Views) -> Views:
         """What all show, with the environments ``rows`` replaced; in memory of its own."""
         out = self.copied(out)
         self.scatter(out, rows, some)
         return out
 
-    def scatter(self, out: Outcome, rows: Rows, some: Outcome) -> None:
+    def scatter(self, out: Views, rows: Rows, some: Views) -> None:
         """Put what the environments ``rows`` show into what all show."""
         where = self.indices(rows)
         for all_, few in zip(leaves(out), leaves(some), strict=True):

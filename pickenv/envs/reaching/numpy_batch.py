@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plants_on
-from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Outcome, Rows, Words
+from pickenv.arm import Array, Plant, plants_on
+from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Rows, Views, Words
 from pickenv.envs.shared.backends import NUMPY
 from pickenv.envs.shared.exact import exact_plant
 from pickenv.envs.shared.simulation import flat_observation, goal_observation, goal_reward, look, move, true_reward
@@ -50,7 +48,7 @@ class NumpyBatch(Batch):
         numbers: Array = actions.T.astype(np.float64, order="C")
         return numbers, float(numbers.min()), float(numbers.max())
 
-    def advance(self, actions: Array, moments: Words, live: Flags | None, compensate: Compensate | None) -> Outcome:
+    def advance(self, actions: Array, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
         out, n, rested = self._empty(self.count), self.task.joints, np.empty(0, dtype=np.intp)
         if live is not None:
@@ -68,7 +66,7 @@ class NumpyBatch(Batch):
             out.reward[~live] = 0.0
         return out
 
-    def show(self, rows: Rows, compensate: Compensate | None) -> Outcome:
+    def show(self, rows: Rows, compensate: Compensate | None) -> Views:
         """What the environments ``rows`` show at the beginning of their episodes."""
         out = self._empty(len(rows))
         for a, b in self.blocks(len(rows)):
@@ -88,7 +86,7 @@ class NumpyBatch(Batch):
 
     def _show(
         self,
-        out: Outcome,
+        out: Views,
         place: slice,
         where: Any,
         plant: Plant,
@@ -115,8 +113,8 @@ class NumpyBatch(Batch):
         if self.poses:
             self.write(list(out.vectors), place, scene.vectors)
 
-    def _empty(self, count: int) -> Outcome:
-        return Outcome(
+    def _empty(self, count: int) -> Views:
+        return Views(
             observation=tuple(np.empty((width, count), dtype=np.float32) for width in self.widths()),
             reward=np.empty(count),
             success=np.empty(count, dtype=np.bool_),

@@ -10,17 +10,15 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at, plants_on
+from pickenv.arm import Array, Plant, plant_at, plants_on
 from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant
-from pickenv.envs.shared.screen import RENDER_MODES, Screen
+from pickenv.envs.shared.rendering import RENDER_MODES, Screen
 from pickenv.envs.shared.simulation import (
     NUMBER_KEYS,
-    Look,
     ReachState,
+    View,
     begin,
     flat_observation,
     goal_attempt,
@@ -191,7 +189,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         self._key: Scalar = 0
         self._arm = 0
         self._state: ReachState | None = None
-        self._scene: Look | None = None
+        self._scene: View | None = None
         self._screen = Screen(self.metadata["render_fps"])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Information]:
@@ -265,10 +263,10 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         assert self._scene is not None
         plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
         parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
-        scene = Look(*parts)  # type: ignore[arg-type]
+        scene = View(*parts)  # type: ignore[arg-type]
         return reach_pixels(plant, self.joint_target, scene, self.task.tolerance_mm)
 
-    def _observe(self, scene: Look) -> tuple[Any, float]:
+    def _observe(self, scene: View) -> tuple[Any, float]:
         """Observation and reward; variants with other observations override it."""
         reward: Scalar = true_reward(self._x, self.task, scene)
         return np.array(self._plain(flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]

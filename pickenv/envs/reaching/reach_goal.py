@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.envs.reaching.reach import ReachEnv
 from pickenv.envs.shared.backends import NUMPY
-from pickenv.envs.shared.simulation import Look, goal_observation, goal_reward
+from pickenv.envs.shared.simulation import View, goal_observation, goal_reward
 from pickenv.envs.shared.spaces import goal_space
 from pickenv.envs.shared.task import Task
 
@@ -102,7 +102,7 @@ class ReachGoalEnv(ReachEnv):
         """Reward of achieved against desired goals, ``(3,)`` or ``(N, 3)``; a number, or an array ``(N,)``."""
         return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
-    def _observe(self, scene: Look) -> tuple[Any, float]:
+    def _observe(self, scene: View) -> tuple[Any, float]:
         parts = (np.array(self._plain(part), dtype=np.float32) for part in goal_observation(scene))
         observation = dict(zip(GOAL_KEYS, parts, strict=True))
         return observation, self.compute_reward(observation["achieved_goal"], observation["desired_goal"], {})

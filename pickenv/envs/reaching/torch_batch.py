@@ -14,10 +14,8 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plants_on
-from pickenv.envs.reaching.batch import Batch, Columns, Compensate, Flags, Outcome, Rows, Words
+from pickenv.arm import Array, Plant, plants_on
+from pickenv.envs.reaching.batch import Batch, Columns, Compensate, Flags, Rows, Views, Words
 from pickenv.envs.shared.arms import prepare
 from pickenv.envs.shared.backends import Executor, Scalar, torch_executor
 from pickenv.envs.shared.simulation import (
@@ -139,7 +137,7 @@ class TorchBatch(Batch):
         low, high = torch.aminmax(actions) if self.device.type == "cpu" else (0.0, 0.0)
         return actions.T.to(self.dtype).contiguous(), float(low), float(high)
 
-    def advance(self, actions: Tensor, moments: Words, live: Flags | None, compensate: Compensate | None) -> Outcome:
+    def advance(self, actions: Tensor, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
         n, alive = self.task.joints, None
         dt: Scalar = CONTROL_PERIOD
@@ -160,7 +158,7 @@ class TorchBatch(Batch):
         shown = self._outcome(out[n + held :], self.columns[n + 9 : n + 12])
         return shown if alive is None else shown._replace(reward=shown.reward * alive)
 
-    def show(self, rows: Rows, compensate: Compensate | None) -> Outcome:
+    def show(self, rows: Rows, compensate: Compensate | None) -> Views:
         """What the environments ``rows`` show at the beginning of their episodes."""
         n, where = self.task.joints, self.indices(rows)
         columns, keys = [column[where] for column in self.columns], self.keys[where]
@@ -200,8 +198,8 @@ class TorchBatch(Batch):
         vectors = scene.vectors[:-3] if self.poses else ()
         return [*chain.from_iterable(memory), *chain.from_iterable(parts), *reward, *scene.numbers, *vectors]
 
-    def _outcome(self, out: Columns, fruit: Columns) -> Outcome:
-        """Columns of `_shown`, after the memory, and the fruit's position as an `Outcome`."""
+    def _outcome(self, out: Columns, fruit: Columns) -> Views:
+        """Columns of `_shown`, after the memory, and the fruit's position as an `Views`."""
         parts = []
         for width in self.widths():
             parts.append(self._pack(out[:width], torch.float32))
@@ -212,7 +210,7 @@ class TorchBatch(Batch):
             reward, *out = out
         success = in_capture_region(self.task, out[0], out[1])
         vectors = self._pack([*out[4:], *fruit], self.dtype) if self.poses else None
-        return Outcome(tuple(parts), reward, success, tuple(out[:4]), vectors)
+        return Views(tuple(parts), reward, success, tuple(out[:4]), vectors)
 
 
 def _packed(columns: Columns, dtype: torch.dtype) -> Tensor:

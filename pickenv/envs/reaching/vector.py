@@ -10,10 +10,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Outcome, Start
+from pickenv.arm import Array, Plant, plant_at
+from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Start, Views
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared.simulation import NUMBER_KEYS
@@ -120,7 +118,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self._elapsed = np.zeros(self.num_envs, dtype=np.uint64)
         self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
-        self._last: Outcome | None = None
+        self._last: Views | None = None
 
     @property
     def plant(self) -> Plant:
@@ -281,11 +279,11 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             chosen["arm"] = np.array([self.task.given_arm(arm) for arm in each.tolist()], dtype=np.intp)
         return chosen
 
-    def _observations(self, out: Outcome) -> Any:
+    def _observations(self, out: Views) -> Any:
         parts = [part.T for part in out.observation]
         return dict(zip(GOAL_KEYS, parts, strict=True)) if self.goal_dict else parts[0]
 
-    def _infos(self, out: Outcome, mask: Flags) -> dict[str, Any]:
+    def _infos(self, out: Views, mask: Flags) -> dict[str, Any]:
         """Infos as a dict of arrays with masks; what is outside the mask is zero."""
         n = self.task.joints
         numbers, vectors, success = out.numbers, out.vectors, out.success
@@ -300,7 +298,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             infos[key] = vectors[a:b].T
         return infos | {f"_{key}": given for key in infos}
 
-    def _final(self, out: Outcome, rows: NDArray[np.intp], ended: Flags) -> dict[str, Any]:
+    def _final(self, out: Views, rows: NDArray[np.intp], ended: Flags) -> dict[str, Any]:
         """Last observation and info of the episodes that ended, before they are overwritten."""
         last = self.batch.copied(out)
         infos = self._infos(last, ended)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from types import ModuleType
 
-from pickenv.arm.plant.plant import Plant
+from pickenv.arm import Plant
 from pickenv.arm.plant.plant_batch import plant_count
 from pickenv.envs.shared.backends import Executor, Scalar
 from pickenv.envs.shared.streams import ARM, episode_key, stream_key, uniform

@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar
-from pickenv.arm.plant.plant import Plant, Ready
+from pickenv.arm import Frame, Plant
+from pickenv.arm.kinematics.forward import Chain, Scalar
+from pickenv.arm.plant.plant import Ready
 
 ROUNDING = 1e-15
 

@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from pickenv.arm import Frame, Plant, PlantState
 from pickenv.arm.kinematics.backend import chosen, clipped
-from pickenv.arm.kinematics.forward import Frame, Scalar, attach, frames
+from pickenv.arm.kinematics.forward import Scalar, attach, frames
 from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.plant import Plant
 from pickenv.envs.shared.backends import Executor
 from pickenv.envs.shared.exact import inexact
 from pickenv.envs.shared.streams import CAMERA, FRUIT, normal, stream_key, uniform
@@ -44,7 +43,7 @@ class ReachState(NamedTuple):
     plant: PlantState
 
 
-class Look(NamedTuple):
+class View(NamedTuple):
     """All that can be seen, from outside, of a moment: the observation takes a part of it, the information another.
 
     Attributes:
@@ -160,7 +159,7 @@ def look(
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
-) -> tuple[PlantState, Look]:
+) -> tuple[PlantState, View]:
     """Hold the joint command for ``dt`` seconds and see where the true tool is.
 
     Args:
@@ -199,7 +198,7 @@ def look(
             first = x.times(moment, 3)
             noise = (normal(x, stream, x.plus(first, x.word(i))) for i in range(3))
             camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
-    return plant_state, Look(
+    return plant_state, View(
         readings=scaled(x, task, shown),
         believed=believed[9:12],
         seen=seen,
@@ -254,12 +253,12 @@ def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[
     return x.m.sqrt(along * along / (nx * nx + ny * ny + nz * nz + 1e-30))
 
 
-def flat_observation(scene: Look) -> Components:
+def flat_observation(scene: View) -> Components:
     """The numbers of the flat observation."""
     return (*scene.readings, *scene.believed, *scene.seen, *scene.offset, *scene.camera)
 
 
-def goal_observation(scene: Look) -> tuple[Components, Components, Components]:
+def goal_observation(scene: View) -> tuple[Components, Components, Components]:
     """The numbers of observation, achieved goal and desired goal.
 
     The achieved goal is the tool as the chosen feedback measures it: the believed one, or the fruit as seen less the
@@ -271,7 +270,7 @@ def goal_observation(scene: Look) -> tuple[Components, Components, Components]:
     return (*scene.readings, *scene.believed, *scene.offset[3:]), achieved, scene.seen
 
 
-def true_reward(x: Executor, task: Task, scene: Look) -> Scalar:
+def true_reward(x: Executor, task: Task, scene: View) -> Scalar:
     """Reward from the truth: see `pickenv/Reach-v0`."""
     if task.sparse:
         return _sparse(x, scene.success, scene.distance_mm)

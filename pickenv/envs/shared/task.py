@@ -15,13 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import load_arm, load_plant
-from pickenv.arm.files.arm import Arm
+from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, load_arm, load_plant, load_tolerances
 from pickenv.arm.kinematics.forward import Chain, chain_of, frames
-from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_count
-from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.envs.shared.exact import exact_chain
 from pickenv.errors import InputError
 from pickenv.limits import check_limit, shown

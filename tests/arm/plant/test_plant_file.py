@@ -125,5 +125,5 @@ def test_switching_off_an_unknown_effect_is_answered_with_the_known_ones():
 
 @pytest.mark.parametrize("name", ["orchrad", "nowhere/plant.toml"])
 def test_an_unknown_plant_is_answered_with_the_known_ones(name):
-    with pytest.raises(InputError, match=r"unknown plant.*'geometry_only'"):
+    with pytest.raises(InputError, match=r"(unknown plant|plant file).*'geometry_only'"):
         load_plant(name)

@@ -149,7 +149,7 @@ def test_many_arms_at_once_are_the_arms_one_by_one(draw):
     np.testing.assert_allclose(torched_pose.position.numpy(), settled.position, rtol=0, atol=1e-12)
     for i, one in enumerate(ones):
         np.testing.assert_allclose(one.tool_pose(ways[0, i]).position, settled.position[i], rtol=0, atol=1e-12)
-        assert one.tool_frame_floats(ways[0, i].tolist())[9:] == pytest.approx(settled.position[i], abs=1e-12)
+        assert one.tool_frame(math, ways[0, i].tolist())[9:] == pytest.approx(settled.position[i], abs=1e-12)
 
 
 def test_several_poses_of_each_arm(draw):
