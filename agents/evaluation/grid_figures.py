@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.grid import Grid
+from pickenv.agents.evaluation.grid import PolicyGrid
 from pickenv.agents.evaluation.statistics import interquartile_mean, interval, mean
 from pickenv.envs.shared.task import CONTROL_PERIOD
 from pickenv.harvester.harvest_summary import Measure
@@ -33,7 +33,7 @@ STATISTICS: Mapping[str, Any] = {
 }
 
 
-def aggregate_figure(grid: Grid) -> Figure:
+def aggregate_figure(grid: PolicyGrid) -> Figure:
     """Mean, interquartile mean and 95th percentile of every cell with 95 % intervals, one panel row per plant."""
     panels: dict[str, dict[str, dict[str, dict[str, Measure]]]] = {}
     for cell in grid.cells:
@@ -45,7 +45,7 @@ def aggregate_figure(grid: Grid) -> Figure:
     return aggregates(panels)
 
 
-def success_curves(grid: Grid, plant: str) -> Figure:
+def success_curves(grid: PolicyGrid, plant: str) -> Figure:
     """Success against lateral error for each gripper, and where the scripted policy lies on it."""
     points = {
         LABELS[cell.compensation]: {
@@ -58,7 +58,7 @@ def success_curves(grid: Grid, plant: str) -> Figure:
     return success_against_misalignment(gripper_curves(tuple(grid.grippers)), points)
 
 
-def cycle_figure(grid: Grid, period: float, plant: str) -> Figure:
+def cycle_figure(grid: PolicyGrid, period: float, plant: str) -> Figure:
     """Accuracy against cycle time: mean error if the pick were made after each step, and the Pareto front of all.
 
     Policies with a camera are shown on raw arms only.
@@ -73,7 +73,7 @@ def cycle_figure(grid: Grid, period: float, plant: str) -> Figure:
     return accuracy_against_cycle_time(curves, period, title=plant)
 
 
-def grid_drawings(grid: Grid) -> Sequence[Drawing]:
+def grid_drawings(grid: PolicyGrid) -> Sequence[Drawing]:
     """Every figure of a comparison."""
     found = [
         Drawing(

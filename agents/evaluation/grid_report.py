@@ -9,7 +9,7 @@ from pickenv.agents.evaluation.grid_figures import LABELS, grid_drawings
 from pickenv.agents.evaluation.grid_tables import read_grid
 from pickenv.inspect.figures.run_drawings import Drawings
 from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, Verdict
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.reports.report_words import between
 from pickenv.inspect.runs.run_folder import Run, TakePicture
 
@@ -32,7 +32,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     first, best = rows[0], min(rows, key=lambda row: row["mean_mm"])
     raw = [line for line in worth if line["from"] == "raw"]
     helped = [line for line in raw if line["significant"] and line["difference_mm"] < 0.0]
-    verdict = Verdict(
+    verdict = PageVerdict(
         "note",
         f"Best: {best['policy']} with {LABELS[best['compensation']]}, {best['mean_mm']:.2f} mm",
         f"{best['policy']} with {best['feedback']} and {LABELS[best['compensation']]} on {best['plant']} ends "

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pickenv.agents.evaluation.grid import Grid, GridSettings
+from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid
 from pickenv.errors import InputError
 from pickenv.files import write_text, write_whole
 from pickenv.inspect.runs.run_folder import Run, recorded_run
-from pickenv.inspect.runs.saved import load, save
+from pickenv.inspect.runs.saved import load_numbers, save_numbers
 
 GRID = "grid.npz"
 """A comparison's file in its run folder."""
@@ -123,18 +123,18 @@ def command_of(settings: GridSettings) -> str:
     return shlex.join(words)
 
 
-def write_grid(grid: Grid, folder: Path) -> list[Path]:
+def write_grid(grid: PolicyGrid, folder: Path) -> list[Path]:
     """Write a comparison's run folder: every episode, for `read_grid`, and the rows as JSON."""
     with recorded_run(folder, "evaluation", command_of(grid.settings), grid.settings.seed) as run:
-        return [save(run.folder / GRID, grid, seed=grid.settings.seed), write_json(folder / ROWS, grid)]
+        return [save_numbers(run.folder / GRID, grid, seed=grid.settings.seed), write_json(folder / ROWS, grid)]
 
 
-def read_grid(run: Run) -> Grid:
-    """The comparison of a run folder, to the bit; raises `InputError` as `pickenv.inspect.runs.saved.load`."""
-    return load(run.folder / GRID, Grid, run.made_by)
+def read_grid(run: Run) -> PolicyGrid:
+    """The comparison of a run folder, to the bit; raises `InputError` as `pickenv.inspect.runs.saved.load_numbers`."""
+    return load_numbers(run.folder / GRID, PolicyGrid, run.made_by)
 
 
-def write_json(path: Path, grid: Grid) -> Path:
+def write_json(path: Path, grid: PolicyGrid) -> Path:
     """Write the rows and what each compensation is worth as JSON."""
     content = {"rows": grid.rows(), "comparisons": grid.comparisons()}
     return write_text(path, json.dumps(content, indent=2) + "\n")

@@ -16,11 +16,11 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.orchard.gripper import Gripper, capture_probability, misalignment
+from pickenv.wrappers import Compensate
 
 MOST_ROWS = 2048
 """Rows that a vector environment hands to a compensator in one piece (`pickenv.envs.reaching.batch.BLOCK`)."""
 
-Compensate = Callable[[Array], Array]
 PolicyMaker = Callable[[Any, int], Policy]
 """Makes a policy for an environment, from a seed."""
 

@@ -190,16 +190,16 @@ def _chunk(path: Path) -> tuple[int | None, str]:
 
 
 def _saved(path: Path) -> tuple[int | None, str]:
-    from pickenv.agents.evaluation.grid import Grid
+    from pickenv.agents.evaluation.grid import PolicyGrid
     from pickenv.container import read_container
     from pickenv.inspect.runs import saved
     from pickenv.inspect.runs.calibration_trace import CalibrationTrace
     from pickenv.inspect.runs.comparison import Comparison
     from pickenv.inspect.runs.harvest_trace import HarvestTrace
 
-    kinds: tuple[type, ...] = (CalibrationTrace, Comparison, Grid, HarvestTrace)
+    kinds: tuple[type, ...] = (CalibrationTrace, Comparison, PolicyGrid, HarvestTrace)
     name = read_container(path, None, remake=REMAKE).kind
-    saved.load(path, next(kind for kind in kinds if kind.__name__ == name), "the command that wrote it")
+    saved.load_numbers(path, next(kind for kind in kinds if kind.__name__ == name), "the command that wrote it")
     return saved.FORMAT, "the numbers behind figures"
 
 
@@ -208,6 +208,6 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
     "policy": _policy,
     "checkpoint": _checkpoint,
     "chunk of a study": _chunk,
-    **dict.fromkeys(("CalibrationTrace", "Comparison", "Grid", "HarvestTrace"), _saved),
+    **dict.fromkeys(("CalibrationTrace", "Comparison", "PolicyGrid", "HarvestTrace"), _saved),
 }
 """How each kind of file is verified: its version, and a few words about it."""

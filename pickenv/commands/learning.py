@@ -14,7 +14,7 @@ import typer
 from pickenv.errors import InputError
 
 if TYPE_CHECKING:
-    from pickenv.agents.training.training import Training
+    from pickenv.agents.training.training_setup import Training
 
 
 NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
@@ -50,8 +50,9 @@ def train(
     ] = False,
 ) -> None:
     """Train a policy; the folder gets its file, checkpoints, evaluations in millimetres and TensorBoard's logs."""
-    from pickenv.agents.training.training import Training, resumed
+    from pickenv.agents.training.training import resumed
     from pickenv.agents.training.training import train as run
+    from pickenv.agents.training.training_setup import Training
     from pickenv.files import separate
 
     written = [out / name for name in ("policy.npz", "checkpoint.pt", "evaluations.json")]
@@ -162,7 +163,7 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit."""
-    from pickenv.agents.evaluation.calibrated import Protocol
+    from pickenv.agents.evaluation.calibrated import CalibrationPlan
     from pickenv.agents.evaluation.grid import GridSettings, kind_of, run_grid
     from pickenv.agents.evaluation.grid_tables import GRID, ROWS, print_grid, write_grid, write_json, write_rows
     from pickenv.commands.handing_over import deliver
@@ -183,7 +184,7 @@ def evaluate(
         tolerances=tolerances,
         camera_noise_mm=camera_noise,
         fruit_noise_mm=fruit_noise,
-        protocol=Protocol(epochs=epochs, seed=seed),
+        protocol=CalibrationPlan(epochs=epochs, seed=seed),
         **names,
     )
 

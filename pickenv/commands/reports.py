@@ -35,7 +35,7 @@ def figures(
 ) -> None:
     """Draw every figure that a run's numbers allow, for papers and reports; say which are left out, and why."""
     from pickenv.files import separate
-    from pickenv.inspect.figures.run_drawings import LeftOut, write_drawings
+    from pickenv.inspect.figures.run_drawings import NotDrawn, write_drawings
     from pickenv.inspect.runs.run_folder import added_to, read_run
 
     found, folder = read_run(run), out or run / "figures"
@@ -48,7 +48,7 @@ def figures(
     for path in written:
         print(f"wrote {path}")
     for drawing in drawings:
-        if isinstance(drawing, LeftOut):
+        if isinstance(drawing, NotDrawn):
             print(f"left out {drawing.name}: {drawing.reason}")
 
 

@@ -85,7 +85,7 @@ PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
         ("(number)", "(1/h)"),
     ),
     "workspace": (lambda: plot_harvest.workspace_cloud(GRID[:, None], [((0, 1), (0, 1), (0, 1))]), ("x (m)", "z (m)")),
-    "joint curves": (lambda: plot_harvest.joint_curves(CURVES), ("(s)", "(mm)", "(deg)")),
+    "joint curves": (lambda: plot_harvest.joint_displacements(CURVES), ("(s)", "(mm)", "(deg)")),
     "aggregates": (lambda: plot_policies.aggregates(AGGREGATES), ("(mm)",)),
     "success": (
         lambda: plot_policies.success_against_misalignment(gripper_curves(), {"raw": {"li_cup": (2.0, 1.0)}}),

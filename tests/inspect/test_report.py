@@ -13,12 +13,21 @@ import numpy as np
 import pytest
 
 from pickenv.calibration.assessment.metrics import error_statistics, wilson_interval
-from pickenv.inspect.figures.run_drawings import Drawing, LeftOut, trace_drawings
+from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn, trace_drawings
 from pickenv.inspect.figures.style import new_figure
 from pickenv.inspect.reports.demo_report import page as demo_report
 from pickenv.inspect.reports.demo_report import verdict
 from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
-from pickenv.inspect.reports.report_page import Interactive, PageTable, Pair, Part, Picture, Section, Verdict, html_of
+from pickenv.inspect.reports.report_page import (
+    Interactive,
+    PageTable,
+    PageVerdict,
+    Pair,
+    Part,
+    Picture,
+    Section,
+    html_of,
+)
 from pickenv.inspect.reports.report_page import Page as ReportPage
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
@@ -235,7 +244,7 @@ def test_figures_that_the_data_do_not_allow_are_left_out_with_a_reason(demo_run:
     trace = load_trace(demo_run)
 
     def left(found: CalibrationTrace) -> dict[str, str]:
-        return {d.name: d.reason for d in trace_drawings(found) if isinstance(d, LeftOut)}
+        return {d.name: d.reason for d in trace_drawings(found) if isinstance(d, NotDrawn)}
 
     reasons = left(trace)
     assert set(reasons) == {"error_against_payload", "error_against_temperature", "network_convergence"}
@@ -279,7 +288,7 @@ def test_names_and_values_are_text_wherever_they_stand_in_a_block(name: str) -> 
 
 
 def test_names_and_values_are_text_in_every_part_of_a_page() -> None:
-    verdict = Verdict("good", HOSTILE, HOSTILE, [("note", HOSTILE)])
+    verdict = PageVerdict("good", HOSTILE, HOSTILE, [("note", HOSTILE)])
     page = html_of(
         ReportPage(
             HOSTILE, HOSTILE, verdict, [Section(HOSTILE, ["text"], HOSTILE)], {}, {HOSTILE: HOSTILE}, contents=True
@@ -291,12 +300,12 @@ def test_names_and_values_are_text_in_every_part_of_a_page() -> None:
 
 
 def report(section: Section) -> str:
-    return html_of(ReportPage("title", "", Verdict("note", "", ""), [section], {}))
+    return html_of(ReportPage("title", "", PageVerdict("note", "", ""), [section], {}))
 
 
 def test_what_is_empty_is_left_out() -> None:
     page = html_of(
-        ReportPage("t", "", Verdict("note", "", ""), [Section("Nothing", ["", None])], {"a": "b"}, contents=True)
+        ReportPage("t", "", PageVerdict("note", "", ""), [Section("Nothing", ["", None])], {"a": "b"}, contents=True)
     )
     assert "Nothing" not in page
     assert Page(page).values("href") == ["#origin"]

@@ -21,7 +21,7 @@ from pickenv.cli import app
 from pickenv.commands.reports import drawings_of, page_of
 from pickenv.errors import InputError
 from pickenv.harvester.harvest_summary import Measure
-from pickenv.inspect.figures.run_drawings import Drawing, LeftOut
+from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
 from pickenv.inspect.runs.run_folder import ISO9283, KINDS, Run, read_run, recorded_run, save_harvest
@@ -134,7 +134,7 @@ def test_every_figure_of_the_literature_is_drawn_or_left_out_with_a_reason(demo_
     found = {d.name: d for d in drawings_of(demo_run)}
     assert set(found) >= LITERATURE
     assert {d.name for d in drawings_of(harvest)} == HARVESTING
-    left_out = {name for name, drawing in found.items() if isinstance(drawing, LeftOut)}
+    left_out = {name for name, drawing in found.items() if isinstance(drawing, NotDrawn)}
     assert left_out == {"error_against_payload", "error_against_temperature", "network_convergence"}
 
 

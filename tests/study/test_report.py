@@ -12,7 +12,7 @@ from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import random_columns
 from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.errors import InputError
-from pickenv.inspect.figures.run_drawings import Drawing, LeftOut
+from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.run_folder import read_run
 from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
@@ -20,7 +20,7 @@ from pickenv.study.analysis.study_drawings import gather, specification, study_d
 from pickenv.study.analysis.study_recording import arms_compared, record_study
 from pickenv.study.analysis.study_report import page, study_page, verdict, write_outputs
 from pickenv.study.design.config import load_study
-from pickenv.study.design.protocol import prepare
+from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.study_folder import read_rows, study_at, write_record
 from pickenv.study.running.arm_by_arm import evaluate_arm
 from pickenv.study.running.run_study import run_study
@@ -144,7 +144,7 @@ def test_too_few_arms_to_tell_is_said(found):
 
 def test_figures_that_the_study_does_not_allow_are_named(found):
     drawings = study_drawings(found)
-    left_out = {d.name: d.reason for d in drawings if isinstance(d, LeftOut)}
+    left_out = {d.name: d.reason for d in drawings if isinstance(d, NotDrawn)}
     assert left_out == {
         "yield_by_poses": "the study does not vary the number of calibration poses",
         "yield_by_noise_mm": "the study does not vary the tracker's noise",
@@ -163,7 +163,7 @@ def test_the_sensitivities_of_the_raw_arm_are_those_of_its_geometry(found):
 
 
 def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
-    protocol, rows = prepare(found.config), read_rows(folder)
+    protocol, rows = prepared_study(found.config), read_rows(folder)
     setting = protocol.settings[4]  # the coarser grade, not the first of the table
     placement = place(protocol, rows, setting, protocol.design, "itself")
     (outcome,) = evaluate_arm(protocol, [setting], protocol.design, 10**6)  # a raw arm meets no tracker
@@ -174,7 +174,7 @@ def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
 
 
 def test_a_drawn_arm_stands_at_its_own_rank(folder, found):
-    protocol, rows = prepare(found.config), read_rows(folder)
+    protocol, rows = prepared_study(found.config), read_rows(folder)
     worst, _ = ranked(rows, 0)["worst"]
     arm = plant_at(protocol.draw(protocol.settings[0], range(worst, worst + 1)), 0)
     placement = place(protocol, rows, protocol.settings[0], arm, "the worst")
@@ -194,7 +194,7 @@ def test_the_recorded_arms_miss_their_fruit_as_the_rows_say(folder):
 
 def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, found, tmp_path):
     """Angles explain the raw arms, stiffness the calibrated ones, whichever way it is found."""
-    protocol, settings = prepare(found.config), list(found.sensitivities)
+    protocol, settings = prepared_study(found.config), list(found.sensitivities)
     path = write_sobol(folder, settings, 128)
     try:
         raw, calibrated = read_sobol(folder).values()
@@ -214,8 +214,8 @@ def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, fou
 
 
 def test_groups_name_each_random_number_of_the_effects_that_are_on(found):
-    groups = tolerance_groups(prepare(found.config).design)
-    columns = random_columns(prepare(found.config).design)
+    groups = tolerance_groups(prepared_study(found.config).design)
+    columns = random_columns(prepared_study(found.config).design)
     used = ("geometry", "joint_stiffness", "flexural_rigidity", "lead", "transmission_error", "phase")
     assert sorted(i for group in groups.values() for i in group) == sorted(i for key in used for i in columns[key])
 

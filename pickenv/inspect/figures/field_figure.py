@@ -16,7 +16,7 @@ from pickenv.errors import InputError
 from pickenv.inspect.colours import viridis, viridis_map
 from pickenv.inspect.figures.style import INK, RULE, SOFT, WIDTH, new_figure
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
-from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, colour_scale_mm, field_mm, spread, ticks
+from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, colour_scale_mm, error_spread, field_mm, ticks
 from pickenv.inspect.runs.links import nominal_points
 from pickenv.inspect.runs.view import eye_direction, shown_box
 
@@ -57,7 +57,7 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         for axes, policy in zip(panels, policies, strict=True):
             _panel(axes, comparison, policy, shown, gain, top)
             axes.set_title(policy.label, fontsize=12, weight="bold", pad=15.0)
-            numbers = spread(field_mm(policy))
+            numbers = error_spread(field_mm(policy))
             text = f"mean {numbers.mean:.2f} mm, max {numbers.largest:.2f} mm"
             axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
         cast("ConstrainedLayoutEngine", figure.get_layout_engine()).set(h_pad=0.11)

@@ -142,7 +142,7 @@ def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[tuple[float, floa
     return figure
 
 
-def joint_curves(curves: JointCurves) -> Figure:
+def joint_displacements(curves: JointCurves) -> Figure:
     """Displacement of each joint over time: sliding joints left, turning ones right; a pattern per joint of an arm."""
     parts: dict[str, list[str]] = {}
     for name in curves.moved:

@@ -14,7 +14,7 @@ from pickenv.inspect.recordings.blueprint_views import BACKGROUND, ghost, space,
 from pickenv.inspect.recordings.detail_tabs import detail_tabs
 from pickenv.inspect.recordings.details import Details
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
-from pickenv.inspect.runs.comparison_summary import colour_scale_mm, field_mm, spread
+from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm
 from pickenv.inspect.runs.view import eye_direction
 
 if TYPE_CHECKING:
@@ -88,13 +88,13 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
 def _removed(comparison: Comparison, removed: Array, gain: float) -> Any:
     """What the last policy takes away from the error that the one before it leaves; beside the fields themselves."""
     before, last = comparison.policies[-2:]
-    mean = spread(np.linalg.norm(1e3 * removed, axis=-1)).mean
+    mean = error_spread(np.linalg.norm(1e3 * removed, axis=-1)).mean
     title = f"{before.label} minus {last.label} | mean {mean:.2f} mm | ×{gain:g}"
     return space(comparison, title, ["+ /world/field/removed/vectors", *ghost(comparison)])
 
 
 def _field_title(policy: PolicyErrors, gain: float) -> str:
-    return f"{policy.label} | mean {spread(field_mm(policy)).mean:.2f} mm | arrows ×{gain:g}"
+    return f"{policy.label} | mean {error_spread(field_mm(policy)).mean:.2f} mm | arrows ×{gain:g}"
 
 
 def _picking(rrb: Any, comparison: Comparison, gain: float) -> Any:

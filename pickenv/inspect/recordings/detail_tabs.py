@@ -12,8 +12,8 @@ from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.comparison_summary import (
     attitude_scale_deg,
     colour_scale_mm,
+    error_spread,
     field_mm,
-    spread,
     uncertainty_scale_mm,
 )
 
@@ -48,7 +48,7 @@ def _arms(comparison: Comparison, gain: float) -> Any:
 def _effects(comparison: Comparison, details: Details, gain: float) -> Any:
     views = []
     for name, field in details.effects.items():
-        mean = spread(1e3 * np.linalg.norm(field, axis=-1)).mean
+        mean = error_spread(1e3 * np.linalg.norm(field, axis=-1)).mean
         title = f"{name.replace('_', ' ')} | mean {mean:.2f} mm | ×{gain:g}"
         views.append(space(comparison, title, [f"+ /world/effect/{name}", *ghost(comparison)]))
     meaning = f"Colour: position error, 0 to {colour_scale_mm(comparison):.2f} mm"
@@ -61,7 +61,7 @@ def _attitude(comparison: Comparison, details: Details) -> Any:
     top, length = attitude_scale_deg(details.attitude), attitude_length(comparison, details.attitude)
     views = []
     for key, field in details.attitude.items():
-        mean = spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
+        mean = error_spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
         title = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree"
         views.append(space(comparison, title, [f"+ /world/attitude/{key}", *ghost(comparison)]))
     meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"

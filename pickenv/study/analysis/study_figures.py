@@ -69,7 +69,7 @@ def yield_curves(yields: pa.Table, along: str, specification: str) -> Figure:
     """Share of arms within specification against one of `AXES`, with Wilson's 95 % bands.
 
     Args:
-        yields: From `yields.yield_table`.
+        yields: From `yields.yields_of`.
         along: The axis; what else varies is shown by colour and line, or held at its middle value, which is named.
         specification: When an arm is good enough, in words.
 
@@ -88,7 +88,7 @@ def error_curves(quantiles: pa.Table, along: str, quantity: str = "error_mean_mm
     """Median of the arms' errors against one of `AXES`; the band holds 90 % of the arms.
 
     Args:
-        quantiles: From `quantiles.quantile_table`, with probabilities 0.05, 0.5 and 0.95.
+        quantiles: From `quantiles.quantiles_of`, with probabilities 0.05, 0.5 and 0.95.
         along: The axis.
         quantity: One of `QUANTITIES`.
 

@@ -15,9 +15,9 @@ from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 from pickenv.study.analysis.single_arms import ranked
 from pickenv.study.design.config import Setting
-from pickenv.study.design.protocol import Protocol, carrying, prepare
+from pickenv.study.design.protocol import Protocol, carrying, prepared_study
 from pickenv.study.results.study_folder import read_rows, study_of
-from pickenv.study.running.arm_by_arm import commands
+from pickenv.study.running.arm_by_arm import arm_commands
 
 GRID_STEP = 0.1
 """Cell size of the error fields, m."""
@@ -41,7 +41,7 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 
 def arms_compared(folder: str | Path, setting: int) -> Comparison:
     """Worst, median and best arm of a setting in the place of policies; see `record_study`."""
-    protocol = prepare(study_of(folder))
+    protocol = prepared_study(study_of(folder))
     if not 0 <= setting < len(protocol.settings):
         raise InputError(f"there is no setting {setting}; give a number from 0 to {len(protocol.settings) - 1}")
     chosen, grid = protocol.settings[setting], field_grid(protocol.nominal, GRID_STEP, protocol.config.seed)
@@ -74,7 +74,7 @@ def _arm_errors(
     loaded = carrying(arm, setting.payload_kg)
 
     def judged(protocol: Protocol) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        joints = commands(protocol, setting, arm, number).joints
+        joints = arm_commands(protocol, setting, arm, number).joints
         reached = loaded.tool_pose(joints)
         return joints, reached.position, pose_error(protocol.wanted, reached)
 
