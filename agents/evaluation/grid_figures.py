@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from pickenv.agents.evaluation.grid import PolicyGrid
 from pickenv.agents.evaluation.statistics import interquartile_mean, interval, mean
@@ -21,9 +22,6 @@ from pickenv.inspect.figures.plot_policies import (
 )
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.runs.gripping import gripper_curves
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN", "best": "LS+GP"}
 STATISTICS: Mapping[str, Any] = {

@@ -6,9 +6,15 @@ The projection is orthographic and done here, so that arrows are drawn from far 
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
@@ -19,11 +25,6 @@ from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, colour_scale_mm, error_spread, field_mm, ticks
 from pickenv.inspect.runs.links import nominal_points
 from pickenv.inspect.runs.view import eye_direction, shown_box
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 PANEL_WIDTH, BESIDE_PANELS = WIDTH / 3.0, 1.5
 """Inches; the latter is the height of the titles and the colour bar."""
@@ -117,8 +118,6 @@ class _View:
 def _panel(
     axes: Axes, comparison: Comparison, policy: PolicyErrors, shown: NDArray[np.intp], gain: float, top: float
 ) -> None:
-    from matplotlib.collections import PolyCollection
-
     view = _View(comparison)
     _box(axes, comparison, view)
     _ghost_arm(axes, comparison, view)
@@ -221,9 +220,6 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
 
 def colour_bar(figure: Figure, panels: Any, top: float) -> None:
     """The one scale of all panels, Viridis from 0 to ``top`` mm, below them."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     scale = ScalarMappable(Normalize(0.0, top), viridis_map())
     bar = figure.colorbar(
         scale, ax=list(np.ravel(panels)), location="bottom", aspect=60, shrink=0.8, pad=0.02, extend="max"

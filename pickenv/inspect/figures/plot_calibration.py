@@ -6,18 +6,18 @@ Each function takes plain arrays and returns a matplotlib figure.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.errors import InputError
 from pickenv.inspect.colours import OTHERS, RED, policy_colours, viridis_map
 from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, finite_series, new_figure, plain_decades, rgb
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
@@ -27,8 +27,6 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
         residual_rms_mm: Position residual RMS ``(I + 1,)``, mm.
         attitude_rms_deg: Attitude residual RMS ``(I + 1,)``, degrees, in a panel of its own.
     """
-    from matplotlib.ticker import MaxNLocator
-
     curves = {"position residual, RMS (mm)": residual_rms_mm}
     if attitude_rms_deg is not None:
         curves["attitude residual, RMS (deg)"] = attitude_rms_deg
@@ -185,8 +183,6 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
         geometry: Gives the joints' names, kinds and limits, which frame the plots.
         sets: For each set, by label (identification, training, test), its joints ``(N, n)``, rad or m.
     """
-    from matplotlib.lines import Line2D
-
     n = geometry.joints
     scale = _scale(geometry)
     lower, upper, units = _limits(geometry)

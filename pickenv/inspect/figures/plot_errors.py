@@ -6,9 +6,10 @@ Each function takes plain arrays and returns a matplotlib figure.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
@@ -27,9 +28,6 @@ from pickenv.inspect.figures.style import (
     rgb,
 )
 from pickenv.inspect.runs.comparison_summary import round_step
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def error_per_pose(errors_mm: Mapping[str, ArrayLike], *, tolerance_mm: float | None = None) -> Figure:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
@@ -18,9 +19,6 @@ from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.gripping import gripped, gripper_curves
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
 CAPTIONS = {

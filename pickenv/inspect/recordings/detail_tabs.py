@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import rerun.blueprint as rrb
 
 from pickenv.inspect.recordings.blueprint_views import ghost, space, with_colour_bar
 from pickenv.inspect.recordings.details import FLOOR, Day, Details, attitude_length
@@ -33,8 +34,6 @@ def detail_tabs(comparison: Comparison, details: Details, gain: float) -> list[A
 
 
 def _arms(comparison: Comparison, gain: float) -> Any:
-    import rerun.blueprint as rrb
-
     first = comparison.policies[0].label
     exaggerated = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/fruit", "+ /world/miss/**"]
     urdf = ["+ /urdf_nominal/**", "+ /urdf_true/**"]
@@ -82,8 +81,6 @@ def _uncertainty(comparison: Comparison) -> Any:
 
 
 def _day(comparison: Comparison, day: Day) -> Any:
-    import rerun.blueprint as rrb
-
     largest = max(float(np.percentile(errors, 95, axis=1).max()) for errors in day.errors_mm.values())
     plot = rrb.TimeSeriesView(
         origin="/day",

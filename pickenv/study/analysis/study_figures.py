@@ -6,17 +6,15 @@ Each takes the tables of `yields`, `quantiles` and `sensitivity` and returns a m
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from matplotlib.figure import Figure
 
 from pickenv.errors import InputError
 from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours, viridis
 from pickenv.inspect.figures.style import LINES, MARKS, SOFT, WIDTH, new_figure, plain_decades, rgb
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Row = Mapping[str, Any]
 
