@@ -6,7 +6,6 @@ seeded fruit raw, with least squares (LS) and with least squares and network (LS
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +31,7 @@ from pickenv.calibration import (
     random_joints,
     simulated_tracker,
 )
-from pickenv.files import write_text
+from pickenv.files import write_json, write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.field_grid import field_grid
@@ -290,7 +289,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
         written.append(record_comparison(result.comparison, out / "errors.rrd"))
         report("recording", 1, 1)
         written.append(write_text(out / "report.html", page(run)))
-        written.append(write_text(out / "summary.json", json.dumps(summarise(result), indent=2) + "\n"))
+        written.append(write_json(out / "summary.json", summarise(result)))
     return written
 
 

@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[1]
 
 GROUND = (
     "pickenv.bootstrap",
+    "pickenv.faces",
     "pickenv.files",
     "pickenv.limits",
     "pickenv.locks",

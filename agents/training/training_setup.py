@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from pickenv.agents.training.hyperparams import check_algorithm, tuned
 from pickenv.arm.files.content import content_sha256
 from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
 from pickenv.errors import InputError
-from pickenv.files import write_text
+from pickenv.files import write_json
 from pickenv.limits import check_limit
 from pickenv.provenance import file_sha256, versions
 
@@ -230,4 +229,4 @@ def judge(policy: LearnedPolicy, training: Training, episodes: int = 256, steps:
 
 def write_evaluations(out: Path, rows: list[dict[str, float]]) -> None:
     """Write the evaluations of a run."""
-    write_text(out / "evaluations.json", json.dumps(rows, indent=2) + "\n")
+    write_json(out / "evaluations.json", rows)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from collections.abc import Callable, Mapping
@@ -58,7 +57,7 @@ def check(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found to this file.")] = None,
 ) -> None:
     """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign."""
-    from pickenv.files import write_text
+    from pickenv.files import write_json
 
     findings = []
     for path in paths:
@@ -69,7 +68,7 @@ def check(
     print(f"{len(findings)} checked, {refused} refused")
     if json_file is not None:
         content = {"sound": refused == 0, "files": [asdict(finding) for finding in findings]}
-        print(f"wrote {write_text(json_file, json.dumps(content, indent=2) + chr(10))}")
+        print(f"wrote {write_json(json_file, content)}")
     if refused:
         sys.exit(REFUSED)
 
