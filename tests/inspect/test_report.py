@@ -16,7 +16,7 @@ from pickenv.calibration.assessment.metrics import error_statistics, wilson_inte
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn, trace_drawings
 from pickenv.inspect.figures.style import new_figure
 from pickenv.inspect.reports.demo_report import page as demo_report
-from pickenv.inspect.reports.demo_report import verdict
+from pickenv.inspect.reports.demo_report import demo_verdict
 from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
 from pickenv.inspect.reports.report_page import (
     Interactive,
@@ -184,7 +184,7 @@ def test_the_verdict_follows_the_share_and_its_interval(
 ) -> None:
     last = comparison.policies[-1]
     picked = np.arange(len(last.success)) < round(successes / 100 * len(last.success))
-    found = verdict(replace(comparison, policies=(comparison.policies[0], replace(last, success=picked))))
+    found = demo_verdict(replace(comparison, policies=(comparison.policies[0], replace(last, success=picked))))
     assert found.tone == tone
     assert words in found.headline
 
@@ -192,7 +192,7 @@ def test_the_verdict_follows_the_share_and_its_interval(
 def test_a_calibration_that_does_not_help_is_said_not_to(comparison: Comparison) -> None:
     raw, *_, last = comparison.policies
     same = replace(last, position_error_mm=raw.position_error_mm + 0.1)
-    found = verdict(replace(comparison, policies=(raw, same)))
+    found = demo_verdict(replace(comparison, policies=(raw, same)))
     assert "does not lower the mean position error" in found.text
     assert "+0.10 mm" in found.text
 

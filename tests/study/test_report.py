@@ -18,7 +18,7 @@ from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
 from pickenv.study.analysis.study_drawings import gather, specification, study_drawings
 from pickenv.study.analysis.study_recording import arms_compared, record_study
-from pickenv.study.analysis.study_report import page, study_page, verdict, write_outputs
+from pickenv.study.analysis.study_report import page, study_page, study_verdict, write_outputs
 from pickenv.study.design.config import load_study
 from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.study_folder import read_rows, study_at, write_record
@@ -103,7 +103,7 @@ def test_the_verdict_comes_first_and_every_yield_is_in_the_table(html, found):
     assert html.index('class="verdict') < html.index("<table")
     for row in rows:
         assert f"{100 * row['yield_low']:.1f} to {100 * row['yield_high']:.1f}" in text
-    assert verdict(found.config, rows).headline in text
+    assert study_verdict(found.config, rows).headline in text
 
 
 def test_the_page_names_seed_hashes_and_versions(html, folder):
@@ -126,19 +126,19 @@ def rows_with(within, arms=400, **changes):
 
 def test_the_verdict_names_the_least_demanding_way_that_suffices(found):
     rows = [rows_with(398), rows_with(396, it_grade=12, setting=1), rows_with(300, it_grade=14, setting=2)]
-    said = verdict(found.config, rows)
+    said = study_verdict(found.config, rows)
     assert said.tone == "good" and said.headline.startswith("IT12 (medium) and 30 poses")
     assert "99.0 %" in said.text and specification(found.config) in said.text
 
 
 def test_a_way_must_suffice_at_every_payload(found):
     rows = [rows_with(398), rows_with(200, payload_kg=0.25, setting=1)]
-    said = verdict(found.config, rows)
+    said = study_verdict(found.config, rows)
     assert said.tone == "bad" and "carrying 0.25 kg" in said.text and "Without payload it is 99.5 %" in said.text
 
 
 def test_too_few_arms_to_tell_is_said(found):
-    said = verdict(found.config, [rows_with(19, arms=20)])
+    said = study_verdict(found.config, [rows_with(19, arms=20)])
     assert said.tone == "care" and "too few arms to tell" in said.headline
 
 
