@@ -15,7 +15,7 @@ from pickenv.faces import offered as _offered
 if _TYPE_CHECKING:
     from pickenv.agents.evaluation.calibrated import CalibrationPlan
     from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
-    from pickenv.agents.evaluation.reaches import Reaches, episode_seeds, run_reaches
+    from pickenv.agents.evaluation.reaches import episode_seeds, run_reaches
     from pickenv.agents.evaluation.rollout import Rollout, roll_out
     from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
     from pickenv.agents.policies.gap_wrapper import GapScaling
@@ -28,6 +28,7 @@ if _TYPE_CHECKING:
     from pickenv.agents.policies.servo import ServoReach
     from pickenv.agents.training.training import Trained, train
     from pickenv.agents.training.training_setup import Training
+    from pickenv.inspect.runs.episode_ends import Reaches
 
 __all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GapScaling", "GridSettings", "LearnedPolicy"]
 __all__ += ["OracleReach", "Policy", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]

@@ -16,6 +16,7 @@ from pickenv.commands.check import check
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.showing import print_table, progress_bars
 from pickenv.commands.studies import study
+from pickenv.locks import locked
 
 app = typer.Typer(
     name="pickenv",
@@ -47,7 +48,6 @@ def demo(
 ) -> None:
     """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording."""
     from pickenv.demo import DemoSettings, run_demo, summarise, write_run
-    from pickenv.locks import locked
 
     settings = DemoSettings.quick(seed) if quick else DemoSettings(seed=seed)
     with locked(out), progress_bars() as report:

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from pickenv.commands.handing_over import deliver
 from pickenv.errors import InputError
+from pickenv.files import separate, write_json
+from pickenv.provenance import command_line
 
 if TYPE_CHECKING:
     from pickenv.calibration.pipeline.result import Result
@@ -62,10 +65,7 @@ def calibrate(
     from pickenv.calibration.model.measurements import Measurements
     from pickenv.calibration.pipeline.stages import Choices
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
-    from pickenv.commands.handing_over import deliver
-    from pickenv.files import separate, write_json
     from pickenv.inspect.reports.calibration_report import write_calibration_report
-    from pickenv.provenance import command_line
 
     separate(
         {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
@@ -106,7 +106,6 @@ def calibrate(
 def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
     from pickenv.calibration.model.measurements import Measurements
-    from pickenv.files import write_json
     from pickenv.inspect.reports.calibration_report import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_trace

@@ -11,7 +11,10 @@ from typing import Annotated
 
 import typer
 
+from pickenv.container import read_container, refusing_damage
 from pickenv.errors import InputError
+from pickenv.files import write_json
+from pickenv.sealed import check_sealed_parquet
 
 REFUSED = 3
 """Exit code where something is damaged or foreign."""
@@ -57,8 +60,6 @@ def check(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found to this file.")] = None,
 ) -> None:
     """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign."""
-    from pickenv.files import write_json
-
     findings = []
     for path in paths:
         for finding in findings_of(path):
@@ -79,8 +80,6 @@ def findings_of(path: Path) -> list[Finding]:
     Raises:
         InputError: If there is no such file or folder.
     """
-    from pickenv.container import refusing_damage
-
     with refusing_damage(path, "a path", "give the path of a file or a folder"):
         folder, missing = path.is_dir(), not path.exists()
     if missing:
@@ -133,8 +132,6 @@ def file_finding(path: Path) -> Finding:
 
 def _kind_of(path: Path) -> str:
     """What a file is; an archive says so itself."""
-    from pickenv.container import read_container
-
     if path.suffix == ".parquet":
         return "chunk of a study"
     if path.suffix == ".pt":
@@ -178,8 +175,6 @@ def _checkpoint(path: Path) -> tuple[int | None, str]:
 
 
 def _chunk(path: Path) -> tuple[int | None, str]:
-    from pickenv.container import refusing_damage
-    from pickenv.sealed import check_sealed_parquet
 
     remake = "run the study again to make it anew"
     with refusing_damage(path, "a chunk", remake):
@@ -190,7 +185,6 @@ def _chunk(path: Path) -> tuple[int | None, str]:
 
 def _saved(path: Path) -> tuple[int | None, str]:
     from pickenv.agents.evaluation.grid import PolicyGrid
-    from pickenv.container import read_container
     from pickenv.inspect.runs import saved
     from pickenv.inspect.runs.calibration_trace import CalibrationTrace
     from pickenv.inspect.runs.comparison import Comparison

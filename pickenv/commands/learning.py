@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from pickenv.commands.handing_over import deliver
+from pickenv.commands.showing import print_table, progress_bars
 from pickenv.errors import InputError
+from pickenv.files import separate, write_json
 
 if TYPE_CHECKING:
     from pickenv.agents.evaluation.grid import PolicyGrid
@@ -53,7 +56,6 @@ def train(
     from pickenv.agents.training.training import resumed
     from pickenv.agents.training.training import train as run
     from pickenv.agents.training.training_setup import Training
-    from pickenv.files import separate
 
     written = [out / name for name in ("policy.npz", "checkpoint.pt", "evaluations.json")]
     separate({"--compensate": compensate, "--plant": plant}, {"--out": written})
@@ -166,9 +168,6 @@ def evaluate(
     from pickenv.agents.evaluation.calibrated import CalibrationPlan
     from pickenv.agents.evaluation.grid import GridSettings, kind_of, run_grid
     from pickenv.agents.evaluation.grid_tables import GRID, ROWS, content_of, write_grid, write_rows
-    from pickenv.commands.handing_over import deliver
-    from pickenv.commands.showing import progress_bars
-    from pickenv.files import separate, write_json
     from pickenv.inspect.runs.run_folder import RECORD
 
     separate(
@@ -217,7 +216,6 @@ def _draw(grid: PolicyGrid, folder: Path) -> list[Path]:
 def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]) -> None:
     """Print the rows, and what each compensation is worth."""
     from pickenv.agents.evaluation.grid_tables import KEYS, cells_of
-    from pickenv.commands.showing import print_table
 
     title = f"{rows[0]['episodes']} reaches per cell on {rows[0]['arms']} arms, seed {rows[0]['seeds'][0]}"
     heads = (*KEYS, "mean [mm]", "95 %", "p95 [mm]", "success", "cycle [s]")

@@ -7,7 +7,10 @@ from typing import Annotated
 
 import typer
 
+from pickenv.commands.handing_over import deliver
+from pickenv.files import separate, write_json
 from pickenv.limits import check_limit
+from pickenv.provenance import command_line
 from pickenv.reservations import obey
 
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
@@ -27,8 +30,6 @@ def effects(
     from pickenv.arm import load_plant
     from pickenv.arm.plant.effect_shares import draw_reaches, effect_shares
     from pickenv.arm.plant.motion import Pace
-    from pickenv.commands.handing_over import deliver
-    from pickenv.files import separate, write_json
 
     check_limit("--reaches", reaches, "reaches")
     check_limit("--dwell", dwell, "dwell_s")
@@ -61,10 +62,7 @@ def iso9283(
     from pickenv.arm.plant.iso9283 import iso9283 as test
     from pickenv.arm.plant.motion import Pace
     from pickenv.calibration import Calibration
-    from pickenv.commands.handing_over import deliver
-    from pickenv.files import separate, write_json
     from pickenv.inspect.runs.run_folder import ISO9283, RECORD, recorded_run
-    from pickenv.provenance import command_line
 
     check_limit("--cycles", cycles, "cycles")
     check_limit("--dwell", dwell, "dwell_s")

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from pickenv.files import separate, write_text
+
 MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
 """Suffixes of pages and pictures, which may be made again."""
 
@@ -19,7 +21,6 @@ def figures(
     formats: Annotated[str, typer.Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
 ) -> None:
     """Draw every figure that a run's numbers allow, for papers and reports; say which are left out, and why."""
-    from pickenv.files import separate
     from pickenv.inspect.figures.run_drawings import NotDrawn, write_drawings
     from pickenv.inspect.reports.run_pages import drawings_of
     from pickenv.inspect.runs.run_folder import added_to, read_run
@@ -46,7 +47,6 @@ def report(
     ] = True,
 ) -> None:
     """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
-    from pickenv.files import separate, write_text
     from pickenv.inspect.recordings.viewer_picture import viewer_picture
     from pickenv.inspect.reports.run_pages import page_of
     from pickenv.inspect.runs.run_folder import added_to, read_run

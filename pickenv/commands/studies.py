@@ -9,6 +9,12 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from pickenv.commands.handing_over import deliver
+from pickenv.commands.showing import print_table, progress_bars
+from pickenv.files import separate, write_json
+from pickenv.limits import check_limit
+from pickenv.locks import locked
+
 
 def study(
     config: Annotated[Path, typer.Argument(help="Study (.toml); scripts/tolerance_study.toml shows every key.")],
@@ -33,11 +39,6 @@ def study(
     ] = 0,
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""
-    from pickenv.commands.handing_over import deliver
-    from pickenv.commands.showing import progress_bars
-    from pickenv.files import separate, write_json
-    from pickenv.limits import check_limit
-    from pickenv.locks import locked
     from pickenv.study.design.config import load_study
     from pickenv.study.running.run_study import run_study
     from pickenv.study.running.runners import Crew
@@ -74,7 +75,6 @@ def _write_outputs(folder: Path, sobol: int) -> list[Path]:
 
 
 def _print(summary: dict[str, Any]) -> None:
-    from pickenv.commands.showing import print_table
 
     specified = f"at least {100 * summary['share']:g} % of their fruit within {summary['radius_mm']:g} mm"
     title = (

@@ -15,8 +15,8 @@ import pytest
 from pickenv.calibration.assessment.metrics import error_statistics, wilson_interval
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn, trace_drawings
 from pickenv.inspect.figures.style import new_figure
-from pickenv.inspect.reports.demo_report import page as demo_report
 from pickenv.inspect.reports.demo_report import demo_verdict
+from pickenv.inspect.reports.demo_report import page as demo_report
 from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
 from pickenv.inspect.reports.report_page import (
     Interactive,

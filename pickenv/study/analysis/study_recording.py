@@ -11,7 +11,7 @@ from pickenv.arm.kinematics.pose_error import pose_error
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.errors import InputError
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
+from pickenv.inspect.runs.comparison import Comparison, PolicyErrors, compared, policy_errors
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 from pickenv.study.analysis.single_arms import ranked
 from pickenv.study.design.config import Setting
@@ -47,23 +47,18 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
     chosen, grid = protocol.settings[setting], field_grid(protocol.nominal, GRID_STEP, protocol.config.seed)
     places = ranked(read_rows(folder), setting)
     arms = {name: plant_at(protocol.draw(chosen, range(arm, arm + 1)), 0) for name, (arm, _) in places.items()}
-    return Comparison(
-        plant=arms["worst"],
-        nominal=protocol.nominal,
-        identified=protocol.nominal,
-        seed=protocol.config.seed,
-        tolerance_mm=protocol.config.radius_mm,
-        grid_shape=grid.shape,
-        grid_origin=grid.origin,
-        grid_step=grid.step,
-        field_index=grid.index,
-        field_points=grid.points,
-        field_joints=grid.joints,
+    policies = (
+        _arm_errors(protocol, chosen, grid, arms[name], arm, f"{name} arm (number {arm})", name)
+        for name, (arm, _) in places.items()
+    )
+    config = protocol.config
+    return compared(
+        arms["worst"],
+        grid,
+        policies,
+        seed=config.seed,
         fruit=protocol.wanted.position,
-        policies=tuple(
-            _arm_errors(protocol, chosen, grid, arms[name], arm, f"{name} arm (number {arm})", name)
-            for name, (arm, _) in places.items()
-        ),
+        tolerance_mm=config.radius_mm,
     )
 
 
@@ -80,15 +75,5 @@ def _arm_errors(
 
     _, _, field = judged(replace(protocol, fruit=grid.joints))
     joints, positions, errors = judged(protocol)
-    position_mm = 1e3 * np.linalg.norm(errors[:, :3], axis=1)
-    return PolicyErrors(
-        key=key,
-        label=label,
-        field_errors=field[:, :3],
-        reach_joints=joints,
-        reach_positions=positions,
-        position_error_mm=position_mm,
-        attitude_error_deg=np.degrees(np.linalg.norm(errors[:, 3:], axis=1)),
-        success=position_mm <= protocol.config.radius_mm,
-        field_attitude=field[:, 3:],
-    )
+    success = 1e3 * np.linalg.norm(errors[:, :3], axis=1) <= protocol.config.radius_mm
+    return policy_errors(label, field, joints, positions, errors, success, key)
