@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.calibrated import Protocol, check_compensation, compensators
+from pickenv.agents.evaluation.calibrated import CalibrationPlan, check_compensation, compensators
 from pickenv.agents.evaluation.rollout import PolicyMaker, Rollout, roll_out
 from pickenv.agents.evaluation.statistics import Paired, interquartile_mean, interval, paired
 from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
@@ -98,7 +98,7 @@ class GridSettings:
     camera_noise_mm: float = 1.0
     fruit_noise_mm: float = 0.0
     tolerance_mm: float = 2.0
-    protocol: Protocol = field(default_factory=Protocol)
+    protocol: CalibrationPlan = field(default_factory=CalibrationPlan)
 
     def __post_init__(self) -> None:
         for compensation in self.compensations:
@@ -142,7 +142,7 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class PolicyGrid:
     """All cells.
 
     Attributes:
@@ -226,7 +226,7 @@ def run_grid(
     settings: GridSettings,
     folder: Path | None = None,
     progress: Callable[[str, int, int], None] | None = None,
-) -> Grid:
+) -> PolicyGrid:
     """Run every cell.
 
     Args:
@@ -275,7 +275,7 @@ def run_grid(
         )
         cells.append(Cell(policy_name(name), compensation, feedback, plant, rollout))
         report("evaluating", done + 1, len(jobs))
-    return Grid(settings, tuple(cells), grippers)
+    return PolicyGrid(settings, tuple(cells), grippers)
 
 
 def population(settings: GridSettings, plant: str) -> Any:

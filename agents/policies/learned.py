@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.agents.policies.gap import Scaling, flattened
+from pickenv.agents.policies.gap import Scaling, joined_observation
 from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.container import read_container, refusing_damage, write_container
@@ -70,7 +70,7 @@ class LearnedPolicy:
         Raises:
             InputError: If the observation is not of the kind that it was trained on.
         """
-        values = flattened(observation)
+        values = joined_observation(observation)
         if self.scaling.goal and not isinstance(observation, dict):
             values = self._goal(values)
         self.scaling.check(values.shape[-1])

@@ -9,7 +9,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.training.checkpoints import save_checkpoint
-from pickenv.agents.training.training import Inputs, Training, actor_of, check_inputs, judge, write_evaluations
+from pickenv.agents.training.training_setup import Inputs, Training, actor_of, check_inputs, judge, write_evaluations
 from pickenv.wrappers.sb3 import Sb3Vec
 
 

@@ -15,7 +15,7 @@ from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac import policies as sac
 
-from pickenv.agents.policies.gap import Scaling, flattened
+from pickenv.agents.policies.gap import Scaling, joined_observation
 
 MOST = 3.0
 """Critics see actions up to this multiple of the share; hindsight puts goals beside the tool, and shares near zero."""
@@ -30,12 +30,12 @@ class ScaledFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: Any) -> th.Tensor:
         """Features ``(N, features)``."""
-        seen: th.Tensor = self.scaling.observe(flattened(observations, th), th)
+        seen: th.Tensor = self.scaling.observe(joined_observation(observations, th), th)
         return seen
 
     def share(self, observations: Any) -> th.Tensor:
         """The scaling's share ``(N, 1)``."""
-        found: th.Tensor = self.scaling.share(flattened(observations, th), th)
+        found: th.Tensor = self.scaling.share(joined_observation(observations, th), th)
         return found
 
 

@@ -14,8 +14,8 @@ import pyarrow.compute as pc
 
 from pickenv.files import write_text
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, write_drawings
-from pickenv.inspect.reports.report_page import Page, PageTable, Pair, Part, Section, Verdict, html_of
-from pickenv.inspect.reports.report_words import between, estimated, listed, percent
+from pickenv.inspect.reports.report_page import Page, PageTable, PageVerdict, Pair, Part, Section, html_of
+from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
 from pickenv.inspect.runs.run_folder import Run, TakePicture
 from pickenv.study.analysis.single_arms import Placement
 from pickenv.study.analysis.sobol import read_sobol, write_sobol
@@ -104,7 +104,7 @@ def study_page(folder: str | Path, found: Findings) -> str:
             f"Tolerance study of {found.protocol.design.name}",
             f"{config.arms} simulated arms in each of {len(found.yields)} settings, {config.fruit} fruit each, seed "
             f"{config.seed}; nothing here was measured",
-            verdict(config, found.yields.to_pylist()),
+            study_verdict(config, found.yields.to_pylist()),
             sections,
             _origin(Path(folder), config, summary),
             _tiles(config, summary),
@@ -113,7 +113,7 @@ def study_page(folder: str | Path, found: Findings) -> str:
     )
 
 
-def verdict(config: StudyConfig, rows: Sequence[Row]) -> Verdict:
+def study_verdict(config: StudyConfig, rows: Sequence[Row]) -> PageVerdict:
     """Whether some way of making and calibrating arms suffices at every payload, and which is the least demanding."""
     ways: dict[tuple[Any, ...], Row] = {}
     for row in rows:
@@ -141,7 +141,7 @@ def verdict(config: StudyConfig, rows: Sequence[Row]) -> Verdict:
     ]  # fmt: skip
     if chosen["method"] != RAW and uncalibrated:
         said.append(f"Of the same arms without calibration it is {_share(uncalibrated[0])}.")
-    return Verdict(tone, headline[:1].upper() + headline[1:], " ".join(said))
+    return PageVerdict(tone, headline[:1].upper() + headline[1:], " ".join(said))
 
 
 def _ease(row: Row) -> tuple[Any, ...]:
@@ -282,7 +282,7 @@ def _origin(folder: Path, config: StudyConfig, summary: Row) -> dict[str, str]:
         "Plant": config.plant,
         "Seed": f"{config.seed}",
         "pickenv": str(summary["pickenv"]),
-        "Reported with": listed({"Python": platform.python_version(), **packages}),
+        "Reported with": named_values({"Python": platform.python_version(), **packages}),
         "Configuration, SHA-256": str(summary["config_sha256"]),
         "Rows, SHA-256": str(summary["table_sha256"]),
     }
