@@ -32,7 +32,7 @@ def told(result):
     return {key: value for key, value in result.as_dict().items() if key != "solve_seconds"}
 
 
-def test_the_stages_stand_in_the_order_of_the_work():
+def test_the_stages_stand_in_the_order_of_a_calibration():
     assert [stage.__name__ for stage in stages.STAGES] == [
         "_check",
         "_align",
@@ -43,14 +43,14 @@ def test_the_stages_stand_in_the_order_of_the_work():
     ]
 
 
-def test_every_stage_hands_on_new_work_and_leaves_the_old(dynamic, sets):
-    work = stages.Work(dynamic.arm, PLAIN, *sets, np.random.default_rng(0))
+def test_every_stage_hands_on_a_new_draft_and_leaves_the_old(dynamic, sets):
+    draft = stages.Draft(dynamic.arm, PLAIN, *sets, np.random.default_rng(0))
     for stage in stages.STAGES:
-        before = dict(vars(work))
-        handed = stage(work)
-        assert vars(work) == before and handed.arm is dynamic.arm
-        work = handed
-    assert list(work.fits) == ["geometry"] and work.coverage is not None
+        before = dict(vars(draft))
+        handed = stage(draft)
+        assert vars(draft) == before and handed.arm is dynamic.arm
+        draft = handed
+    assert list(draft.fits) == ["geometry"] and draft.coverage is not None
 
 
 def test_the_command_and_the_function_give_the_same_numbers(dynamic, sets, tmp_path):
