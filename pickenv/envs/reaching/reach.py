@@ -280,8 +280,8 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         plant, scene = look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
         self._state, self._scene = state._replace(plant=plant), scene
         observation, reward = self._observe(scene)
-        information = {
-            **dict(zip(NUMBER_KEYS, plain(scene.numbers), strict=True)),
+        information: Information = dict(zip(NUMBER_KEYS, plain(scene.numbers), strict=True))
+        information |= {
             "is_success": bool(scene.success),
             "pose_error": np.array(plain(scene.error)),
             "joint_command": np.array(plain(scene.command)),
