@@ -14,6 +14,7 @@ from pickenv.commands import corrections, inspection, learning, plants, reports
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
 from pickenv.commands.guard import INTERRUPTED, guarded
+from pickenv.commands.schema import schema
 from pickenv.commands.showing import print_table, progress_bars
 from pickenv.commands.studies import study
 from pickenv.locks import locked
@@ -85,7 +86,14 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
 
 
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "Measure and correct a robot": (calibrate, corrections.plan_poses, corrections.apply, corrections.export, check),
+    "Measure and correct a robot": (
+        calibrate,
+        corrections.plan_poses,
+        corrections.apply,
+        corrections.export,
+        check,
+        schema,
+    ),
     "Simulate, learn and judge": (
         demo,
         plants.effects,

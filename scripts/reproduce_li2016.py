@@ -25,13 +25,14 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.files import write_text
-from pickenv.harvester.assignment import assign, lower_bound
+from pickenv.harvester.assignment import assign
 from pickenv.harvester.harvest import Harvest, Strategy
 from pickenv.harvester.harvest_summary import Measure, funnel, summary
 from pickenv.harvester.joint_motion import workspace
 from pickenv.harvester.machine import Machine, load_machine
 from pickenv.harvester.pick_point import METHODS, pick_point
 from pickenv.harvester.picking import load_picking
+from pickenv.harvester.rules import lower_bound
 from pickenv.harvester.strategies import work_images, work_trees
 from pickenv.harvester.trees import lab_runs, load_orchard, sample_image
 from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine, tip_errors

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pickenv.arm.files.arm_file import Arm
+from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.content import content_sha256
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plant_count

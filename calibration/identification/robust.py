@@ -38,45 +38,22 @@ LOSSES: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
 """Weight of a pose by its size in standard deviations per coordinate; constants for 95 % efficiency on normal noise."""
 
 
-@dataclass(frozen=True)
-class Outlier:
-    """A pose that does not fit.
-
-    Attributes:
-        row: Row of the data set, counted from 0.
-        position: Size of its position error, m.
-        attitude: Size of its attitude error, rad; None where only positions were measured.
-        sigma: The larger of both in robust standard deviations of one coordinate.
-        weight: Weight that it was left with.
-    """
-
-    row: int
-    position: float
-    attitude: float | None
-    sigma: float
-    weight: float
-
-
 @dataclass(frozen=True, eq=False)
 class RobustIdentification:
     """An identification with the weights it ended at.
 
     Attributes:
         identification: The last weighted least squares.
-        weights: Weight of each pose ``(N,)``, 0 to 1.
-        outliers: Poses that do not fit, largest first.
-        position_scale: Robust standard deviation of one position coordinate, m.
-        attitude_scale: Robust standard deviation of one attitude coordinate, rad; None for positions.
-        rounds: Least squares solved.
+        weights: Weight of each pose ``(N,)`` in it, 0 to 1.
+        sizes: Sizes of the errors that it leaves.
+        outliers: Rows of poses that do not fit, counted from 0, largest error first.
         settled: Whether the weights stopped changing.
     """
 
     identification: Identification
     weights: Array
-    outliers: tuple[Outlier, ...]
-    position_scale: float
-    attitude_scale: float | None
-    rounds: int
+    sizes: Sizes
+    outliers: Rows
     settled: bool
 
     @property
@@ -84,14 +61,9 @@ class RobustIdentification:
         """The identified geometry."""
         return self.identification.geometry
 
-    @property
-    def inliers(self) -> Array:
-        """Rows that are no outliers, in order."""
-        return np.setdiff1d(np.arange(len(self.weights)), [outlier.row for outlier in self.outliers])
-
-    def sizes(self, measurements: Measurements) -> Sizes:
+    def sizes_of(self, measurements: Measurements) -> Sizes:
         """Sizes of the errors of any rows by this arm's identified model, in the standard deviations found here."""
-        return _sizes(self.identification.arm_model, measurements, (self.position_scale, self.attitude_scale))
+        return sizes_of(self.identification.arm_model, measurements, self.sizes)
 
 
 def robust_identify(
@@ -118,18 +90,16 @@ def robust_identify(
     """
     if loss not in LOSSES:
         raise InputError(f"unknown loss '{loss}'; give one of {', '.join(LOSSES)}")
-    arm = ArmModel.of(start)
-    weights = _judged(arm, measurements).weights(loss)
-    settled, rounds = False, 0
-    while True:
-        rounds += 1
-        found = identify(model, arm, measurements, row_factors=_row_factors(weights, measurements))
-        judged = _judged(found.arm_model, measurements)
-        previous, weights = weights, judged.weights(loss)
-        settled = bool(np.max(np.abs(weights - previous)) < 1e-3)
-        if settled or rounds == max_rounds:
+    weights = sizes_of(ArmModel.of(start), measurements).weights(loss)
+    for _ in range(max_rounds):
+        factors = np.repeat(np.sqrt(weights), measurements.rows_per_pose)
+        found = identify(model, start, measurements, row_factors=factors)
+        sizes = sizes_of(found.arm_model, measurements)
+        used, weights = weights, sizes.weights(loss)
+        settled = bool(np.max(np.abs(weights - used)) < 1e-3)
+        if settled:
             break
-    return _result(found, judged, previous, sigma, rounds, settled)
+    return RobustIdentification(found, used, sizes, _beyond(sigma, sizes), settled)
 
 
 def robust_align(
@@ -167,16 +137,14 @@ def robust_align(
     missed = _registered_misses(nominal, measured, rows)
     best = missed[np.argmin(np.median(missed, axis=1))]
     kept = best <= 5.0 * np.median(best)
-    settled, rounds = False, 0
-    while True:
-        rounds += 1
+    for _ in range(max_rounds):
         found = align(geometry, measurements.select(kept), frames)
-        judged = _judged(found.arm_model, measurements)
-        used, kept = kept, judged.sigma <= sigma
+        sizes = sizes_of(found.arm_model, measurements)
+        used, kept = kept, sizes.sigma <= sigma
         settled = bool(np.array_equal(used, kept))
-        if settled or rounds == max_rounds:
+        if settled:
             break
-    return _result(found, judged, used.astype(float), sigma, rounds, settled)
+    return RobustIdentification(found, used.astype(float), sizes, _beyond(sigma, sizes), settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,45 +181,22 @@ class Sizes:
         return LOSSES[loss](np.sqrt(squares))
 
 
-def _judged(arm: ArmModel, measurements: Measurements) -> Sizes:
-    """Sizes of the residuals in their own robust standard deviations."""
-    return _sizes(arm, measurements, None)
-
-
-def _sizes(arm: ArmModel, measurements: Measurements, scales: tuple[float, float | None] | None) -> Sizes:
-    """Sizes in given standard deviations, or robust ones that never fall below the instrument's own uncertainty."""
+def sizes_of(arm: ArmModel, measurements: Measurements, like: Sizes | None = None) -> Sizes:
+    """Sizes in the standard deviations of others, or in robust ones, never below the instrument's own uncertainty."""
     left = measurements.difference(arm)
-    position = np.linalg.norm(left[:, :3], axis=1)
-    attitude = None if measurements.rotation is None else np.linalg.norm(left[:, 3:], axis=1)
-    if scales is None:
-        position_scale = max(float(np.median(position)) / MEDIAN_NORM, measurements.position_std)
-        attitude_scale = (
-            None if attitude is None else max(float(np.median(attitude)) / MEDIAN_NORM, measurements.attitude_std)
-        )
-        scales = (position_scale, attitude_scale)
-    return Sizes(position, attitude if scales[1] is not None else None, *scales)
+    sizes = [np.linalg.norm(part, axis=1) for part in np.split(left, [3], axis=1)]
+    stated = (measurements.position_std, measurements.attitude_std)
+    scales = [max(float(np.median(size)) / MEDIAN_NORM, std) for size, std in zip(sizes, stated, strict=True)]
+    position, attitude = scales if like is None else (like.position_scale, like.attitude_scale)
+    if measurements.rotation is None or attitude is None:
+        return Sizes(sizes[0], None, position, None)
+    return Sizes(sizes[0], sizes[1], position, attitude)
 
 
-def _row_factors(weights: Array, measurements: Measurements) -> Array:
-    return np.asarray(np.repeat(np.sqrt(weights), measurements.rows_per_pose))
-
-
-def _result(
-    found: Identification, judged: Sizes, weights: Array, sigma: float, rounds: int, settled: bool
-) -> RobustIdentification:
-    sizes = judged.sigma
-    rows = [int(row) for row in np.argsort(-sizes, kind="stable") if sizes[row] > sigma]
-    outliers = tuple(
-        Outlier(
-            row=row,
-            position=float(judged.position[row]),
-            attitude=None if judged.attitude is None else float(judged.attitude[row]),
-            sigma=float(sizes[row]),
-            weight=float(weights[row]),
-        )
-        for row in rows
-    )
-    return RobustIdentification(found, weights, outliers, judged.position_scale, judged.attitude_scale, rounds, settled)
+def _beyond(sigma: float, sizes: Sizes) -> Rows:
+    """Rows beyond so many standard deviations, the largest first."""
+    order = np.argsort(-sizes.sigma, kind="stable")
+    return order[sizes.sigma[order] > sigma]
 
 
 def _registered_misses(nominal: Array, measured: Array, rows: Rows) -> Array:

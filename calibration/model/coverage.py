@@ -68,19 +68,12 @@ def pose_coverage(
     rng = rng or np.random.default_rng(0)
     actual = measurements.joints
     drawn = random_joints(geometry, PROBES, rng)
+    used = np.ptp(actual, axis=0) / (geometry.upper - geometry.lower)
     resampled = actual[rng.integers(0, len(actual), PROBES)]
 
     def dropped(joints: Array) -> set[str]:
-        rotation = None if measurements.rotation is None else np.broadcast_to(np.eye(3), (len(joints), 3, 3))
-        data = Measurements(
-            joints,
-            np.zeros((len(joints), 3)),
-            rotation,
-            measurements.prismatic,
-            measurements.position_std,
-            measurements.attitude_std,
-        )
-        matrix = data.jacobian(ArmModel.of(geometry), np.zeros(0))[0][:, model.columns] * model.tolerance
+        by_arm, _ = measurements.imagined(joints).jacobian(ArmModel.of(geometry), np.zeros(0))
+        matrix = by_arm[:, model.columns] * model.tolerance
         found = identifiability(matrix, model.names, model.tolerance, len(joints))
         return {item.name for item in found.dropped}
 
@@ -97,7 +90,6 @@ def pose_coverage(
         one = min(trials, key=lambda i: len(trials[i]))
         if len(trials[one]) >= len(now) and len(left) > 1:
             # No single joint helps: two must move together; take the one that is used least and go on.
-            used = np.ptp(actual, axis=0) / (geometry.upper - geometry.lower)
             one = min(left, key=lambda i: float(used[i]))
         chosen.append(one)
         left.remove(one)
@@ -107,6 +99,6 @@ def pose_coverage(
         full_rank=len(model.names) - len(best),
         lost=tuple(name for name in model.names if name in here - best),
         move=tuple(sorted(chosen)),
-        used=np.ptp(actual, axis=0) / (geometry.upper - geometry.lower),
+        used=used,
         joint_names=geometry.joint_names,
     )

@@ -6,13 +6,13 @@ A term's coefficients are expected to be zero within a few tolerances. Without t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.arm_model import ArmModel
 
 EXPECTED = 1.0
 """Standard deviation of a term's coefficient before measuring, in its tolerances (1 mm or 1 mrad at the tool)."""
@@ -34,8 +34,6 @@ class Prior:
     source: str = "prior"
     kind: str = "prior"
     framed: bool = False
-    conditions: Conditions = field(default_factory=Conditions)
-    origins: None = None
 
     @property
     def joints(self) -> Array:

@@ -15,7 +15,7 @@ from pickenv.arm.kinematics.geometry import Array, geometry_fingerprint
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
-from pickenv.calibration.model.terms import term_from
+from pickenv.calibration.model.terms import specification, term_from
 from pickenv.calibration.residuals.residual_models import LearntResidual
 from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
@@ -167,7 +167,7 @@ class Calibration:
             "arm_fingerprint": self.arm_fingerprint,
             "joint_names": self.nominal.joint_names,
             "prismatic": self.nominal.prismatic,
-            "terms": [term.specification() for term in self.model.terms],
+            "terms": [specification(term) for term in self.model.terms],
             "residual": None if self.learnt is None else self.learnt.kind,
             "record": self.record,
         }

@@ -32,11 +32,9 @@ class Regressor(Protocol):
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Outputs ``(..., k)`` at standardised inputs ``(..., F)``."""
-        ...
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
         """All numbers by name, for saving without pickle; the class's ``from_arrays`` is the inverse."""
-        ...
 
 
 Fitter = Callable[[Array, Array, np.random.Generator], Regressor]

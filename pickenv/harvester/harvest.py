@@ -12,14 +12,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.arm.plant.tree import tree_map
 from pickenv.errors import InputError
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.joint_motion import master_time, profile, travel_time
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.pick_point import pick_point
-from pickenv.harvester.picking import Outcome, Picking, attempt
+from pickenv.harvester.picking import Outcome, Picking, attempt, displacements, draw_luck
 from pickenv.harvester.trees import Tree
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
@@ -114,11 +115,6 @@ class Harvest:
     seconds: float = 0.0
     phases: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("move", "image", "pick", "unload"), 0.0))
     repicks: int = 0
-
-    @property
-    def out_of_reach(self) -> NDArray[np.int64]:
-        """Numbers of the fruit that images showed but no arm could reach from any pick point."""
-        return np.flatnonzero(self.seen & ~self.reachable)
 
     def spend(self, phase: str, seconds: float) -> None:
         """Let the clock run."""
@@ -270,17 +266,11 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     hanging = ~state.detached
     hanging[numbers] = False
     fruit, diameters, masses = tree.fruit[numbers], tree.diameters[numbers], tree.masses[numbers]
-    sorted_outcome = attempt(
-        model,
-        tips[order],
-        fruit[order],
-        diameters[order],
-        masses[order],
-        entry[order],
-        tree.fruit[hanging],
-        rng,
-    )
-    outcome = _reordered(sorted_outcome, np.argsort(order))
+    luck = draw_luck(rng, len(order))
+    moved = displacements(model, fruit[order], masses[order], entry[order], luck)
+    done = attempt(model, tips[order], fruit[order], moved, diameters[order], tree.fruit[hanging], luck)
+    back = np.argsort(order)
+    outcome: Outcome = tree_map(lambda values: values[back], done)
     aimed = task.work.joints[arm, local]
     state.repicks += int(state.attempted[numbers].sum())
     state.attempted[numbers] = True
@@ -299,10 +289,6 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     if strategy.unload_full and state.load.max() >= machine.cycle.tube_fruit:
         _unload(machine, state)
     return bool((~outcome.detached).any())
-
-
-def _reordered(outcome: Outcome, order: NDArray[np.int64]) -> Outcome:
-    return Outcome(*(getattr(outcome, name)[order] for name in Outcome.__dataclass_fields__))
 
 
 def _unload(machine: Machine, state: Harvest) -> None:

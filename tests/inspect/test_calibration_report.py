@@ -12,7 +12,7 @@ from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure, unit_of
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.pipeline.result import assess
-from pickenv.calibration.residuals.gate import GateReport, Verdict
+from pickenv.calibration.residuals.gate import GateReport, GateVerdict
 from pickenv.inspect.reports.calibration_report import calibration_page, write_calibration_report
 from pickenv.inspect.reports.report_page import Bar
 from pickenv.inspect.reports.report_words import parameter_words
@@ -21,7 +21,7 @@ VOID = {"meta"}
 
 
 def verdict(model, accepted, blocked, reason):
-    return Verdict(model, 2e-4, blocked, 6e-4, 7e-4, None, None, None, None, accepted, reason)
+    return GateVerdict(model, 2e-4, blocked, 6e-4, 7e-4, None, None, None, None, accepted, reason)
 
 
 GATE = GateReport(

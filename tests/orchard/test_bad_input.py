@@ -30,6 +30,7 @@ from pickenv.orchard import (
     load_fruit_size,
     load_gripper,
     load_look,
+    load_station,
     load_stereo_camera,
     locate,
     match_detections,
@@ -57,11 +58,11 @@ BRANCH, HAND, LOOK = load_branch("apple"), load_gripper("compliant_hand"), load_
 NONE = np.zeros((0, 3))
 
 CASES: dict[str, tuple[Callable[[], Any], str]] = {
-    "negative density": (lambda: FruitMap(0.3, (1.0, -2.0)), "density of row 2"),
+    "negative density": (lambda: FruitMap(0.3, (1.0, -2.0)), "row_means of a fruit map is -2.0"),
     "negative scale": (lambda: load_fruit_map("v_trellis").scaled(-1.0), "density"),
     "no rows": (lambda: FruitMap(0.3, ()), "row_means is empty"),
-    "underdispersed": (lambda: FruitMap(0.3, (1.0,), 1, 0.5), "1 (Poisson) or more"),
-    "half a cluster": (lambda: FruitMap(0.3, (1.0,), 0), "cluster size"),
+    "underdispersed": (lambda: FruitMap(0.3, (1.0,), 1, 0.5), "of at least 1"),
+    "half a cluster": (lambda: FruitMap(0.3, (1.0,), 0), "cluster_size"),
     "NaN block": (lambda: FruitMap(NAN, (1.0,)), "block"),
     "negative counts": (lambda: fit_fruit_map([[1, -1], [2, 0]]), "below 0"),
     "NaN counts": (lambda: fit_fruit_map([[1, NAN], [2, 0]]), "NaN"),
@@ -92,7 +93,7 @@ CASES: dict[str, tuple[Callable[[], Any], str]] = {
     "no direction": (lambda: approach_clear(np.zeros((2, 3)), 0.1, [0, 0, 0], 0.1), "zero vectors"),
     "negative noise": (lambda: replace(CAMERA, depth_noise=-1.0), "depth_noise"),
     "range reversed": (lambda: replace(CAMERA, farthest=0.1), "range"),
-    "no focal length": (lambda: replace(CAMERA, focal_length=0.0), "focal length"),
+    "no focal length": (lambda: replace(CAMERA, focal_length=0.0), "focal_length"),
     "sure of dropout": (lambda: replace(CAMERA, dropout=1.5), "from 0 to 1"),
     "thresholds crossed": (lambda: replace(CAMERA, lost_below=0.9), "found_above"),
     "no base line": (lambda: stereo_depth_noise(500.0, 0.0, 0.5), "base line"),
@@ -139,6 +140,7 @@ LOADERS: dict[str, Callable[[str | Path], object]] = {
     "fruit_size": load_fruit_size,
     "gripper": load_gripper,
     "look": load_look,
+    "station": load_station,
     "vision": load_stereo_camera,
 }
 
@@ -162,7 +164,7 @@ def test_every_preset_loads_and_an_unknown_one_names_those_that_are(kind: str) -
         ),
         ("block_mm = 300\nrow_means = [1]\ncluster_size = 1", "cluster_variance_ratio of 'mine' is missing"),
         ("block_mm = 300\nrow_means = [1]\ncluster_size = 1.5\ncluster_variance_ratio = 1", "whole number"),
-        ("block_mm = 'wide'", "give a finite number"),
+        ("block_mm = 'wide'", "block_mm of 'mine' is 'wide'; give a number above zero"),
         ("block_mm = 300\nrow_means = 1", "list of numbers"),
         ("block_mm = -300\nrow_means = [1]\ncluster_size = 1\ncluster_variance_ratio = 1", "above zero"),
         ("block_mm = ", "not valid TOML"),

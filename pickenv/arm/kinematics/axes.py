@@ -42,9 +42,7 @@ def geometry_from_axes(
     points, directions = np.asarray(points, dtype=float), np.asarray(directions, dtype=float)
     lengths = np.linalg.norm(directions, axis=1)
     if np.any(lengths < PARALLEL):
-        raise InputError(
-            f"joint '{joint_names[int(np.argmin(lengths))]}' has an axis without direction; give a unit vector"
-        )
+        raise InputError(f"axis {int(np.argmin(lengths)) + 1} has no direction; give a unit vector")
     z = directions / lengths[:, None]
     n = len(z)
     origins, x = np.zeros((n, 3)), np.zeros((n, 3))

@@ -9,11 +9,11 @@ the joints alone; the others have a state, a tuple of components that runs on fl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,7 +41,7 @@ from pickenv.arm.effects.structure import (
     yielded_joints,
 )
 from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain, grown_joints, warmed
-from pickenv.arm.files.arm_file import Arm
+from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import (
     Chain,
     Flexure,
@@ -53,43 +53,27 @@ from pickenv.arm.kinematics.forward import (
     split_joints,
     tool_frame,
 )
-from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
+from pickenv.arm.kinematics.geometry import Geometry, Pose
 from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant.dynamics import Components, PlantState
+from pickenv.toml_tables import DEG, MM, toml_table
 
-EFFECTS = (
-    "joint_compliance",
-    "boom_bending",
-    "transmission_error",
-    "measurement_noise",
-    "roller_play",
-    "backlash",
-    "stick_band",
-    "thermal_growth",
-    "base_tilt",
-    "settling",
-    "encoder",
-    "servo",
-)
 WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling", "servo")
 
 
-@dataclass(frozen=True)
+@toml_table
 class MeasurementNoise:
     """Normal noise of the measuring instrument, per axis: position in m, attitude in rad."""
 
-    position_std: float
-    attitude_std: float
+    position_std: Annotated[float, MM.not_negative]
+    attitude_std: Annotated[float, DEG.not_negative]
 
 
-def placed_chain(chain: Chain, place: Callable[[Array], Scalar]) -> Chain:
-    """A chain of many arms with its arrays where the executor wants them."""
-    links = []
-    for link in chain.links:
-        beta = None if link.beta is None else (place(link.beta[0]), place(link.beta[1]))
-        numbers = {name: place(getattr(link, name)) for name in link._fields if name not in ("prismatic", "beta")}
-        links.append(link._replace(beta=beta, **numbers))
-    return chain._replace(links=tuple(links))
+class Ready(NamedTuple):
+    """A chain, and the geometry that it belongs to."""
+
+    geometry: Geometry
+    chain: Chain
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +97,7 @@ class Plant:
         settling: Vibration after moves, or None.
         encoder: Resolution of the motor encoders, or None.
         servo: Following error of the drives, or None.
-        place: Puts the arrays of a batch of arms where the executor wants them (`batch.plants_on`), or None.
+        ready: The geometry's chain where its numbers were moved or picked (`batch.plants_on`), or None to compute it.
     """
 
     name: str
@@ -132,15 +116,14 @@ class Plant:
     settling: Settling | None = None
     encoder: Encoder | None = None
     servo: Servo | None = None
-    place: Callable[[Array], Scalar] | None = None
+    ready: Ready | None = None
 
     @cached_property
     def chain(self) -> Chain:
         """The true geometry made ready for the executors, at the temperature at which it holds."""
-        if self.geometry.alpha.ndim == 1:
-            return chain_of(self.geometry)
-        chain = chain_of(self.geometry, np)
-        return chain if self.place is None else placed_chain(chain, self.place)
+        if self.ready is not None and self.ready.geometry is self.geometry:
+            return self.ready.chain
+        return chain_of(self.geometry, math if self.geometry.alpha.ndim == 1 else np)
 
     @cached_property
     def warm_chain(self) -> Chain:
@@ -235,18 +218,20 @@ class Plant:
         """True tool pose, free of measurement noise, for joint commands ``(..., n)`` in rad and m."""
         return pose_of(self.tool_frame(np, split_joints(self.geometry.joints, q)))
 
-    def tool_frame_floats(self, q: Sequence[float]) -> Frame:
-        """True tool frame for one joint command, on Python floats: the fast path of a single environment."""
-        return self.tool_frame(math, q)
-
     def measured_pose(self, q: ArrayLike, rng: np.random.Generator) -> Pose:
         """Tool pose as an instrument with this plant's measurement noise reports it."""
-        pose = self.tool_pose(q)
+        return self.measured(self.tool_pose(q), rng)
+
+    def measured(self, pose: Pose, rng: np.random.Generator) -> Pose:
+        """A pose, or a batch of them, as an instrument with this plant's measurement noise reports it."""
         noise = self.measurement_noise
         if noise is None:
             return pose
         scale = np.repeat([noise.position_std, noise.attitude_std], 3)
         return displace_pose(pose, rng.normal(size=(*pose.position.shape[:-1], 6)) * scale)
+
+
+EFFECTS = tuple(part.name for part in fields(Plant) if part.name not in ("name", "arm", "geometry", "load", "ready"))
 
 
 class _Gear(NamedTuple):

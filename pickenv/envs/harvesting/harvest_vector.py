@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
 from pickenv.envs.harvesting.harvest_env import LONGEST, checked_actions
@@ -43,17 +43,13 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         **arguments: Any,
     ) -> None:
         """See the class."""
-        if render_mode is not None:
-            raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
         if num_envs < 1:
             raise InputError(f"{num_envs} environments are impossible; give 1 or more")
-        self.task: HarvestTask = batch.make_task(**arguments)
+        self.task: HarvestTask = batch.make_harvest_task(**arguments, render_mode=render_mode)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.max_episode_steps, self.render_mode = num_envs, max_episode_steps, None
-        low, high = batch.bounds(self.task)
-        self.single_observation_space = gym.spaces.Box(low, high, dtype=np.float32)
-        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.task.machine.joints,), np.float32)
+        self.single_observation_space, self.single_action_space = batch.spaces(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.compensator: Compensate | None = None
@@ -93,7 +89,7 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         rewards = np.zeros(self.num_envs)
         going = np.flatnonzero(~again)
         if going.size:
-            some = HarvestState(**{k: getattr(self.state, k)[going] for k in HarvestState.__dataclass_fields__})
+            some: HarvestState = tree_map(lambda values: values[going], self.state)
             rngs = [self._rngs[i] for i in going]
             rewards[going] = batch.step(self.task, some, values[going], rngs, self.compensator)
             self.state.put(going, some)
@@ -121,7 +117,7 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._rngs = [old[i] if old and value is None else seeding.np_random(value)[0] for i, value in enumerate(given)]
 
     def _restart(self, rows: Rows) -> None:
-        fresh = batch.begin(self.task, [self._rngs[i] for i in rows])
+        fresh = batch.begin_zones(self.task, [self._rngs[i] for i in rows])
         if self.state is None:
             self.state = fresh
         else:

@@ -7,8 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
+from pickenv.arm import Array, Plant
 from pickenv.envs.picking.pick_scene import PickScene
 from pickenv.envs.shared.drawing import DPI, FRUIT, SIZE, TRUE, draw_arm, pixels
 

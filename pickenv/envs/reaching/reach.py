@@ -10,22 +10,20 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.forward import Frame
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.envs.shared.arms import changed_plant, choose_arm, population_size
+from pickenv.arm import Array, Plant, plant_at, plants_on
+from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant
+from pickenv.envs.shared.rendering import RENDER_MODES, Screen
 from pickenv.envs.shared.simulation import (
-    Look,
+    NUMBER_KEYS,
     ReachState,
+    View,
     begin,
     flat_observation,
     goal_attempt,
     look,
     move,
-    nominal_frames,
     true_reward,
 )
 from pickenv.envs.shared.spaces import action_space, flat_space, given_options
@@ -42,7 +40,6 @@ from pickenv.envs.shared.task import (
 from pickenv.errors import InputError
 
 EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
-RENDER_MODES = ("human", "rgb_array")
 
 Compensate = Callable[[Array], Array]
 Information = dict[str, Any]
@@ -192,8 +189,8 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         self._key: Scalar = 0
         self._arm = 0
         self._state: ReachState | None = None
-        self._scene: Look | None = None
-        self._window: Any = None
+        self._scene: View | None = None
+        self._screen = Screen(self.metadata["render_fps"])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Information]:
         """Start an episode; see the class for `options`."""
@@ -210,8 +207,8 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         self._take_arm(options.get("arm"))
         start = self._given(options, "start_joints") or self._numbers(task.middle)
         goal = self._given(options, "goal_joints")
-        frame = nominal_frames(x, task, goal)[1] if goal is not None else self._draw_goal()
-        self._state = begin(x, task, self.plant, self._key, start, frame, self._command(start))
+        goal = self._draw_goal() if goal is None else goal
+        self._state = begin(x, task, self.plant, self._key, start, goal, self._command(start))
         self._step = 0
         observation, _, information = self._look(0.0)
         if self.render_mode == "human":
@@ -239,30 +236,11 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
 
     def render(self) -> Any:
         """Draw the nominal ghost, the true arm and the fruit: an RGB array, or a window for "human"."""
-        if self.render_mode is None:
-            gym.logger.warn(
-                "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
-            )
-            return None
-        from pickenv.envs.shared.drawing import Window, reach_pixels
-
-        if self._scene is None:
-            raise InputError("render was called before reset; call reset first")
-        plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
-        parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
-        scene = Look(*parts)  # type: ignore[arg-type]
-        picture = reach_pixels(plant, self.joint_target, scene, self.task.tolerance_mm)
-        if self.render_mode == "rgb_array":
-            return picture
-        self._window = self._window or Window(self.metadata["render_fps"])
-        self._window.show(picture)
-        return None
+        return self._screen.show(self.render_mode, self._scene is not None, self._picture)
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
+        self._screen.close()
 
     @property
     def joint_target(self) -> Array:
@@ -279,7 +257,16 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         """Number of the true arm in its population; 0 for a fixed one."""
         return self._arm
 
-    def _observe(self, scene: Look) -> tuple[Any, float]:
+    def _picture(self) -> NDArray[np.uint8]:
+        from pickenv.envs.shared.drawing import reach_pixels
+
+        assert self._scene is not None
+        plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
+        parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
+        scene = View(*parts)  # type: ignore[arg-type]
+        return reach_pixels(plant, self.joint_target, scene, self.task.tolerance_mm)
+
+    def _observe(self, scene: View) -> tuple[Any, float]:
         """Observation and reward; variants with other observations override it."""
         reward: Scalar = true_reward(self._x, self.task, scene)
         return np.array(self._plain(flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
@@ -293,12 +280,8 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         plant, scene = look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
         self._state, self._scene = state._replace(plant=plant), scene
         observation, reward = self._observe(scene)
-        distance, angle, lost, kept = plain((scene.distance_mm, scene.angle_deg, scene.lost_deg, scene.kept_deg))
         information = {
-            "position_error_mm": distance,
-            "attitude_error_deg": angle,
-            "noncompensable_deg": lost,
-            "compensable_deg": kept,
+            **dict(zip(NUMBER_KEYS, plain(scene.numbers), strict=True)),
             "is_success": bool(scene.success),
             "pose_error": np.array(plain(scene.error)),
             "joint_command": np.array(plain(scene.command)),
@@ -317,30 +300,25 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
     def _take_arm(self, asked: int | None) -> None:
         """Choose the true arm of this episode."""
         x, task = self._x, self.task
-        if task.arms == "fixed":
-            if asked is not None:
-                raise InputError("option arm needs a population; make the environment with arms='per_episode'")
+        if task.arms == "fixed" and asked is None:
             return
         if asked is None:
             assert self._stream is not None
-            key = self._key
-            if task.arms == "per_env":
-                key = episode_key(x, self._word(self._stream), self._word(0))
-            asked = int(self._plain((choose_arm(x, key),))[0] * population_size(task))
+            asked = int(self._plain((drawn_arm(x, task, self._word(self._stream), self._key),))[0])
         self._arm = number = task.given_arm(asked)
         if x is FLOATS:
             self.plant = plant_at(task.plant, number)
         else:
-            self.plant = exact_plant(changed_plant(task.plant, lambda values: values[number : number + 1]))
+            self.plant = exact_plant(plants_on(task.plant, lambda values: values[number : number + 1]))
 
-    def _draw_goal(self) -> Frame:
-        """Frame of the first pose drawn whose tool points upwards."""
+    def _draw_goal(self) -> list[Scalar]:
+        """Joints of the first pose drawn whose tool points upwards."""
         x, task = self._x, self.task
         stream = stream_key(x, self._key, GOAL)
         for attempt in range(GOAL_ATTEMPTS):
             joints, upright = goal_attempt(x, task, stream, attempt)
             if upright:
-                return nominal_frames(x, task, joints)[1]
+                return joints
         raise task.no_goal()
 
     def _given(self, options: dict[str, Any], key: str) -> Sequence[Scalar] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,20 +10,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.envs.reaching.batch import Batch, Outcome, Start
-from pickenv.envs.reaching.reach_goal import GOAL_KEYS, goal_reward
-from pickenv.envs.shared.simulation import Look
+from pickenv.arm import Array, Plant, plant_at
+from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Start, Views
+from pickenv.envs.reaching.numpy_batch import NumpyBatch
+from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
+from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.spaces import OPTIONS, action_space, flat_space, given_options, goal_space
 from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import IDEAL, Task, check_choice, check_count, make_task
 from pickenv.errors import InputError
 
 EXECUTORS = ("numpy", "torch")
-NUMBER_KEYS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
-
-Mask = NDArray[np.bool_]
 
 
 class ReachVectorEnv(VectorEnv[Any, Any, Any]):
@@ -108,10 +105,10 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._poses = bool(pose_infos)
-        self.compensator: Callable[[Array], Array] | None = None
-        self.batch: Any
+        self.compensator: Compensate | None = None
+        self.batch: Batch
         if executor == "numpy":
-            self.batch = Batch(self.task, self.num_envs, self.goal_dict, pose_infos)
+            self.batch = NumpyBatch(self.task, self.num_envs, self.goal_dict, pose_infos)
         else:
             from pickenv.envs.reaching.torch_batch import TorchBatch
 
@@ -121,10 +118,10 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self._elapsed = np.zeros(self.num_envs, dtype=np.uint64)
         self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
-        self._last: Outcome | None = None
+        self._last: Views | None = None
 
     @property
-    def plant(self) -> Any:
+    def plant(self) -> Plant:
         """The true arm, or arms."""
         return self.batch.plant
 
@@ -168,7 +165,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             raise InputError("step was called before reset; call reset first")
         numbers = self.batch.numbers_of_actions(actions)
         mode = self.autoreset_mode
-        live: Mask | None = None  # where time passes; None: everywhere
+        live: Flags | None = None  # where time passes; None: everywhere
         if self._ended.any():
             live = ~self._ended
             if mode is not AutoresetMode.NEXT_STEP:
@@ -180,12 +177,12 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         else:
             self._elapsed += np.uint64(1)
         out = self.batch.advance(numbers, self._elapsed, live, self.compensator)
-        rewards = out.reward if live is None else self.batch.masked_rewards(out.reward, live)
+        rewards = out.reward
         truncations, terminations = (np.zeros(self.num_envs, dtype=np.bool_) for _ in range(2))
         if self.max_episode_steps is not None:
             truncations = self._elapsed >= self.max_episode_steps
         if self.task.end_on_success:
-            terminations = self.batch.on_host(out.success)
+            terminations = self.batch.host(out.success)
         if live is not None:
             truncations, terminations = truncations & live, terminations & live
         ended = terminations | truncations
@@ -201,7 +198,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         if mode is AutoresetMode.DISABLED:
             self._last = self.batch.copied(out)
         infos = final | self._infos(out, np.ones(self.num_envs, dtype=np.bool_))
-        flags = (self.batch.on_device(flag) for flag in (terminations, truncations))
+        flags = (self.batch.flags(flag) for flag in (terminations, truncations))
         return self._observations(out), rewards, *flags, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -216,7 +213,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         for i in range(self.num_envs):
             plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, int(self.batch.arm[i]))
             target, scene = self.batch.scene(i, self.compensator)
-            pictures.append(reach_pixels(plant, target, Look(*scene), self.task.tolerance_mm))
+            pictures.append(reach_pixels(plant, target, scene, self.task.tolerance_mm))
         return tuple(pictures)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
@@ -235,7 +232,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self._elapsed[rows], self._ended[rows] = 0, False
         self.batch.restart(rows, Start(self._seeds[rows], self._episodes[rows], **chosen), self.compensator)
 
-    def _mask(self, mask: Any) -> Mask:
+    def _mask(self, mask: Any) -> Flags:
         """Which environments `reset` is about."""
         if mask is None:
             return np.ones(self.num_envs, dtype=np.bool_)
@@ -247,7 +244,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             )
         return np.array(mask)
 
-    def _take_seeds(self, seed: int | Sequence[int | None] | None, mask: Mask) -> None:
+    def _take_seeds(self, seed: int | Sequence[int | None] | None, mask: Flags) -> None:
         """New seeds where they are given, the next episode elsewhere."""
         if seed is None or isinstance(seed, int | np.integer):
             seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
@@ -275,8 +272,6 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             if options.get(key) is not None:
                 chosen[key.split("_")[0]] = self.task.given_joints(key, options[key], self.num_envs)[rows]
         if options.get("arm") is not None:
-            if self.task.arms == "fixed":
-                raise InputError("option arm needs a population; make the environment with arms='per_episode'")
             arms = np.asarray(options["arm"])
             if arms.shape not in ((), (self.num_envs,)):
                 raise InputError(f"option arm has shape {arms.shape}; give one number, or {self.num_envs}")
@@ -284,15 +279,15 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             chosen["arm"] = np.array([self.task.given_arm(arm) for arm in each.tolist()], dtype=np.intp)
         return chosen
 
-    def _observations(self, out: Outcome) -> Any:
+    def _observations(self, out: Views) -> Any:
         parts = [part.T for part in out.observation]
         return dict(zip(GOAL_KEYS, parts, strict=True)) if self.goal_dict else parts[0]
 
-    def _infos(self, out: Outcome, mask: Mask) -> dict[str, Any]:
+    def _infos(self, out: Views, mask: Flags) -> dict[str, Any]:
         """Infos as a dict of arrays with masks; what is outside the mask is zero."""
         n = self.task.joints
         numbers, vectors, success = out.numbers, out.vectors, out.success
-        given = self.batch.on_device(mask)
+        given = self.batch.flags(mask)
         if not mask.all():
             numbers, success = [row * given for row in numbers], success & given
             vectors = vectors * given if self._poses else vectors
@@ -303,11 +298,11 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             infos[key] = vectors[a:b].T
         return infos | {f"_{key}": given for key in infos}
 
-    def _final(self, out: Outcome, rows: NDArray[np.intp], ended: Mask) -> dict[str, Any]:
+    def _final(self, out: Views, rows: NDArray[np.intp], ended: Flags) -> dict[str, Any]:
         """Last observation and info of the episodes that ended, before they are overwritten."""
         last = self.batch.copied(out)
         infos = self._infos(last, ended)
-        mask = self.batch.on_device(ended)
+        mask = self.batch.flags(ended)
         return {
             "final_obs": self.batch.final_observations(self._observations(last), rows),
             "_final_obs": mask,
@@ -326,8 +321,7 @@ class ReachGoalVectorEnv(ReachVectorEnv):
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
         """Reward of achieved against desired goals, as in `pickenv/ReachGoal-v0`."""
-        reward = goal_reward(self.task, np.asarray(achieved_goal), np.asarray(desired_goal))
-        return reward if reward.ndim else float(reward)
+        return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
 
 class ReachIdealVectorEnv(ReachVectorEnv):

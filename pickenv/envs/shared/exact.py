@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar
-from pickenv.arm.plant.plant import Plant
+from pickenv.arm import Frame, Plant
+from pickenv.arm.kinematics.forward import Chain, Scalar
+from pickenv.arm.plant.plant import Ready
 
 ROUNDING = 1e-15
 
@@ -77,10 +78,8 @@ def exact_plant(plant: Plant) -> Plant:
     if load is not None and isinstance(load.payload, float):
         centre = tuple(tuple(exact(value) for value in point) for point in load.centre)
         load = replace(load, centre=centre, payload=exact(load.payload))
-    changed = replace(plant, load=load)
-    # Where its cached property keeps it; a batch of arms keeps the arrays that it had.
-    vars(changed)["chain"] = plant.chain._replace(base=tuple(exact(value) for value in plant.chain.base))
-    return changed
+    chain = plant.chain._replace(base=tuple(exact(value) for value in plant.chain.base))
+    return replace(plant, load=load, ready=Ready(plant.geometry, chain))
 
 
 def inexact(frame: Frame) -> tuple[Scalar, ...]:

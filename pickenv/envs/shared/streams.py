@@ -7,11 +7,7 @@ Stafford's constants), applied to a Weyl sequence; uniform numbers are equal to 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.envs.shared.backends import MASK, Executor
@@ -65,11 +61,6 @@ def seed_word(seed: int) -> int:
         seed >>= 64
         if not seed:
             return word
-
-
-def seed_words(seeds: Iterable[int]) -> NDArray[np.uint64]:
-    """`seed_word` of many seeds."""
-    return np.array([seed_word(seed) for seed in seeds], dtype=np.uint64)
 
 
 def fresh_seed(generator: Any) -> int:

@@ -15,13 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import load_arm, load_plant
-from pickenv.arm.files.arm_file import Arm
+from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, load_arm, load_plant, load_tolerances
 from pickenv.arm.kinematics.forward import Chain, chain_of, frames
-from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_count
-from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.envs.shared.exact import exact_chain
 from pickenv.errors import InputError
 from pickenv.limits import check_limit, shown
@@ -130,8 +126,10 @@ class Task:
         """Number of an arm of the population.
 
         Raises:
-            InputError: If there is no such arm.
+            InputError: If there is no such arm, or no population.
         """
+        if self.arms == "fixed":
+            raise InputError("option arm needs a population; make the environment with arms='per_episode'")
         size = plant_count(self.plant) or 1
         if not isinstance(number, int | np.integer) or not 0 <= number < size:
             raise InputError(f"arm is {number!r}; the population has arms 0 to {size - 1}")
@@ -182,7 +180,7 @@ def make_task(
     if arms != "fixed":
         check_count("population", population)
         check_limit("population", int(population), "population")
-        check_seed("population_seed", population_seed)
+        check_count("population_seed", population_seed, least=0)
         check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
         design = load_tolerances(tolerances)
         true_arm = draw_plants(true_arm, design, population, np.random.default_rng(population_seed))
@@ -235,16 +233,10 @@ def check_number(name: str, value: float, *, positive: bool = False) -> None:
         )
 
 
-def check_count(name: str, value: int) -> None:
-    """Refuse what is not a whole number of at least 1."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise InputError(f"{name} is {value!r}; give a whole number of at least 1")
-
-
-def check_seed(name: str, value: int) -> None:
-    """Refuse what is no whole number, or negative."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise InputError(f"{name} is {value!r}; give a whole number not below zero")
+def check_count(name: str, value: int, least: int = 1) -> None:
+    """Refuse what is not a whole number of at least ``least``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise InputError(f"{name} is {value!r}; give a whole number of at least {least}")
 
 
 def check_name(name: str, value: str | Path, wanted: str) -> None:

@@ -112,7 +112,7 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
     return figure
 
 
-def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[tuple[float, float]]] = ()) -> Figure:
+def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]] = ()) -> Figure:
     """Where the cups get to, from above and from the side.
 
     Args:

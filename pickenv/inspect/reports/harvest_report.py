@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pickenv.harvester.joint_motion import dense_workspace
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.reports.report_words import estimated, percent
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_harvest
-
-LI2016_DENSE = ((-1.5, 1.5), (-1.7, -0.5), (0.4, 2.6))
-"""Where Li 2016, Fig. 8, finds the cloud dense: ranges of x, y and z, m."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -41,7 +39,7 @@ def drawings(run: Run) -> Drawings:
         Drawing(
             "workspace",
             "Where the cups get to, at joints drawn evenly within the limits.",
-            lambda: plot_harvest.workspace_cloud(trace.cloud, (LI2016_DENSE,)),
+            lambda: plot_harvest.workspace_cloud(trace.cloud, (dense_workspace(),)),
         ),
         Drawing(
             "joint_curves",

@@ -16,7 +16,7 @@ import numpy as np
 
 from pickenv.container import read_container, refusing_damage, write_container
 
-FORMAT = 2
+FORMAT = 3
 """Version of the files' content."""
 
 Saved = TypeVar("Saved")

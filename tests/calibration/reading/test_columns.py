@@ -8,7 +8,8 @@ from scipy.linalg import expm
 
 from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, random_joints, read_measurements
-from pickenv.calibration.reading.read import CONVENTIONS, load_description, shipped_descriptions
+from pickenv.calibration.reading.conventions import CONVENTIONS
+from pickenv.calibration.reading.description import load_description, shipped_descriptions
 from pickenv.errors import InputError
 
 JOINTS = 'joints.columns = ["A1", "A2", "A3", "A4", "A5", "A6"]\njoints.unit = "deg"\n'
@@ -172,26 +173,32 @@ BAD_DESCRIPTIONS = {
     "misspelt key": ("seperator = ';'\n" + GOOD, r"unknown key 'seperator'"),
     "misspelt key of a section": (GOOD + "position.units = 'mm'\n", r"unknown key 'units' in \[position\]"),
     "no position": (JOINTS, r"section \[position\] is missing"),
-    "position is no section": (JOINTS + "position = 3\n", r"section \[position\] is missing"),
-    "rotation is no section": (GOOD + "rotation = 'kuka_abc'\n", r"section \[rotation\]"),
+    "position is no section": (JOINTS + "position = 3\n", r"line 3: \[position\] must be a table"),
+    "rotation is no section": (GOOD + "rotation = 'kuka_abc'\n", r"\[rotation\] must be a table"),
     "no unit": (JOINTS + 'position.columns = ["X", "Y", "Z"]\n', r"unit of \[position\] is missing"),
-    "unknown unit": (GOOD.replace('"mm"', '"inch"'), r"unit of \[position\] is unknown: 'inch'"),
-    "an angle for a length": (GOOD.replace('"mm"', '"deg"'), r"unit of \[position\] is unknown: 'deg'"),
+    "unknown unit": (GOOD.replace('"mm"', '"inch"'), r"unit of \[position\] is 'inch'; give one of mm, m"),
+    "an angle for a length": (GOOD.replace('"mm"', '"deg"'), r"unit of \[position\] is 'deg'; give one of mm, m"),
     "a length for a revolute joint": (GOOD.replace('"deg"', '"mm"'), r"joint 1 is revolute"),
     "five joints": (GOOD.replace('"A6"', '"A5"').replace('"A5", "A5"', '"A5"'), r"5 joint columns .* 6 joints"),
     "too few units": (GOOD.replace("unit =", "units =", 1).replace('"deg"', '["deg"]'), r"6 columns but 1 units"),
-    "units that are no list": (GOOD.replace("unit =", "units =", 1), r"units must be a list"),
-    "columns that are no list": (JOINTS + 'position = { columns = "X", unit = "mm" }\n', r"columns must be a list"),
+    "units that are no list": (GOOD.replace("unit =", "units =", 1), r"units of \[joints\] is 'deg'; give a list"),
+    "columns that are no list": (
+        JOINTS + 'position = { columns = "X", unit = "mm" }\n',
+        r"columns of \[position\] is 'X'; give a list",
+    ),
     "two positions": (GOOD.replace('"Y", ', ""), r"\[position\] needs three columns"),
-    "unknown convention": (GOOD + Z.replace("kuka_abc", "zyz"), r"convention 'zyz'; name one of .*kuka_abc"),
+    "unknown convention": (
+        GOOD + Z.replace("kuka_abc", "zyz"),
+        r"convention of \[rotation\] is 'zyz'; give one of .*kuka_abc",
+    ),
     "two angles": (GOOD + Z.replace('"2 * Y", ', ""), r"convention 'kuka_abc' needs 3 columns"),
     "quaternion of three": (GOOD + Z.replace("kuka_abc", "abb_quaternion"), r"'abb_quaternion' needs 4 columns"),
     "separator of two characters": ("separator = ';;'\n" + GOOD, r"separator is ';;'"),
     "no separator": ("separator = ''\n" + GOOD, r"separator is ''"),
     "decimal sign": ("decimal = ':'\n" + GOOD, r"decimal is ':'"),
     "decimal sign that separates": ("decimal = ','\n" + GOOD, r"decimal is ','"),
-    "uncertainty of zero": (GOOD + "position.std_mm = 0\n", r"std_mm is 0"),
-    "uncertainty in words": (GOOD + "position.std_mm = 'small'\n", r"std_mm is 'small'"),
+    "uncertainty of zero": (GOOD + "position.std_mm = 0\n", r"std_mm of \[position\] is 0; give a number above zero"),
+    "uncertainty in words": (GOOD + "position.std_mm = 'small'\n", r"std_mm of \[position\] is 'small'; give a number"),
     "a joint twice": (GOOD.replace('"A6"', '"A5"'), r"'A5' is given for joint 5 and for joint 6"),
     "a joint twice, written otherwise": (GOOD.replace('"A6"', '" ( `A5`)"'), r"is given for joint 5 and for joint 6"),
     "one computed column twice": (
@@ -213,7 +220,10 @@ BAD_DESCRIPTIONS = {
     "a truth": (GOOD.replace('"X"', '"X + True"'), r"cannot compute 'X \+ True'"),
     "a separator that is a digit": ("separator = '1'\n" + GOOD, r"separator is '1'"),
     "a separator that nobody sees": ('separator = "\\u0000"\n' + GOOD, r"separator is '.x00'"),
-    "a list for a convention": (GOOD + Z.replace('"kuka_abc"', "['kuka_abc']"), r"convention \['kuka_abc'\]; name one"),
+    "a list for a convention": (
+        GOOD + Z.replace('"kuka_abc"', "['kuka_abc']"),
+        r"convention of \[rotation\] is \['kuka_abc'\]; give one",
+    ),
     "a number of 5000 digits": (f"decimal = {'1' * 5000}\n" + GOOD, r"is not valid TOML: .*digits"),
     "a number of 400 digits": (f"decimal = {'1' * 400}\n" + GOOD, r"decimal is an integer of more than 64 bits"),
     "a function": (GOOD.replace('"X"', '"abs(X)"'), r"cannot compute 'abs\(X\)'"),
