@@ -69,7 +69,7 @@ def test_a_sound_run_is_named_file_by_file(folder: Path) -> None:
     )
     assert lines[1].startswith(f"sound    {folder}/calibration.npz: calibration, format 2, arm 'qiao2026', geometry ")
     assert (
-        lines[2] == f"sound    {folder}/calibration_trace.npz: CalibrationTrace, format 2, the numbers behind figures"
+        lines[2] == f"sound    {folder}/calibration_trace.npz: CalibrationTrace, format 3, the numbers behind figures"
     )
     assert lines[3] == f"sound    {folder}/figures.json: file of the run"
     assert lines[4:] == ["4 checked, 0 refused"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,8 @@ class Kind:
     sequential: bool = False
     raw_only: bool = False
 
+
+PLAIN: Mapping[str, Callable[[Any], Policy]] = {"scripted": ScriptedReach, "oracle": OracleReach, "servo": ServoReach}
 
 KINDS: Mapping[str, Kind] = {
     "random": Kind(("encoders",)),
@@ -207,12 +210,8 @@ def maker_of(name: str, settings: GridSettings, compensation: str = "raw") -> Po
     def make(env: Any, seed: int) -> Policy:
         if name == "random":
             return RandomReach(env, np.random.default_rng(seed))
-        if name == "scripted":
-            return ScriptedReach(env)
-        if name == "oracle":
-            return OracleReach(env)
-        if name == "servo":
-            return ServoReach(env)
+        if name in PLAIN:
+            return PLAIN[name](env)
         if name == "adaptive":
             noise = np.hypot(settings.camera_noise_mm, settings.fruit_noise_mm) * 1e-3
             prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
@@ -256,7 +255,7 @@ def run_grid(
         if (plant, compensation) not in fitted:
             stage = f"calibrating, {plant}, {compensation}"
             fitted[plant, compensation] = compensators(
-                population(settings, plant), compensation, settings.protocol, folder, _told(report, stage)
+                population(settings, plant), compensation, settings.protocol, folder, partial(report, stage)
             )
         rollout = roll_out(
             maker_of(name, settings, compensation),
@@ -299,10 +298,6 @@ def _nothing_fits(settings: GridSettings, kinds: Mapping[str, Kind]) -> str:
         f"no policy can be run with feedback {' or '.join(settings.feedback)} and compensation "
         f"{' or '.join(settings.compensations)}: {', '.join(able)}; change one of them"
     )
-
-
-def _told(report: Callable[[str, int, int], None], stage: str) -> Callable[[int, int], None]:
-    return lambda done, total: report(stage, done, total)
 
 
 def _row(settings: GridSettings, cell: Cell, name: str, gripper: Gripper) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -23,15 +23,7 @@ FORMAT = 2
 REMAKE = "run `pickenv train` to make one anew"
 
 
-def _relu(values: Array) -> Array:
-    return np.maximum(values, 0.0)
-
-
-def _tanh(values: Array) -> Array:
-    return np.asarray(np.tanh(values))
-
-
-ACTIVATIONS = {"tanh": _tanh, "relu": _relu}
+ACTIVATIONS: Mapping[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0.0)}
 BASELINES = Path(__file__).parent / "baselines"
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pickenv.agents.policies.learned import LearnedPolicy
-from pickenv.agents.training.callbacks import Checkpoints, Evaluations
+from pickenv.agents.training.callbacks import checkpoints, evaluations, judged
 from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint, take_checkpoint
 from pickenv.agents.training.training_setup import Training, actor_of, check_inputs, inputs_of, make_model
 from pickenv.errors import InputError
@@ -66,9 +66,9 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
         model, env = make_model(training, out)
         if begun is not None:
             take_checkpoint(begun, model, env)
-        evaluations = Evaluations(training, inputs, out, [] if begun is None else begun.evaluations)
+        rows = [] if begun is None else begun.evaluations
         # a checkpoint follows its evaluation
-        callbacks = [evaluations, Checkpoints(training, inputs, path, env, evaluations.rows)]
+        callbacks = [evaluations(training, inputs, out, rows), checkpoints(training, inputs, path, env, rows)]
         begin, first = time.perf_counter(), model.num_timesteps
         if model.num_timesteps < training.total:
             model.learn(
@@ -78,13 +78,13 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
                 tb_log_name=training.algorithm,
                 progress_bar=progress,
             )
-            save_checkpoint(path, model, env, training, inputs, evaluations.rows)
+            save_checkpoint(path, model, env, training, inputs, rows)
         rate = (model.num_timesteps - first) / max(time.perf_counter() - begin, 1e-9)
         policy = actor_of(model, training, env)
         policy.save(out / "policy.npz")
-        evaluations.judge(policy, model.num_timesteps)
+        judged(training, inputs, out, rows, policy, model.num_timesteps)
         env.close()
-    return Trained(policy, tuple(evaluations.rows), rate, out)
+    return Trained(policy, tuple(rows), rate, out)
 
 
 def resumed(out: str | Path) -> Training:

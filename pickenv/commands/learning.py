@@ -67,23 +67,20 @@ def train(
             raise InputError(NO_CAMERA)
         if (out / "checkpoint.pt").exists():
             raise InputError(f"{out} holds a training already; go on with --resume, or give another --out")
-        arguments: dict[str, Any] = {}
-        if plant is not None:
-            arguments["plant"] = plant
-        if feedback != "encoders":
-            arguments["feedback"] = feedback
-        if camera_noise:
-            arguments["camera_noise_mm"] = camera_noise
-        if camera_noise or fruit_noise:
-            arguments["fruit_noise_mm"] = fruit_noise
-        if randomise is not None:
-            arguments |= {"arms": "per_episode", "tolerances": randomise}
+        given: dict[str, Any] = {
+            "plant": plant,
+            "feedback": None if feedback == "encoders" else feedback,
+            "camera_noise_mm": camera_noise or None,
+            "fruit_noise_mm": fruit_noise if camera_noise or fruit_noise else None,
+            "arms": None if randomise is None else "per_episode",
+            "tolerances": randomise,
+        }
         training = Training(
             algorithm=algo,
             env_id=env,
             steps=steps,
             seed=seed,
-            arguments=arguments,
+            arguments={name: value for name, value in given.items() if value is not None},
             compensate=None if compensate is None else str(compensate),
             allow=allow or [],
             checkpoint_every=checkpoint_every,

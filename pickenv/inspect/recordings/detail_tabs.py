@@ -27,7 +27,7 @@ def detail_tabs(comparison: Comparison, details: Details, gain: float) -> list[A
     if comparison.field_uncertainty is not None:
         tabs.append(_uncertainty(comparison))
     if details.day is not None:
-        tabs.append(_day(comparison, details.day))
+        tabs.append(_day(details.day))
     if len(comparison.fruit):
         tabs.insert(0, _arms(comparison, gain))
     return tabs
@@ -80,7 +80,7 @@ def _uncertainty(comparison: Comparison) -> Any:
     return with_colour_bar(views, "uncertainty", meaning, "Predicted uncertainty")
 
 
-def _day(comparison: Comparison, day: Day) -> Any:
+def _day(day: Day) -> Any:
     largest = max(float(np.percentile(errors, 95, axis=1).max()) for errors in day.errors_mm.values())
     plot = rrb.TimeSeriesView(
         origin="/day",

@@ -97,14 +97,14 @@ def gather(folder: str | Path) -> Findings:
     )
 
 
-def requirement(config: StudyConfig) -> str:
+def specified(config: StudyConfig) -> str:
     """When an arm is good enough, in words."""
     return f"at least {100 * config.share:g} % of the fruit within {config.radius_mm:g} mm"
 
 
 def study_drawings(found: Findings) -> Drawings:
     """The figures of a study."""
-    rows, wanted = found.yields.to_pylist(), requirement(found.config)
+    rows, wanted = found.yields.to_pylist(), specified(found.config)
     judged = any(row["failed"] < row["arms"] for row in rows)
     drawings: list[Drawing | NotDrawn] = []
     for along, words in AXES.items():

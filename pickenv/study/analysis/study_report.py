@@ -19,7 +19,7 @@ from pickenv.inspect.reports.report_words import between, estimated, named_value
 from pickenv.inspect.runs.run_folder import Run, TakePicture
 from pickenv.study.analysis.single_arms import Placement
 from pickenv.study.analysis.sobol import read_sobol, write_sobol
-from pickenv.study.analysis.study_drawings import Findings, gather, requirement, study_drawings
+from pickenv.study.analysis.study_drawings import Findings, gather, specified, study_drawings
 from pickenv.study.analysis.study_figures import Row, method_label, setting_label
 from pickenv.study.design.config import LS, RAW, StudyConfig
 from pickenv.study.results.row_table import OK
@@ -132,7 +132,7 @@ def study_verdict(config: StudyConfig, rows: Sequence[Row]) -> PageVerdict:
     else:
         tone, chosen = "bad", max(ways.values(), key=lambda row: row["yield"])
         headline = f"Nothing that was tried gives a yield of {percent}"
-    said = [f"With {_way(chosen)}, {_share(chosen)} of arms pick {requirement(config)}{_load(chosen)}."]
+    said = [f"With {_way(chosen)}, {_share(chosen)} of arms pick {specified(config)}{_load(chosen)}."]
     others = [r for r in rows if all(r[k] == chosen[k] for k in CHOICES) and r["setting"] != chosen["setting"]]
     said += [f"{_capital(_load(row)) or 'Without payload'} it is {_share(row)}." for row in others]
     uncalibrated = [
@@ -192,7 +192,7 @@ def _yield_table(found: Findings) -> PageTable:
         for row in found.yields.to_pylist()
     ]
     heads = ("setting", "yield (%)", "95 % interval", "arms within", "arms", "without a result")
-    return PageTable(f"Arms that pick {requirement(found.config)}", heads, rows)
+    return PageTable(f"Arms that pick {specified(found.config)}", heads, rows)
 
 
 def _failures(found: Findings) -> str | PageTable:
