@@ -7,7 +7,6 @@ One pose at a time, online, or a whole data set in one pass. Covariances are upd
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -95,9 +94,7 @@ def start_filter(
     Raises:
         InputError: If the poses are so few that they would leave parameters out that others identify.
     """
-    arm = ArmModel.of(start)
-    found = _identifiable(model, arm, joints, full_pose, None)
-    return _diffuse(model, arm, found, prior)
+    return _diffuse(model, ArmModel.of(start), joints, 6 if full_pose else 3, None, prior)[0]
 
 
 def continue_filter(model: ErrorModel, identified: Identification, *, inflation: float = 1.0) -> FilterState:
@@ -220,16 +217,16 @@ def update(
     if not np.isfinite(innovation).all():
         raise InputError("the observed pose or its joints are not finite; leave the pose out")
     jacobian = state.arm_model.jacobian(joints, conditions)[0, :rows][:, state.columns]
-    spread = np.repeat([noise.position_std, noise.attitude_std], 3)[:rows] ** 2
+    variance = np.repeat([noise.position_std, noise.attitude_std], 3)[:rows] ** 2
     crossed = jacobian @ state.covariance
-    expected = crossed @ jacobian.T + np.diag(spread)
+    expected = crossed @ jacobian.T + np.diag(variance)
     solved = np.linalg.solve(expected, np.column_stack([crossed, innovation]))
     nis = float(innovation @ solved[:, -1])
     if gate is not None and nis > 2.0 * gammaincinv(rows / 2.0, gate):  # quantile of chi squared
         return replace(state, rejected=state.rejected + 1, innovation=innovation, nis=nis)
     gain = solved[:, :-1].T
     shrink = np.eye(len(gain)) - gain @ jacobian
-    covariance = shrink @ state.covariance @ shrink.T + (gain * spread) @ gain.T
+    covariance = shrink @ state.covariance @ shrink.T + (gain * variance) @ gain.T
     delta = np.zeros(len(state.arm_model.parameter_names))
     delta[state.columns] = gain @ innovation
     return replace(
@@ -298,11 +295,9 @@ def filter_measurements(
     *,
     noise: MeasurementNoise | None = None,
     prior: float = PRIOR,
-    process_noise: Array | None = None,
-    seconds: Sequence[float] | Array | None = None,
     gate: float | None = None,
 ) -> Filtered:
-    """Pass once over a data set, row by row.
+    """Pass once over a data set, row by row, of an arm that does not drift; else go by `predict` and `update`.
 
     Args:
         model: The parameters.
@@ -310,8 +305,6 @@ def filter_measurements(
         measurements: Poses or positions.
         noise: Assumed noise; the data set's own where left out.
         prior: Prior standard deviation in tolerances of each parameter.
-        process_noise: Covariance gained per second over the kept parameters, with ``seconds``; None for none.
-        seconds: Time before each row ``(N,)``, s.
         gate: As in `update`.
 
     Raises:
@@ -319,14 +312,12 @@ def filter_measurements(
     """
     begin = time.perf_counter()
     arm = ArmModel.of(start)
-    found = _identifiable(model, arm, measurements.joints, measurements.rotation is not None, measurements.conditions)
-    state = _diffuse(model, arm, found, prior)
+    rows, conditions = measurements.rows_per_pose, measurements.conditions
+    state, found = _diffuse(model, arm, measurements.joints, rows, conditions, prior)
     noise = noise or MeasurementNoise(measurements.position_std, measurements.attitude_std)
     states = [state]
     for i in range(len(measurements)):
         row = measurements.select([i])
-        if process_noise is not None and seconds is not None:
-            state = predict(state, process_noise, float(seconds[i]))
         observed = row.position[0] if row.rotation is None else Pose(row.position[0], row.rotation[0])
         state = update(state, row.joints[0], observed, noise, conditions=row.conditions, gate=gate)
         states.append(state)
@@ -341,20 +332,16 @@ def filter_measurements(
     )
 
 
-def _identifiable(
-    model: ErrorModel, arm: ArmModel, joints: Array, full_pose: bool, conditions: Conditions | None
-) -> Identifiability:
-    """What poses at these joints tell apart, each coordinate weighted by its tolerance."""
-    rows = 6 if full_pose else 3
+def _diffuse(
+    model: ErrorModel, arm: ArmModel, joints: Array, rows: int, conditions: Conditions | None, prior: float
+) -> tuple[FilterState, Identifiability]:
+    """A wide prior on what ``rows`` coordinates of poses at these joints tell apart, each weighted by its tolerance."""
     if len(joints) * rows < len(model.columns):
         raise InputError(
             f"{len(joints)} poses cannot decide which of {len(model.columns)} parameters are identifiable; give the "
             f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
         )
     jacobian = arm.jacobian(np.asarray(joints, dtype=float), conditions)[:, :rows, model.columns] * model.tolerance
-    return identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
-
-
-def _diffuse(model: ErrorModel, arm: ArmModel, found: Identifiability, prior: float) -> FilterState:
+    found = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
     tolerance = model.tolerance[found.kept]
-    return FilterState(arm, model.columns[found.kept], tolerance, np.diag((prior * tolerance) ** 2))
+    return FilterState(arm, model.columns[found.kept], tolerance, np.diag((prior * tolerance) ** 2)), found

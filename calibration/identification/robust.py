@@ -20,11 +20,15 @@ from pickenv.calibration.identification.least_squares import Identification, ide
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import nearest_rotation
 from pickenv.calibration.model.splits import Rows
 from pickenv.errors import InputError
 
 OUTLIER_SIGMA = 10.0
 """A pose off by more robust standard deviations than this is an outlier; what a model leaves out stays below it."""
+
+WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
+"""Least squares at most, alignments at most, and fours of poses that are tried."""
 
 MEDIAN_NORM = float(np.sqrt(2.0 * gammaincinv(1.5, 0.5)))
 """Median norm of three independent standard normal numbers, 1.538."""
@@ -46,14 +50,12 @@ class RobustIdentification:
         identification: The last weighted least squares.
         weights: Weight of each pose ``(N,)`` in it, 0 to 1.
         sizes: Sizes of the errors that it leaves.
-        outliers: Rows of poses that do not fit, counted from 0, largest error first.
         settled: Whether the weights stopped changing.
     """
 
     identification: Identification
     weights: Array
     sizes: Sizes
-    outliers: Rows
     settled: bool
 
     @property
@@ -72,8 +74,6 @@ def robust_identify(
     measurements: Measurements,
     *,
     loss: str = "cauchy",
-    sigma: float = OUTLIER_SIGMA,
-    max_rounds: int = 30,
 ) -> RobustIdentification:
     """Identify with iteratively re-weighted least squares; the first weights come from the starting geometry.
 
@@ -82,8 +82,6 @@ def robust_identify(
         start: Geometry, or geometry with terms; near the data (see `robust_align`).
         measurements: Poses or positions.
         loss: "huber" (an outlier keeps a bounded pull) or "cauchy" (a gross one loses all of it).
-        sigma: Poses beyond this many robust standard deviations are listed as outliers.
-        max_rounds: Least squares at most.
 
     Raises:
         InputError: If the loss is unknown, or as `identify`.
@@ -91,7 +89,7 @@ def robust_identify(
     if loss not in LOSSES:
         raise InputError(f"unknown loss '{loss}'; give one of {', '.join(LOSSES)}")
     weights = sizes_of(ArmModel.of(start), measurements).weights(loss)
-    for _ in range(max_rounds):
+    for _ in range(WEIGHTINGS):
         factors = np.repeat(np.sqrt(weights), measurements.rows_per_pose)
         found = identify(model, start, measurements, row_factors=factors)
         sizes = sizes_of(found.arm_model, measurements)
@@ -99,7 +97,7 @@ def robust_identify(
         settled = bool(np.max(np.abs(weights - used)) < 1e-3)
         if settled:
             break
-    return RobustIdentification(found, used, sizes, _beyond(sigma, sizes), settled)
+    return RobustIdentification(found, used, sizes, settled)
 
 
 def robust_align(
@@ -107,10 +105,6 @@ def robust_align(
     measurements: Measurements,
     frames: ErrorModel,
     rng: np.random.Generator,
-    *,
-    trials: int = 500,
-    sigma: float = OUTLIER_SIGMA,
-    max_rounds: int = 10,
 ) -> RobustIdentification:
     """`align` for data with gross errors: base and tool from the poses that agree with each other.
 
@@ -122,9 +116,6 @@ def robust_align(
         measurements: Poses or positions, from anywhere.
         frames: Base and tool parameters (`frames_model`).
         rng: Draws the fours.
-        trials: Fours tried.
-        sigma: Poses beyond this many robust standard deviations take no part.
-        max_rounds: Repetitions at most.
 
     Raises:
         InputError: As `align`.
@@ -133,18 +124,18 @@ def robust_align(
     if count < 8:
         raise InputError(f"{measurements.source}: {count} poses are too few to tell outliers; measure at least 8")
     nominal, measured = forward(geometry, measurements.joints).position, measurements.position
-    rows = np.argsort(rng.random((trials, count)), axis=1)[:, :4]
+    rows = np.argsort(rng.random((FOURS, count)), axis=1)[:, :4]
     missed = _registered_misses(nominal, measured, rows)
     best = missed[np.argmin(np.median(missed, axis=1))]
     kept = best <= 5.0 * np.median(best)
-    for _ in range(max_rounds):
+    for _ in range(SELECTIONS):
         found = align(geometry, measurements.select(kept), frames)
         sizes = sizes_of(found.arm_model, measurements)
-        used, kept = kept, sizes.sigma <= sigma
+        used, kept = kept, sizes.sigma <= OUTLIER_SIGMA
         settled = bool(np.array_equal(used, kept))
         if settled:
             break
-    return RobustIdentification(found, used.astype(float), sizes, _beyond(sigma, sizes), settled)
+    return RobustIdentification(found, used.astype(float), sizes, settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +166,12 @@ class Sizes:
         """The larger of position and attitude error, in standard deviations of one coordinate ``(N,)``."""
         return np.asarray(np.max(self._parts, axis=0))
 
+    @property
+    def outliers(self) -> Rows:
+        """Rows beyond `OUTLIER_SIGMA`, the largest first."""
+        order = np.argsort(-self.sigma, kind="stable")
+        return order[self.sigma[order] > OUTLIER_SIGMA]
+
     def weights(self, loss: str) -> Array:
         """Weights ``(N,)`` by the size per coordinate."""
         squares = np.sum(np.square(self._parts), axis=0) / (3 * len(self._parts))
@@ -193,18 +190,9 @@ def sizes_of(arm: ArmModel, measurements: Measurements, like: Sizes | None = Non
     return Sizes(sizes[0], sizes[1], position, attitude)
 
 
-def _beyond(sigma: float, sizes: Sizes) -> Rows:
-    """Rows beyond so many standard deviations, the largest first."""
-    order = np.argsort(-sizes.sigma, kind="stable")
-    return order[sizes.sigma[order] > sigma]
-
-
 def _registered_misses(nominal: Array, measured: Array, rows: Rows) -> Array:
     """Distances ``(T, N)`` of measured points from nominal ones after T rigid registrations of few rows (Kabsch)."""
     here, there = nominal[rows], measured[rows]
     from_, to = here.mean(axis=1, keepdims=True), there.mean(axis=1, keepdims=True)
-    u, _, vt = np.linalg.svd(np.swapaxes(here - from_, 1, 2) @ (there - to))
-    mirror = np.ones((len(rows), 3))
-    mirror[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    turn = (u * mirror[:, None, :]) @ vt  # row vectors: point @ turn
+    turn = nearest_rotation(np.swapaxes(here - from_, 1, 2) @ (there - to))  # row vectors: point @ turn
     return np.asarray(np.linalg.norm((nominal - from_) @ turn + to - measured, axis=2))

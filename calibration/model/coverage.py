@@ -54,18 +54,15 @@ class Coverage:
         return f"{what} {', '.join(self.lost)} cannot be told from others because of the poses alone; {remedy}"
 
 
-def pose_coverage(
-    model: ErrorModel, geometry: Geometry, measurements: Measurements, rng: np.random.Generator | None = None
-) -> Coverage:
+def pose_coverage(model: ErrorModel, geometry: Geometry, measurements: Measurements) -> Coverage:
     """Compare the rank on the actual poses with the rank on full-range poses.
 
     Args:
         model: Geometric parameters.
         geometry: The arm.
         measurements: The data set; only its joints, kind and uncertainties matter.
-        rng: Draws the full-range poses; a fixed one when left out.
     """
-    rng = rng or np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     actual = measurements.joints
     drawn = random_joints(geometry, PROBES, rng)
     used = np.ptp(actual, axis=0) / (geometry.upper - geometry.lower)

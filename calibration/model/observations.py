@@ -367,9 +367,13 @@ def tracker_covariance(
 def poses_from_reflectors(points: Array, reference: Array) -> Pose:
     """Poses that carry the ``reference`` reflectors ``(k, 3)`` onto ``points`` ``(N, k, 3)``: Kabsch 1976, batched."""
     centre, middle = points.mean(axis=1), reference.mean(axis=0)
-    u, _, vt = np.linalg.svd(np.einsum("ki,nkj->nij", reference - middle, points - centre[:, None]))
-    v = np.swapaxes(vt, -1, -2)
-    flip = np.linalg.det(v @ np.swapaxes(u, -1, -2))
-    signs = np.stack([np.ones_like(flip), np.ones_like(flip), np.sign(flip)], -1)
-    rotation = (v * signs[:, None]) @ np.swapaxes(u, -1, -2)
+    rotation = nearest_rotation(np.einsum("nki,kj->nij", points - centre[:, None], reference - middle))
     return Pose(centre - rotation @ middle, rotation)
+
+
+def nearest_rotation(matrix: Array) -> Array:
+    """The rotations nearest to matrices ``(..., 3, 3)`` (orthogonal Procrustes with positive determinant)."""
+    u, _, vt = np.linalg.svd(matrix)
+    signs = np.ones(matrix.shape[:-1])
+    signs[..., 2] = np.sign(np.linalg.det(u @ vt))
+    return np.asarray((u * signs[..., None, :]) @ vt)

@@ -59,15 +59,14 @@ class Prior:
         return rows, np.zeros((len(rows), 0))
 
 
-def coefficients_prior(start: ArmModel, scatter: float, expected: float = EXPECTED) -> Prior:
+def coefficients_prior(start: ArmModel, scatter: float) -> Prior:
     """A prior on all coefficients of the model's terms.
 
     Args:
         start: The model; its coefficients are expected.
         scatter: What remains without the terms, in claimed standard uncertainties: the prior is weighed against what
             the data are really worth.
-        expected: Standard deviation of a coefficient, in tolerances.
     """
     first = len(start.geometry.parameter_names)
     columns = np.arange(first, first + len(start.coefficients))
-    return Prior(start, columns, start.term_tolerances * expected / max(scatter, 1e-9))
+    return Prior(start, columns, start.term_tolerances * EXPECTED / max(scatter, 1e-9))

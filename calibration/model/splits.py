@@ -14,6 +14,11 @@ from pickenv.errors import InputError
 Rows = NDArray[np.int64]
 
 
+def thinned(rows: int, most: int) -> Rows:
+    """Indices of so many of the rows at most, at equal distances."""
+    return np.unique(np.linspace(0, rows - 1, most).astype(int))
+
+
 def random_split(rows: int, test_rows: int, rng: np.random.Generator) -> tuple[Rows, Rows]:
     """A seeded shuffle: the last ``test_rows`` of it are held out.
 

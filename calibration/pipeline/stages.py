@@ -24,6 +24,7 @@ from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.splits import thinned
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, framed, identified, learnt
 from pickenv.calibration.pipeline.result import Result, assess
@@ -169,14 +170,12 @@ def calibrate(
     draft = Draft(arm, choices, train, held_out, rng or np.random.default_rng(choices.seed), progress)
     for stage in STAGES:
         draft = stage(draft)
-    (_, geometric), *steps = draft.fits.items()
     result = assess(
         arm,
         draft.best[1],
         draft.train,
         draft.test,
-        geometric=geometric,
-        steps=dict(steps),
+        fits=draft.fits,
         terms=draft.term_choice,
         gate=draft.gate,
         left_out=draft.left_out,
@@ -297,7 +296,7 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
     """Verdicts on residual models within the training rows."""
-    data = train.select(np.unique(np.linspace(0, len(train) - 1, GATE_ROWS).astype(int)))
+    data = train.select(thinned(len(train), GATE_ROWS))
     start, known = draft.best[1].calibration.nominal, draft.aligned is None
 
     def refit(rows: Measurements) -> ArmModel:
