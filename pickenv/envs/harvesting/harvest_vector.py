@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
 from pickenv.envs.harvesting.harvest_env import LONGEST, checked_actions
 from pickenv.envs.shared.spaces import given_options
+from pickenv.envs.shared.task import Compensate
 from pickenv.errors import InputError
 
 Information = dict[str, Any]

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import Any, NamedTuple, cast
 
@@ -20,13 +20,12 @@ from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import Executor, Scalar
 from pickenv.envs.shared.simulation import ReachState, View, begin, goal_attempt, look
 from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
-from pickenv.envs.shared.task import GOAL_ATTEMPTS, MOST_ACTION, Task
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, MOST_ACTION, Compensate, Task
 from pickenv.errors import InputError
 
 Flags = NDArray[np.bool_]
 Words = NDArray[np.uint64]
 Rows = NDArray[np.intp]
-Compensate = Callable[[Array], Array]
 Columns = list[Scalar]
 
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plants_on
-from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Rows, Views, Words
+from pickenv.envs.reaching.batch import Batch, Flags, Rows, Views, Words
 from pickenv.envs.shared.backends import NUMPY
 from pickenv.envs.shared.exact import exact_plant
 from pickenv.envs.shared.simulation import flat_observation, goal_observation, goal_reward, look, move, true_reward
-from pickenv.envs.shared.task import CONTROL_PERIOD, Task, as_numbers
+from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate, Task, as_numbers
 
 
 class NumpyBatch(Batch):

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Plant, plant_at, plants_on
+from pickenv.arm import Array, plant_at, plants_on
+from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant
-from pickenv.envs.shared.rendering import RENDER_MODES, Screen
 from pickenv.envs.shared.simulation import (
     NUMBER_KEYS,
     ReachState,
@@ -32,7 +31,6 @@ from pickenv.envs.shared.task import (
     CONTROL_PERIOD,
     GOAL_ATTEMPTS,
     MOST_ACTION,
-    Task,
     as_numbers,
     check_choice,
     make_task,
@@ -41,11 +39,8 @@ from pickenv.errors import InputError
 
 EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
 
-Compensate = Callable[[Array], Array]
-Information = dict[str, Any]
 
-
-class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
+class ReachEnv(ArmEnv):
     """Bring the tool to a fruit, in the attitude asked for, with an arm that is not what its controller believes.
 
     ## Description
@@ -167,17 +162,10 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
     * v0: First version.
     """
 
-    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
-
     def __init__(self, *, executor: str = "floats", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         check_choice("executor", executor, tuple(EXECUTORS))
-        if render_mode is not None:
-            check_choice("render_mode", render_mode, RENDER_MODES)
-        self.task: Task = make_task(**arguments)
-        self.plant: Plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, 0)
-        self.render_mode = render_mode
-        self.compensator: Compensate | None = None
+        super().__init__(make_task(**arguments), render_mode)
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)
         self._x: Executor = EXECUTORS[executor]
@@ -190,7 +178,6 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         self._arm = 0
         self._state: ReachState | None = None
         self._scene: View | None = None
-        self._screen = Screen(self.metadata["render_fps"])
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Information]:
         """Start an episode; see the class for `options`."""
@@ -234,33 +221,21 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
             self.render()
         return observation, reward, self.task.end_on_success and information["is_success"], False, information
 
-    def render(self) -> Any:
-        """Draw the nominal ghost, the true arm and the fruit: an RGB array, or a window for "human"."""
-        return self._screen.show(self.render_mode, self._scene is not None, self._picture)
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self._screen.close()
-
     @property
     def joint_target(self) -> Array:
         """The nominal joint target that the actions have built up, rad or m."""
         return np.array([] if self._state is None else self._plain(self._state.target))
 
     @property
-    def increment(self) -> Array:
-        """Largest increment of each joint in one action, rad or m."""
-        return np.array(self.task.increment)
-
-    @property
     def arm(self) -> int:
         """Number of the true arm in its population; 0 for a fixed one."""
         return self._arm
 
-    def _picture(self) -> NDArray[np.uint8]:
+    def _picture(self) -> NDArray[np.uint8] | None:
         from pickenv.envs.shared.drawing import reach_pixels
 
-        assert self._scene is not None
+        if self._scene is None:
+            return None
         plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
         parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
         scene = View(*parts)  # type: ignore[arg-type]

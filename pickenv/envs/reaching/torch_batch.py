@@ -15,8 +15,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plants_on
-from pickenv.envs.reaching.batch import Batch, Columns, Compensate, Flags, Rows, Views, Words
-from pickenv.envs.shared.arms import prepare
+from pickenv.envs.reaching.batch import Batch, Columns, Flags, Rows, Views, Words
 from pickenv.envs.shared.backends import Executor, Scalar, torch_executor
 from pickenv.envs.shared.simulation import (
     flat_observation,
@@ -27,7 +26,7 @@ from pickenv.envs.shared.simulation import (
     move,
     true_reward,
 )
-from pickenv.envs.shared.task import CONTROL_PERIOD, Task, as_numbers, check_choice
+from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate, Task, as_numbers, check_choice
 from pickenv.errors import InputError
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
@@ -72,7 +71,9 @@ class TorchBatch(Batch):
         self.plant: Plant = self.population
         if task.arms != "fixed":
             self.plant = plants_on(task.plant, lambda values: self.numbers(values[self.arm]))
-        prepare(self.plant, torch, list(self.numbers(np.repeat([task.middle], count, axis=0).T)))
+        middle = list(self.numbers(np.repeat([task.middle], count, axis=0).T))
+        self.plant.tool_frame(torch, middle)  # fills the plant's caches, which torch.compile cannot
+        self.plant.advance(torch, self.plant.initial_state(torch, middle), middle, 0.0)
         self.remember()
         self.columns = [column.clone() for column in self.columns]
         self._compiled = compiled

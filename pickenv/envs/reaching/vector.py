@@ -11,13 +11,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plant_at
-from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Start, Views
+from pickenv.envs.reaching.batch import Batch, Flags, Start, Views
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.spaces import OPTIONS, action_space, flat_space, given_options, goal_space
 from pickenv.envs.shared.streams import fresh_seed, seed_word
-from pickenv.envs.shared.task import IDEAL, Task, check_choice, check_count, make_task
+from pickenv.envs.shared.task import IDEAL, Compensate, Task, check_choice, check_count, make_task
 from pickenv.errors import InputError
 
 EXECUTORS = ("numpy", "torch")

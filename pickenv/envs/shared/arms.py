@@ -6,11 +6,6 @@ their own rows of these arrays, so that arms can be exchanged one by one without
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from types import ModuleType
-
-from pickenv.arm import Plant
-from pickenv.arm.plant.plant_batch import plant_count
 from pickenv.envs.shared.backends import Executor, Scalar
 from pickenv.envs.shared.streams import ARM, episode_key, stream_key, uniform
 from pickenv.envs.shared.task import Task
@@ -27,16 +22,4 @@ def drawn_arm(x: Executor, task: Task, seed: Scalar, key: Scalar) -> Scalar:
     """
     if task.arms == "per_env":
         key = episode_key(x, seed, x.times(seed, 0))
-    return uniform(x, stream_key(x, key, ARM), 0) * population_size(task)
-
-
-def population_size(task: Task) -> int:
-    """Number of arms that environments choose from."""
-    return plant_count(task.plant) or 1
-
-
-def prepare(plant: Plant, m: ModuleType, example: Sequence[Scalar]) -> Plant:
-    """Fill the plant's caches by moving it once to joints ``example``: torch.compile cannot fill them."""
-    plant.tool_frame(m, example)
-    plant.advance(m, plant.initial_state(m, example), example, 0.0)
-    return plant
+    return uniform(x, stream_key(x, key, ARM), 0) * task.population
