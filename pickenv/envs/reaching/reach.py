@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, plant_at, plants_on
 from pickenv.envs.shared.arm_env import ArmEnv, Information
-from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant
 from pickenv.envs.shared.simulation import (
@@ -19,6 +18,7 @@ from pickenv.envs.shared.simulation import (
     ReachState,
     View,
     begin,
+    drawn_arm,
     flat_observation,
     goal_attempt,
     look,
