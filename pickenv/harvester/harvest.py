@@ -175,17 +175,6 @@ def harvest(
     return states
 
 
-def pick_images(
-    true: TrueMachine,
-    strategy: Strategy,
-    model: Picking,
-    images: Sequence[Tree],
-    rngs: Sequence[np.random.Generator],
-) -> list[Harvest]:
-    """Li's experiment: one image, one picking and one unloading each; the fruit given is what was located."""
-    return harvest(true, strategy, model, images, rngs, Grid(1, 1, 1e-6))
-
-
 def _begin(machine: Machine, tree: Tree, rng: np.random.Generator) -> Harvest:
     flags = np.zeros((6, len(tree)), dtype=bool)  # from seen to collected
     load, start = np.zeros(machine.arms, dtype=np.int64), machine.master_start.copy()

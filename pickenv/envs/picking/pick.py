@@ -17,14 +17,7 @@ from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS
 from pickenv.envs.shared.simulation import move, nominal_frames, nominal_readings, scaled
 from pickenv.envs.shared.spaces import box, given_options
-from pickenv.envs.shared.task import (
-    CONTROL_PERIOD,
-    MOST_ACTION,
-    as_numbers,
-    check_count,
-    check_number,
-    make_task,
-)
+from pickenv.envs.shared.task import CONTROL_PERIOD, MOST_ACTION, as_numbers, check_count, check_number, make_task
 from pickenv.errors import InputError
 
 LONGEST = 400
@@ -285,12 +278,13 @@ class PickEnv(ArmEnv):
         return self._observation(shown, believed), reward, terminated, False, self._information(command)
 
     def _picture(self) -> NDArray[np.uint8] | None:
-        from pickenv.envs.picking.pick_drawing import pick_pixels
+        from pickenv.envs.picking.pick_drawing import draw_pick
+        from pickenv.envs.shared.drawing import pixels
 
         if self.scene is None:
             return None
         command, tool = np.array(self._command()), np.array(self._tool[9:12])
-        return pick_pixels(self.plant, self.joint_target, command, tool, self.scene, self._number)
+        return pixels(draw_pick(self.plant, self.joint_target, command, tool, self.scene, self._number))
 
     def _take_arm(self, asked: int | None, *, again: bool) -> None:
         """Choose the true arm: anew in every episode, or once per environment and seed."""

@@ -214,7 +214,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         """One picture per environment, as in `pickenv/Reach-v0`."""
         if self.render_mode is None:
             return None
-        from pickenv.envs.shared.drawing import reach_pixels
+        from pickenv.envs.shared.drawing import draw_reach, pixels
 
         if not self._seeded.all():
             raise InputError("render was called before reset; call reset first")
@@ -222,7 +222,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         for i in range(self.num_envs):
             plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, int(self.batch.arm[i]))
             target, scene = self.batch.scene(i, self.compensator)
-            pictures.append(reach_pixels(plant, target, scene, self.task.tolerance_mm))
+            pictures.append(pixels(draw_reach(plant, target, scene, self.task.tolerance_mm)))
         return tuple(pictures)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
