@@ -166,10 +166,7 @@ def harvest(
         for look in range(strategy.looks):
             tasks = [(i, _plan(machine, strategy, model, states[i], sides[i][number], look)) for i in waiting]
             done = [(i, task) for i, task in tasks if task is not None]
-            waiting = []
-            for i, empty in _execute(true, strategy, model, states, done):
-                if empty:
-                    waiting.append(i)
+            waiting = [i for i, empty in _execute(true, strategy, model, states, done) if empty]
         if not strategy.unload_full:
             for state in states:
                 _unload(machine, state)
@@ -178,32 +175,10 @@ def harvest(
     return states
 
 
-def pick_images(
-    true: TrueMachine,
-    strategy: Strategy,
-    model: Picking,
-    images: Sequence[Tree],
-    rngs: Sequence[np.random.Generator],
-) -> list[Harvest]:
-    """Li's experiment: one image, one picking and one unloading each; the fruit given is what was located."""
-    return harvest(true, strategy, model, images, rngs, Grid(1, 1, 1e-6))
-
-
 def _begin(machine: Machine, tree: Tree, rng: np.random.Generator) -> Harvest:
-    seen, reachable, attempted, attached, detached, collected = np.zeros((6, len(tree)), dtype=bool)
-    return Harvest(
-        tree=tree,
-        rng=rng,
-        seen=seen,
-        reachable=reachable,
-        attempted=attempted,
-        attached=attached,
-        detached=detached,
-        collected=collected,
-        by_arm=np.full(len(tree), -1),
-        load=np.zeros(machine.arms, dtype=np.int64),
-        master=machine.master_start.copy(),
-    )
+    flags = np.zeros((6, len(tree)), dtype=bool)  # from seen to collected
+    load, start = np.zeros(machine.arms, dtype=np.int64), machine.master_start.copy()
+    return Harvest(tree, rng, *flags, by_arm=np.full(len(tree), -1), load=load, master=start)
 
 
 def _plan(machine: Machine, strategy: Strategy, model: Picking, state: Harvest, zone: Zone, look: int) -> _Task | None:

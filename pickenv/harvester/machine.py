@@ -138,17 +138,17 @@ class Machine:
     @cached_property
     def lower(self) -> Array:
         """Lower limits of all joints, (3 + 3 arms,)."""
-        return np.concatenate([self.master.nominal.lower, *(slave.nominal.lower for slave in self.slaves)])
+        return np.concatenate([arm.nominal.lower for arm in (self.master, *self.slaves)])
 
     @cached_property
     def upper(self) -> Array:
         """Upper limits of all joints."""
-        return np.concatenate([self.master.nominal.upper, *(slave.nominal.upper for slave in self.slaves)])
+        return np.concatenate([arm.nominal.upper for arm in (self.master, *self.slaves)])
 
     @cached_property
     def speed(self) -> Array:
         """Largest speeds of all joints."""
-        return np.concatenate([self.master.speed, *(slave.speed for slave in self.slaves)])
+        return np.concatenate([arm.speed for arm in (self.master, *self.slaves)])
 
     def frame3(self, master: ArrayLike) -> Array:
         """Origin of frame 3 for master joints (..., 3): last column of eq (2)."""
@@ -207,19 +207,21 @@ class Machine:
 
     def within_limits(self, slave_joints: ArrayLike) -> Flags:
         """Whether slave joints (..., 3) are within the limits, (...)."""
-        q = np.asarray(slave_joints, dtype=float)
-        low, high = self.slave.lower - ROUNDING, self.slave.upper + ROUNDING
-        return np.asarray(((q >= low) & (q <= high)).all(axis=-1))
+        return _inside(self.slave, slave_joints)
 
     def master_within_limits(self, master_joints: ArrayLike) -> Flags:
         """Whether master joints (..., 3) are within the limits; NaN is not."""
-        q = np.asarray(master_joints, dtype=float)
-        low, high = self.master.nominal.lower - ROUNDING, self.master.nominal.upper + ROUNDING
-        return np.asarray(((q >= low) & (q <= high)).all(axis=-1))
+        return _inside(self.master.nominal, master_joints)
 
     def reach(self, master: ArrayLike, targets: ArrayLike) -> Flags:
         """Which slave reaches which target (..., n, 3) from master joints (..., 3): (..., arms, n)."""
         return self.within_limits(self.slave_inverse(master, targets))
+
+
+def _inside(geometry: Geometry, joints: ArrayLike) -> Flags:
+    """Whether joints (..., 3) are within the limits, (...); NaN is not."""
+    q = np.asarray(joints, dtype=float)
+    return np.asarray(((q >= geometry.lower - ROUNDING) & (q <= geometry.upper + ROUNDING)).all(axis=-1))
 
 
 ARM = Check(lambda value: isinstance(value, str), "the name of an arm or the path of an arm file")

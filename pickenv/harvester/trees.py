@@ -115,19 +115,15 @@ def in_base_frame(machine: Machine, canopy: Canopy, fruit: Fruit) -> Array:
     return np.stack([-x, -(y + canopy.standoff), z - machine.base_height], axis=-1)
 
 
-@lru_cache(maxsize=4)
-def _lab(path: Path) -> Lab:
-    return read(Lab, path, section="lab")
-
-
-def lab_runs() -> int:
-    """Images in Li's experiment."""
-    return _lab(SHIPPED).runs
+@lru_cache(maxsize=1)
+def load_lab() -> Lab:
+    """Read Li's experiment."""
+    return read(Lab, SHIPPED, section="lab")
 
 
 def lab_zone(canopy: Canopy) -> Array:
     """Width, depth and height of what an image of Li's lab shows, m, (3,)."""
-    lab = _lab(SHIPPED)
+    lab = load_lab()
     return np.array([lab.width, canopy.depth, lab.height])
 
 
@@ -137,7 +133,7 @@ def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corr
     Raises:
         InputError: If a thousand draws give none: the machine reaches too little.
     """
-    lab = _lab(SHIPPED)
+    lab = load_lab()
     count, wide, high = lab.fruit, lab.width, lab.height
     canopy, size = load_canopy("li2016"), load_fruit_size("li2016")
     low, top = canopy.bottom - machine.base_height, canopy.top - machine.base_height

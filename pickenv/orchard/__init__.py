@@ -53,13 +53,11 @@ from pickenv.orchard.gripper import Cup as Cup
 from pickenv.orchard.gripper import Gripper as Gripper
 from pickenv.orchard.gripper import Misalignment as Misalignment
 from pickenv.orchard.gripper import capture_probability as capture_probability
-from pickenv.orchard.gripper import captured as captured
 from pickenv.orchard.gripper import load_gripper as load_gripper
 from pickenv.orchard.gripper import misalignment as misalignment
 from pickenv.orchard.occlusion import Occlusion as Occlusion
 from pickenv.orchard.occlusion import approach_clear as approach_clear
 from pickenv.orchard.occlusion import occlusion as occlusion
-from pickenv.orchard.occlusion import reachable as reachable
 from pickenv.orchard.placement import Fruit as Fruit
 from pickenv.orchard.placement import sample_fruit as sample_fruit
 from pickenv.orchard.preset_files import shipped as shipped

@@ -19,8 +19,6 @@ from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Integers
 from pickenv.toml_tables import NUMBER, REQUIRED, WHOLE, Unit, toml_table
 
-NEARLY_POISSON = 1.0 + 1e-9
-
 
 @toml_table
 class FruitMap:
@@ -50,45 +48,12 @@ class FruitMap:
         """Expected apples per metre of row."""
         return sum(self.row_means) / self.block
 
-    @property
-    def row_shares(self) -> tuple[float, ...]:
-        """Share of the apples in each row of blocks, top to bottom; sums to 1 unless there are none."""
-        total = sum(self.row_means)
-        return tuple(mean / total if total else 0.0 for mean in self.row_means)
-
-    @property
-    def variance_ratio(self) -> float:
-        """Variance/mean of apples over all blocks of the map, the spread between rows included."""
-        means = np.array(self.row_means)
-        if not means.any():
-            return float("nan")
-        within = self.cluster_size * self.cluster_variance_ratio
-        return float(within + means.var() / means.mean())
-
-    @property
-    def k(self) -> float:
-        """Dispersion of the negative binomial with this map's mean and variance: mean²/(variance − mean)."""
-        excess = self.variance_ratio - 1.0
-        return float(np.mean(self.row_means)) / excess if excess > 0 else float("inf")
-
-    @property
-    def empty_share(self) -> float:
-        """Expected share of blocks without an apple."""
-        ratio = max(self.cluster_variance_ratio, NEARLY_POISSON)
-        clusters = np.array(self.row_means) / self.cluster_size
-        return float(np.mean(np.exp(-clusters * np.log(ratio) / (ratio - 1.0))))
-
     def scaled(self, density: float) -> FruitMap:
         """This map with ``density`` apples per metre of row, equally clumped and equally bottom-heavy."""
         checks.not_negative("the density of a fruit map (apples per m)", density)
         if not self.density:
             raise InputError("a fruit map without apples cannot be scaled; give row_means above zero")
         return replace(self, row_means=tuple(mean * density / self.density for mean in self.row_means))
-
-    def unclumped(self) -> FruitMap:
-        """The map a uniform sampler would use: the same apples per metre, Poisson in every block of every row."""
-        even = (float(np.mean(self.row_means)),) * len(self.row_means)
-        return replace(self, row_means=even, cluster_size=1, cluster_variance_ratio=1.0)
 
     def with_rows(self, rows: int) -> FruitMap:
         """This map over another number of block rows: same apples per metre, same profile of height."""

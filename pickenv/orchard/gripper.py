@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.orchard import checks, preset_files
-from pickenv.orchard.checks import MM, Array, Flags
+from pickenv.orchard.checks import MM, Array
 from pickenv.toml_tables import DEG, NUMBER, REQUIRED, Check, Kinds, Unit, toml_table
 
 KIND = Check(lambda value: value in ("cup", "hand"), "'cup' or 'hand'")
@@ -45,11 +45,6 @@ class Cup:
 
     def __post_init__(self) -> None:
         checks.bounded(f"gripper '{self.name}'", self)
-
-    @property
-    def radial(self) -> float:
-        """Radial clearance around the fruit it is meant for, m; negative if that fruit does not fit."""
-        return (self.opening - self.fruit) / 2
 
 
 @toml_table
@@ -135,19 +130,6 @@ def capture_probability(
     fruit = gripper.fruit if diameter is None else checks.numbers("the fruit diameter (m)", diameter, lowest=0.0)
     inside = (x <= (gripper.opening - fruit) / 2) & (z <= gripper.axial) & (phi <= gripper.angle)
     return np.asarray(inside, dtype=np.float64)
-
-
-def captured(
-    gripper: Gripper,
-    lateral: ArrayLike,
-    axial: ArrayLike,
-    angle: ArrayLike,
-    rng: np.random.Generator,
-    diameter: ArrayLike | None = None,
-) -> Flags:
-    """Draw whether the gripper takes the fruit: one uniform number per attempt, whatever the gripper."""
-    probability = capture_probability(gripper, lateral, axial, angle, diameter)
-    return np.asarray(rng.random(probability.shape) < probability)
 
 
 def load_gripper(name: str | Path) -> Gripper:

@@ -6,6 +6,7 @@ first-order lag. A held command is integrated exactly, whatever the time step. U
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Annotated, NamedTuple
@@ -14,9 +15,6 @@ from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, namespace_of
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.toml_tables import MILLISECONDS, NUMBER, Check, Unit, toml_table
-
-TWO_PI = 6.283185307179586
-
 
 BELOW_ONE = Check(
     lambda values: not isinstance(values, list) or all(not isinstance(v, int | float) or v < 1 for v in values),
@@ -76,7 +74,7 @@ def swung(m: ModuleType, settling: Settling, swings: Sequence[Swing], q: Sequenc
     for swing, command, frequency, zeta, share in zip(
         swings, q, settling.frequency, settling.damping, settling.participation, strict=True
     ):
-        omega = TWO_PI * frequency
+        omega = math.tau * frequency
         decay = zeta * omega
         damped = omega * namespace_of(m, zeta).sqrt(1.0 - zeta * zeta)
         angle = damped * dt

@@ -6,6 +6,7 @@ numbers of an effect may be arrays too, one entry per arm. Gravity points along 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
@@ -124,7 +125,7 @@ def driven_joints(m: ModuleType, error: TransmissionError, q: Sequence[Scalar]) 
         for value, lead in zip(q, error.lead, strict=True)
     ]
     for term in error.harmonics:
-        angle = q[term.joint] * (6.283185307179586 / term.period) + term.phase
+        angle = q[term.joint] * (math.tau / term.period) + term.phase
         driven[term.joint] = driven[term.joint] + term.amplitude * m.sin(angle)
     return driven
 

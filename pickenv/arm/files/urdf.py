@@ -371,13 +371,7 @@ def _printable(name: str) -> str:
 
 
 def _joint(
-    robot: Element,
-    name: str,
-    slides: bool | None,
-    parent: str,
-    child: str,
-    origin: Pose,
-    limits: Sequence[float] = (),
+    robot: Element, name: str, slides: bool | None, parent: str, child: str, origin: Pose, limits: Sequence[float] = ()
 ) -> Element:
     """A joint along or about z with its lower and upper limit and speed; fixed where ``slides`` is None."""
     kind = "fixed" if slides is None else "prismatic" if slides else "revolute"

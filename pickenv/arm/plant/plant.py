@@ -18,28 +18,10 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pickenv.arm.effects import hysteresis, structure
 from pickenv.arm.effects.drives import Encoder, Servo, followed, quantised
 from pickenv.arm.effects.ground import BaseTilt, immediate_tilt, long_run, sunk, tilted_frame
-from pickenv.arm.effects.hysteresis import (
-    Backlash,
-    StickBand,
-    joints_amid_friction,
-    joints_behind_backlash,
-    joints_behind_friction,
-)
 from pickenv.arm.effects.settling import Settling, Swing, at_rest, swung
-from pickenv.arm.effects.structure import (
-    BoomBending,
-    JointCompliance,
-    Load,
-    RollerPlay,
-    TransmissionError,
-    boom_flexure,
-    driven_joints,
-    gravity_torques,
-    roller_flexure,
-    yielded_joints,
-)
 from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain, grown_joints, warmed
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import (
@@ -103,14 +85,14 @@ class Plant:
     name: str
     arm: Arm
     geometry: Geometry
-    load: Load | None = None
-    joint_compliance: JointCompliance | None = None
-    boom_bending: BoomBending | None = None
-    transmission_error: TransmissionError | None = None
+    load: structure.Load | None = None
+    joint_compliance: structure.JointCompliance | None = None
+    boom_bending: structure.BoomBending | None = None
+    transmission_error: structure.TransmissionError | None = None
     measurement_noise: MeasurementNoise | None = None
-    roller_play: RollerPlay | None = None
-    backlash: Backlash | None = None
-    stick_band: StickBand | None = None
+    roller_play: structure.RollerPlay | None = None
+    backlash: hysteresis.Backlash | None = None
+    stick_band: hysteresis.StickBand | None = None
     thermal_growth: ThermalGrowth | None = None
     base_tilt: BaseTilt | None = None
     settling: Settling | None = None
@@ -258,25 +240,25 @@ def _gear(plant: Plant, m: ModuleType, motor: Sequence[Scalar], state: PlantStat
     """From motor positions to displacements behind the gears; without a state, the history-free ones."""
     driven = motor
     if plant.transmission_error is not None:
-        driven = driven_joints(m, plant.transmission_error, driven)
+        driven = structure.driven_joints(m, plant.transmission_error, driven)
     torques, tilt = None, None
     if plant.load is not None and (plant.joint_compliance or plant.backlash or plant.base_tilt):
         # Loads are taken at the driven joints of the straight, cold arm: what is left out is of second order.
         straight = frames(m, plant.chain, driven)
         if plant.joint_compliance is not None or plant.backlash is not None:
-            torques = gravity_torques(plant.chain, straight, plant.load)
+            torques = structure.gravity_torques(plant.chain, straight, plant.load)
         if plant.base_tilt is not None:
             tilt = immediate_tilt(plant.base_tilt, plant.chain, straight, plant.load)
     friction = driven
     if plant.stick_band is not None:
         if state is None:
-            friction = joints_amid_friction(plant.stick_band, driven)
+            friction = hysteresis.joints_amid_friction(plant.stick_band, driven)
         else:
-            friction = joints_behind_friction(m, plant.stick_band, driven, state.friction)
+            friction = hysteresis.joints_behind_friction(m, plant.stick_band, driven, state.friction)
     backlash = friction
     if plant.backlash is not None:
         before = friction if state is None else state.backlash
-        backlash = joints_behind_backlash(m, plant.backlash, torques, friction, before)
+        backlash = hysteresis.joints_behind_backlash(m, plant.backlash, torques, friction, before)
     return friction, backlash, torques, tilt
 
 
@@ -292,7 +274,7 @@ def _tool(
     """From displacements behind the gears to the tool."""
     _, joints, torques, tilt = gear
     if plant.joint_compliance is not None and torques is not None:
-        joints = yielded_joints(plant.joint_compliance, torques, joints)
+        joints = structure.yielded_joints(plant.joint_compliance, torques, joints)
     if swings:
         joints = [value + swing.vibration for value, swing in zip(joints, swings, strict=True)]
     if plant.thermal_growth is not None:
@@ -307,9 +289,9 @@ def _flexure(plant: Plant, joints: Sequence[Scalar]) -> Flexure | None:
     """Bending of the boom and play in its rollers, one after the other."""
     bend = slack = None
     if plant.boom_bending is not None:
-        bend = boom_flexure(plant.boom_bending, plant.load.payload if plant.load else 0.0, joints)
+        bend = structure.boom_flexure(plant.boom_bending, plant.load.payload if plant.load else 0.0, joints)
     if plant.roller_play is not None:
-        slack = roller_flexure(plant.roller_play, joints)
+        slack = structure.roller_flexure(plant.roller_play, joints)
     if bend is None or slack is None:
         return bend or slack
     return lambda i, frame: slack(i, bend(i, frame))

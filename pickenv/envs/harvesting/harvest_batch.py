@@ -5,7 +5,7 @@ Leading axis: machines. Every machine draws from a generator of its own. Units: 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Annotated
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
-from pickenv.envs.shared.task import CONTROL_PERIOD, check_number
+from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate, check_number
 from pickenv.errors import InputError
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import Machine, load_machine
@@ -30,7 +30,6 @@ from pickenv.toml_tables import MM, NUMBER, read, toml_table
 HANGING, COLLECTED, LOST = 0, 1, 2
 
 Flags = NDArray[np.bool_]
-Compensate = Callable[[Array], Array]
 
 
 @toml_table

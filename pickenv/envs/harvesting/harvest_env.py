@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
 from pickenv.envs.shared.spaces import given_options
-from pickenv.envs.shared.task import MOST_ACTION, as_numbers
+from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers
 from pickenv.errors import InputError
 
 Information = dict[str, Any]

@@ -16,8 +16,9 @@ import pettingzoo  # type: ignore[import-untyped,import-not-found,unused-ignore]
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
 from pickenv.envs.harvesting.harvest_env import LONGEST, checked_actions
+from pickenv.envs.shared.task import Compensate
 from pickenv.errors import InputError
 
 ID = "pickenv/Harvest-v0"

@@ -3,35 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Frame, Plant, PlantState, plant_at
+from pickenv.arm import Array, Frame, PlantState, plant_at
 from pickenv.envs.picking.pick_reach import reach_of
 from pickenv.envs.picking.pick_scene import PickScene, PickSetting, draw_scene, make_setting, upright_turn
-from pickenv.envs.shared.arms import population_size
+from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS
-from pickenv.envs.shared.rendering import RENDER_MODES, Screen
 from pickenv.envs.shared.simulation import move, nominal_frames, nominal_readings, scaled
 from pickenv.envs.shared.spaces import box, given_options
-from pickenv.envs.shared.task import (
-    CONTROL_PERIOD,
-    MOST_ACTION,
-    Task,
-    as_numbers,
-    check_choice,
-    check_count,
-    check_number,
-    make_task,
-)
+from pickenv.envs.shared.task import CONTROL_PERIOD, MOST_ACTION, as_numbers, check_count, check_number, make_task
 from pickenv.errors import InputError
-
-Compensate = Callable[[Array], Array]
-Information = dict[str, Any]
 
 LONGEST = 400
 """Steps of an episode where the environment was not made by `gymnasium.make`."""
@@ -41,7 +28,7 @@ MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
 
-class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class PickEnv(ArmEnv):
     """Pick the fruit in front of the arm: come from below, settle, grasp, twist, retreat, and on to the next.
 
     ## Description
@@ -181,8 +168,6 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     * v0: First version.
     """
 
-    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
-
     def __init__(
         self,
         *,
@@ -202,22 +187,11 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_mode: str | None = None,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        if render_mode is not None:
-            check_choice("render_mode", render_mode, RENDER_MODES)
         check_number("fruit", fruit, positive=True)
         check_count("looks", looks)
-        self.task: Task = make_task(
-            plant=plant,
-            without=without,
-            arms=arms,
-            tolerances=tolerances,
-            population=population,
-            population_seed=population_seed,
-        )
-        self.plant: Plant = self.task.plant if arms == "fixed" else plant_at(self.task.plant, 0)
+        drawn = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
+        super().__init__(make_task(plant, without, arms=arms, **drawn), render_mode)
         self.orchard: PickSetting = make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks)
-        self.render_mode = render_mode
-        self.compensator: Compensate | None = None
         self._reach = reach_of(self.plant.arm.nominal, self.orchard.station.approach)
         bounds = box([1.0] * self.task.joints + [self.task.reach] * 6 + [2 * self.task.reach] * 3 + [math.pi] * 3)
         self._low = np.concatenate([bounds.low, np.zeros(5, np.float32)])
@@ -232,12 +206,6 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._state = PlantState()
         self._tool: Frame = ()
         self._arm: int | None = None
-        self._screen = Screen(self.metadata["render_fps"])
-
-    @property
-    def increment(self) -> Array:
-        """Largest increment of each joint in one action, rad or m."""
-        return np.array(self.task.increment)
 
     @property
     def joint_target(self) -> Array:
@@ -309,20 +277,14 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             self.render()
         return self._observation(shown, believed), reward, terminated, False, self._information(command)
 
-    def render(self) -> Any:
-        """Draw the nominal ghost, the true arm and the canopy: an RGB array, or a window for "human"."""
-        return self._screen.show(self.render_mode, self.scene is not None, self._picture)
+    def _picture(self) -> NDArray[np.uint8] | None:
+        from pickenv.envs.picking.pick_drawing import draw_pick
+        from pickenv.envs.shared.drawing import pixels
 
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self._screen.close()
-
-    def _picture(self) -> NDArray[np.uint8]:
-        from pickenv.envs.picking.pick_drawing import pick_pixels
-
-        assert self.scene is not None
+        if self.scene is None:
+            return None
         command, tool = np.array(self._command()), np.array(self._tool[9:12])
-        return pick_pixels(self.plant, self.joint_target, command, tool, self.scene, self._number)
+        return pixels(draw_pick(self.plant, self.joint_target, command, tool, self.scene, self._number))
 
     def _take_arm(self, asked: int | None, *, again: bool) -> None:
         """Choose the true arm: anew in every episode, or once per environment and seed."""
@@ -330,7 +292,7 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if task.arms == "fixed" and asked is None:
             return
         if again or self._arm is None or task.arms == "per_episode":
-            self._arm = int(self.np_random.integers(population_size(task)))
+            self._arm = int(self.np_random.integers(task.population))
         if asked is not None:
             self._arm = task.given_arm(asked)
         self.plant = plant_at(task.plant, self._arm)

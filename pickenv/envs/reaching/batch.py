@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import Any, NamedTuple, cast
 
@@ -16,17 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array, Plant, PlantState, plants_on
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.arm.plant.tree import leaves, tree_map
-from pickenv.envs.shared.arms import drawn_arm
 from pickenv.envs.shared.backends import Executor, Scalar
-from pickenv.envs.shared.simulation import ReachState, View, begin, goal_attempt, look
+from pickenv.envs.shared.simulation import ReachState, View, begin, drawn_arm, goal_attempt, look
 from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
-from pickenv.envs.shared.task import GOAL_ATTEMPTS, MOST_ACTION, Task
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, MOST_ACTION, Compensate, Task
 from pickenv.errors import InputError
 
 Flags = NDArray[np.bool_]
 Words = NDArray[np.uint64]
 Rows = NDArray[np.intp]
-Compensate = Callable[[Array], Array]
 Columns = list[Scalar]
 
 

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plants_on
-from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Rows, Views, Words
+from pickenv.envs.reaching.batch import Batch, Flags, Rows, Views, Words
 from pickenv.envs.shared.backends import NUMPY
 from pickenv.envs.shared.exact import exact_plant
 from pickenv.envs.shared.simulation import flat_observation, goal_observation, goal_reward, look, move, true_reward
-from pickenv.envs.shared.task import CONTROL_PERIOD, Task, as_numbers
+from pickenv.envs.shared.spaces import final_rows
+from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate, Task, as_numbers
 
 
 class NumpyBatch(Batch):
@@ -76,13 +77,7 @@ class NumpyBatch(Batch):
 
     def final_observations(self, observations: Any, rows: Rows) -> NDArray[np.object_]:
         """The observations of ``rows`` in an object array of all, as `SyncVectorEnv` gives them."""
-        final = np.full(self.count, None, dtype=object)
-        for row in rows:
-            if isinstance(observations, dict):
-                final[row] = {key: value[row].copy() for key, value in observations.items()}
-            else:
-                final[row] = observations[row].copy()
-        return final
+        return final_rows(observations, rows, self.count)
 
     def _show(
         self,

@@ -2,50 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Plant, plant_at, plants_on
-from pickenv.envs.shared.arms import drawn_arm
+from pickenv.arm import Array, plant_at, plants_on
+from pickenv.envs.shared import simulation
+from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant
-from pickenv.envs.shared.rendering import RENDER_MODES, Screen
-from pickenv.envs.shared.simulation import (
-    NUMBER_KEYS,
-    ReachState,
-    View,
-    begin,
-    flat_observation,
-    goal_attempt,
-    look,
-    move,
-    true_reward,
-)
 from pickenv.envs.shared.spaces import action_space, flat_space, given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
-from pickenv.envs.shared.task import (
-    CONTROL_PERIOD,
-    GOAL_ATTEMPTS,
-    MOST_ACTION,
-    Task,
-    as_numbers,
-    check_choice,
-    make_task,
-)
+from pickenv.envs.shared.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, as_numbers, check_choice, make_task
 from pickenv.errors import InputError
 
 EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
 
-Compensate = Callable[[Array], Array]
-Information = dict[str, Any]
 
-
-class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
+class ReachEnv(ArmEnv):
     """Bring the tool to a fruit, in the attitude asked for, with an arm that is not what its controller believes.
 
     ## Description
@@ -167,17 +144,10 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
     * v0: First version.
     """
 
-    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
-
     def __init__(self, *, executor: str = "floats", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         check_choice("executor", executor, tuple(EXECUTORS))
-        if render_mode is not None:
-            check_choice("render_mode", render_mode, RENDER_MODES)
-        self.task: Task = make_task(**arguments)
-        self.plant: Plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, 0)
-        self.render_mode = render_mode
-        self.compensator: Compensate | None = None
+        super().__init__(make_task(**arguments), render_mode)
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)
         self._x: Executor = EXECUTORS[executor]
@@ -188,9 +158,8 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         self._step = 0
         self._key: Scalar = 0
         self._arm = 0
-        self._state: ReachState | None = None
-        self._scene: View | None = None
-        self._screen = Screen(self.metadata["render_fps"])
+        self._state: simulation.ReachState | None = None
+        self._scene: simulation.View | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Information]:
         """Start an episode; see the class for `options`."""
@@ -208,7 +177,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         start = self._given(options, "start_joints") or self._numbers(task.middle)
         goal = self._given(options, "goal_joints")
         goal = self._draw_goal() if goal is None else goal
-        self._state = begin(x, task, self.plant, self._key, start, goal, self._command(start))
+        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
         self._step = 0
         observation, _, information = self._look(0.0)
         if self.render_mode == "human":
@@ -226,7 +195,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
             raise InputError(f"action {values} is not {self.task.joints} finite numbers between -1 and 1")
         if self._state is None:
             raise InputError("step was called before reset; call reset first")
-        target = move(self._x, self.task, self._state.target, self._numbers(values.tolist()))
+        target = simulation.move(self._x, self.task, self._state.target, self._numbers(values.tolist()))
         self._state = self._state._replace(target=target)
         self._step += 1
         observation, reward, information = self._look(CONTROL_PERIOD)
@@ -234,42 +203,30 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
             self.render()
         return observation, reward, self.task.end_on_success and information["is_success"], False, information
 
-    def render(self) -> Any:
-        """Draw the nominal ghost, the true arm and the fruit: an RGB array, or a window for "human"."""
-        return self._screen.show(self.render_mode, self._scene is not None, self._picture)
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self._screen.close()
-
     @property
     def joint_target(self) -> Array:
         """The nominal joint target that the actions have built up, rad or m."""
         return np.array([] if self._state is None else self._plain(self._state.target))
 
     @property
-    def increment(self) -> Array:
-        """Largest increment of each joint in one action, rad or m."""
-        return np.array(self.task.increment)
-
-    @property
     def arm(self) -> int:
         """Number of the true arm in its population; 0 for a fixed one."""
         return self._arm
 
-    def _picture(self) -> NDArray[np.uint8]:
-        from pickenv.envs.shared.drawing import reach_pixels
+    def _picture(self) -> NDArray[np.uint8] | None:
+        from pickenv.envs.shared.drawing import draw_reach, pixels
 
-        assert self._scene is not None
+        if self._scene is None:
+            return None
         plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
         parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
-        scene = View(*parts)  # type: ignore[arg-type]
-        return reach_pixels(plant, self.joint_target, scene, self.task.tolerance_mm)
+        scene = simulation.View(*parts)  # type: ignore[arg-type]
+        return pixels(draw_reach(plant, self.joint_target, scene, self.task.tolerance_mm))
 
-    def _observe(self, scene: View) -> tuple[Any, float]:
+    def _observe(self, scene: simulation.View) -> tuple[Any, float]:
         """Observation and reward; variants with other observations override it."""
-        reward: Scalar = true_reward(self._x, self.task, scene)
-        return np.array(self._plain(flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
+        reward: Scalar = simulation.true_reward(self._x, self.task, scene)
+        return np.array(self._plain(simulation.flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
 
     def _look(self, dt: float) -> tuple[Any, float, Information]:
         """Let time pass at the present joint target, then observation, reward and information."""
@@ -277,10 +234,10 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         assert state is not None
         command = self._command(state.target)
         moment = self._word(self._step)
-        plant, scene = look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
+        plant, scene = simulation.look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
         self._state, self._scene = state._replace(plant=plant), scene
         observation, reward = self._observe(scene)
-        information: Information = dict(zip(NUMBER_KEYS, plain(scene.numbers), strict=True))
+        information: Information = dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True))
         information |= {
             "is_success": bool(scene.success),
             "pose_error": np.array(plain(scene.error)),
@@ -304,7 +261,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
             return
         if asked is None:
             assert self._stream is not None
-            asked = int(self._plain((drawn_arm(x, task, self._word(self._stream), self._key),))[0])
+            asked = int(self._plain((simulation.drawn_arm(x, task, self._word(self._stream), self._key),))[0])
         self._arm = number = task.given_arm(asked)
         if x is FLOATS:
             self.plant = plant_at(task.plant, number)
@@ -316,7 +273,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         x, task = self._x, self.task
         stream = stream_key(x, self._key, GOAL)
         for attempt in range(GOAL_ATTEMPTS):
-            joints, upright = goal_attempt(x, task, stream, attempt)
+            joints, upright = simulation.goal_attempt(x, task, stream, attempt)
             if upright:
                 return joints
         raise task.no_goal()

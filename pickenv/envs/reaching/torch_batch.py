@@ -15,19 +15,10 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plants_on
-from pickenv.envs.reaching.batch import Batch, Columns, Compensate, Flags, Rows, Views, Words
-from pickenv.envs.shared.arms import prepare
+from pickenv.envs.reaching.batch import Batch, Columns, Flags, Rows, Views, Words
+from pickenv.envs.shared import simulation
 from pickenv.envs.shared.backends import Executor, Scalar, torch_executor
-from pickenv.envs.shared.simulation import (
-    flat_observation,
-    goal_observation,
-    goal_reward,
-    in_capture_region,
-    look,
-    move,
-    true_reward,
-)
-from pickenv.envs.shared.task import CONTROL_PERIOD, Task, as_numbers, check_choice
+from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate, Task, as_numbers, check_choice
 from pickenv.errors import InputError
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
@@ -72,7 +63,9 @@ class TorchBatch(Batch):
         self.plant: Plant = self.population
         if task.arms != "fixed":
             self.plant = plants_on(task.plant, lambda values: self.numbers(values[self.arm]))
-        prepare(self.plant, torch, list(self.numbers(np.repeat([task.middle], count, axis=0).T)))
+        middle = list(self.numbers(np.repeat([task.middle], count, axis=0).T))
+        self.plant.tool_frame(torch, middle)  # fills the plant's caches, which torch.compile cannot
+        self.plant.advance(torch, self.plant.initial_state(torch, middle), middle, 0.0)
         self.remember()
         self.columns = [column.clone() for column in self.columns]
         self._compiled = compiled
@@ -151,7 +144,7 @@ class TorchBatch(Batch):
         if compensate is None:
             out = self._step(targets, list(actions), *rest)
         else:
-            moved = list(move(self.x, self.task, targets, list(actions)))
+            moved = list(simulation.move(self.x, self.task, targets, list(actions)))
             out = [*moved, *self._see(moved, self.commands(compensate, moved), *rest)]
         held = len(self.columns) - n - 15
         self.columns = [*out[:n], *self.columns[n : n + 15], *out[n : n + held]]
@@ -174,7 +167,7 @@ class TorchBatch(Batch):
 
     def _act(self, targets: Columns, actions: Columns, *rest: Any) -> Columns:
         """One step of all environments, without a compensator: new targets, then what `_shown` gives."""
-        moved = list(move(self.x, self.task, targets, actions))
+        moved = list(simulation.move(self.x, self.task, targets, actions))
         return [*moved, *self._shown(moved, moved, *rest)]
 
     def _shown(
@@ -192,9 +185,11 @@ class TorchBatch(Batch):
         That is what a processor's compiled loop is fast with: stacking, float32 and truth values come afterwards.
         """
         x, plant = self.x, plant or self.plant
-        memory, scene = look(x, self.task, plant, self.state_of([*targets, *others]), commands, keys, when, dt)
-        parts = goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
-        reward = [] if self.goal_dict else [true_reward(x, self.task, scene)]
+        memory, scene = simulation.look(
+            x, self.task, plant, self.state_of([*targets, *others]), commands, keys, when, dt
+        )
+        parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
+        reward = [] if self.goal_dict else [simulation.true_reward(x, self.task, scene)]
         vectors = scene.vectors[:-3] if self.poses else ()
         return [*chain.from_iterable(memory), *chain.from_iterable(parts), *reward, *scene.numbers, *vectors]
 
@@ -205,10 +200,10 @@ class TorchBatch(Batch):
             parts.append(self._pack(out[:width], torch.float32))
             out = out[width:]
         if self.goal_dict:  # of goals as they are returned
-            reward = goal_reward(self.x, self.task, *(part.to(self.dtype) for part in parts[1:]))
+            reward = simulation.goal_reward(self.x, self.task, *(part.to(self.dtype) for part in parts[1:]))
         else:
             reward, *out = out
-        success = in_capture_region(self.task, out[0], out[1])
+        success = simulation.in_capture_region(self.task, out[0], out[1])
         vectors = self._pack([*out[4:], *fruit], self.dtype) if self.poses else None
         return Views(tuple(parts), reward, success, tuple(out[:4]), vectors)
 

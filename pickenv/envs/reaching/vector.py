@@ -11,16 +11,25 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plant_at
-from pickenv.envs.reaching.batch import Batch, Compensate, Flags, Start, Views
+from pickenv.envs.reaching.batch import Batch, Flags, Start, Views
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared.simulation import NUMBER_KEYS
-from pickenv.envs.shared.spaces import OPTIONS, action_space, flat_space, given_options, goal_space
+from pickenv.envs.shared.spaces import (
+    OPTIONS,
+    action_space,
+    flat_space,
+    given_mask,
+    given_options,
+    given_seeds,
+    goal_space,
+)
 from pickenv.envs.shared.streams import fresh_seed, seed_word
-from pickenv.envs.shared.task import IDEAL, Task, check_choice, check_count, make_task
+from pickenv.envs.shared.task import IDEAL, Compensate, Task, check_choice, check_count, make_task
 from pickenv.errors import InputError
 
 EXECUTORS = ("numpy", "torch")
+STATE = ("seeds", "episodes", "elapsed", "seeded", "ended")
 
 
 class ReachVectorEnv(VectorEnv[Any, Any, Any]):
@@ -141,7 +150,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         """
         super().reset(seed=int(seed) if isinstance(seed, int | np.integer) else None)
         options = given_options(options, (*OPTIONS, "reset_mask"))
-        mask = self._mask(options.pop("reset_mask", None))
+        mask = given_mask(options.pop("reset_mask", None), self.num_envs)
         self._take_seeds(seed, mask)
         rows = np.flatnonzero(mask)
         self._begin(rows, self._chosen(options, rows))
@@ -205,7 +214,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         """One picture per environment, as in `pickenv/Reach-v0`."""
         if self.render_mode is None:
             return None
-        from pickenv.envs.shared.drawing import reach_pixels
+        from pickenv.envs.shared.drawing import draw_reach, pixels
 
         if not self._seeded.all():
             raise InputError("render was called before reset; call reset first")
@@ -213,45 +222,27 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         for i in range(self.num_envs):
             plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, int(self.batch.arm[i]))
             target, scene = self.batch.scene(i, self.compensator)
-            pictures.append(reach_pixels(plant, target, scene, self.task.tolerance_mm))
+            pictures.append(pixels(draw_reach(plant, target, scene, self.task.tolerance_mm)))
         return tuple(pictures)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint; on NumPy and not in mode "Disabled"."""
-        own: dict[str, NDArray[Any]] = {"seeds": self._seeds, "episodes": self._episodes, "elapsed": self._elapsed}
-        own |= {"seeded": self._seeded, "ended": self._ended}
+        own: dict[str, NDArray[Any]] = {key: getattr(self, f"_{key}") for key in STATE}
         return {key: np.array(value) for key, value in (own | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state_arrays`, in an environment made with the same arguments."""
-        self._seeds, self._episodes, self._elapsed = (state[key].copy() for key in ("seeds", "episodes", "elapsed"))
-        self._seeded, self._ended = state["seeded"].copy(), state["ended"].copy()
+        for key in STATE:
+            setattr(self, f"_{key}", state[key].copy())
         self.batch.take_state_arrays(state)
 
     def _begin(self, rows: NDArray[np.intp], chosen: dict[str, Any]) -> None:
         self._elapsed[rows], self._ended[rows] = 0, False
         self.batch.restart(rows, Start(self._seeds[rows], self._episodes[rows], **chosen), self.compensator)
 
-    def _mask(self, mask: Any) -> Flags:
-        """Which environments `reset` is about."""
-        if mask is None:
-            return np.ones(self.num_envs, dtype=np.bool_)
-        mask = np.asarray(mask)
-        if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
-            raise InputError(
-                f"reset_mask has shape {mask.shape} and type {mask.dtype}; give {self.num_envs} truth values, at least "
-                "one of them True"
-            )
-        return np.array(mask)
-
     def _take_seeds(self, seed: int | Sequence[int | None] | None, mask: Flags) -> None:
         """New seeds where they are given, the next episode elsewhere."""
-        if seed is None or isinstance(seed, int | np.integer):
-            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-            if len(seeds) != self.num_envs:
-                raise InputError(f"{len(seeds)} seeds were given for {self.num_envs} environments; give one for each")
+        seeds = given_seeds(seed, self.num_envs)
         if seed is None and self._seeded.all():
             self._episodes[mask] += np.uint64(1)
             return

@@ -28,13 +28,8 @@ DPI = 80
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
-def reach_pixels(plant: Plant, target: Array, scene: View, tolerance_mm: float) -> NDArray[np.uint8]:
-    """The picture of a reach as an RGB array ``(360, 720, 3)``."""
-    return pixels(draw_reach(plant, target, scene, tolerance_mm))
-
-
 def pixels(figure: Figure) -> NDArray[np.uint8]:
-    """A figure as an RGB array."""
+    """A figure as an RGB array ``(360, 720, 3)``."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3].copy()

@@ -14,6 +14,7 @@ from pickenv.arm.kinematics.forward import Chain, Scalar
 from pickenv.arm.plant.plant import Ready
 
 ROUNDING = 1e-15
+FACTORS = ("cos_alpha", "sin_alpha", "a", "d", "cos_theta", "sin_theta")
 
 
 class Exact:
@@ -57,17 +58,7 @@ def exact(value: float) -> Any:
 
 def exact_chain(chain: Chain) -> Chain:
     """A chain of plain numbers with its zeros and ones made `Exact`; joint angles at zero stay numbers."""
-    links = tuple(
-        link._replace(
-            cos_alpha=exact(link.cos_alpha),
-            sin_alpha=exact(link.sin_alpha),
-            a=exact(link.a),
-            d=exact(link.d),
-            cos_theta=exact(link.cos_theta),
-            sin_theta=exact(link.sin_theta),
-        )
-        for link in chain.links
-    )
+    links = tuple(link._replace(**{name: exact(getattr(link, name)) for name in FACTORS}) for link in chain.links)
     tool = None if chain.tool is None else tuple(exact(value) for value in chain.tool)
     return Chain(tuple(exact(value) for value in chain.base), links, tool)
 

@@ -16,7 +16,7 @@ from pickenv.arm.kinematics.forward import Scalar, attach, frames
 from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
 from pickenv.envs.shared.backends import Executor
 from pickenv.envs.shared.exact import inexact
-from pickenv.envs.shared.streams import CAMERA, FRUIT, normal, stream_key, uniform
+from pickenv.envs.shared.streams import ARM, CAMERA, FRUIT, episode_key, normal, stream_key, uniform
 from pickenv.envs.shared.task import GOAL_MARGIN, Task
 
 DEGREES = 57.29577951308232
@@ -112,6 +112,20 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
         share = uniform(x, key, attempt * task.joints + i)
         joints.append((low + margin) + share * (high - low - 2.0 * margin))
     return joints, nominal_frames(x, task, joints)[1][8] >= task.min_upright
+
+
+def drawn_arm(x: Executor, task: Task, seed: Scalar, key: Scalar) -> Scalar:
+    """Number of an episode's true arm, before its fraction is cut off.
+
+    Args:
+        x: The executor.
+        task: The task, whose arms are a population.
+        seed: Seed of the environment's stream; with one arm per environment it alone decides.
+        key: Key of the episode.
+    """
+    if task.arms == "per_env":
+        key = episode_key(x, seed, x.times(seed, 0))
+    return uniform(x, stream_key(x, key, ARM), 0) * task.population
 
 
 def begin(

@@ -6,7 +6,7 @@ SI units, except where a name says otherwise.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
@@ -44,6 +44,9 @@ GOAL_MARGIN = 0.05
 """Goals keep this share of each joint's range away from its limits."""
 
 GOAL_ATTEMPTS = 10_000
+
+Compensate = Callable[[Array], Array]
+"""Turns joint targets into joint commands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +110,11 @@ class Task:
         lengths = np.abs(g.a).sum() + np.abs(g.d).sum() + slides.sum()
         return float(lengths + np.linalg.norm(g.base.position) + np.linalg.norm(g.tool.position) + 1.0)
 
+    @property
+    def population(self) -> int:
+        """Number of arms that environments choose from."""
+        return plant_count(self.plant) or 1
+
     def given_joints(self, name: str, joints: Sequence[float] | Array, count: int | None = None) -> Array:
         """Joints that a reset option asks for, ``(n,)`` or, where ``count`` is given, ``(count, n)``.
 
@@ -130,9 +138,8 @@ class Task:
         """
         if self.arms == "fixed":
             raise InputError("option arm needs a population; make the environment with arms='per_episode'")
-        size = plant_count(self.plant) or 1
-        if not isinstance(number, int | np.integer) or not 0 <= number < size:
-            raise InputError(f"arm is {number!r}; the population has arms 0 to {size - 1}")
+        if not isinstance(number, int | np.integer) or not 0 <= number < self.population:
+            raise InputError(f"arm is {number!r}; the population has arms 0 to {self.population - 1}")
         return int(number)
 
     def no_goal(self) -> InputError:
