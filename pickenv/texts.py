@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 import stat
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pickenv.errors import InputError
 
@@ -30,9 +30,6 @@ MARKS = {
     b"PK\x03\x04": "",
 }
 """How files begin that are not UTF-8: byte order marks, longest first, and zip archives such as .xlsx."""
-
-INTEGERS = 1 << 63
-"""TOML's integers lie within this size."""
 
 
 def read_text(path: str | Path, kind: str) -> str:
@@ -91,32 +88,6 @@ def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
         raise InputError(f"{path} is not valid {kind}: it is nested too deeply; give tables of a few levels") from error
     except Exception as error:
         raise InputError(f"{path} is not valid {kind}: {_reason(error)}") from error
-
-
-def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file, or say in one sentence why it cannot be read."""
-    import tomllib
-
-    text = read_text(path, "a TOML file")
-
-    def content() -> dict[str, Any]:
-        found = tomllib.loads(text)
-        _refuse_huge(found, "")
-        return found
-
-    return parsed(content, path, "TOML")
-
-
-def _refuse_huge(value: Any, key: str) -> None:
-    """TOML's integers have 64 bits; Python's have no end, and arithmetic fails on them far from the file."""
-    if isinstance(value, Mapping):
-        for name, part in value.items():
-            _refuse_huge(part, str(name))
-    elif isinstance(value, list):
-        for part in value:
-            _refuse_huge(part, key)
-    elif isinstance(value, int) and not -INTEGERS <= value < INTEGERS:
-        raise ValueError(f"{key} is an integer of more than 64 bits")
 
 
 def decimal_number(text: str) -> float | None:

@@ -25,15 +25,16 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.files import write_text
-from pickenv.harvester.assignment import assign, lower_bound
+from pickenv.harvester.assignment import assign
 from pickenv.harvester.harvest import Harvest, Strategy
 from pickenv.harvester.harvest_summary import Measure, funnel, summary
 from pickenv.harvester.joint_motion import workspace
 from pickenv.harvester.machine import Machine, load_machine
 from pickenv.harvester.pick_point import METHODS, pick_point
 from pickenv.harvester.picking import load_picking
+from pickenv.harvester.rules import lower_bound
 from pickenv.harvester.strategies import work_images, work_trees
-from pickenv.harvester.trees import lab_runs, load_orchard, sample_image
+from pickenv.harvester.trees import load_lab, load_orchard, sample_image
 from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine, tip_errors
 from pickenv.harvester.work import timetable, zone_work
 from pickenv.harvester.zones import load_grid
@@ -129,7 +130,7 @@ def compare(true: TrueMachine, ways: list[Strategy], trees: int, images: int, wo
         pictures = work_images(true, way, model, count=images, seed=SEED)
         seen[way.name] = summary(true.machine, pictures, rng)
         if way.name == "raw":
-            found = funnel(pictures[: lab_runs()])
+            found = funnel(pictures[: load_lab().runs])
             first = found["collected"], found["reachable"]
     return Study(worked, measures, seen, first)
 
@@ -246,7 +247,7 @@ def main(
     raw, calibrated = Controller(machine), calibrated_controller(true, rng)
     known = {"raw": raw, "calibrated": calibrated}
     known["positions only"] = calibrated_controller(true, rng, positions_only=True)
-    errors = {name: table3(true, way, lab_runs(), np.random.default_rng(SEED)) for name, way in known.items()}
+    errors = {name: table3(true, way, load_lab().runs, np.random.default_rng(SEED)) for name, way in known.items()}
     study = compare(true, strategies(raw, calibrated), trees, images, workers)
     reach = reach_shares(machine, 20 if quick else 200, rng)
     plans = {n: assignments(machine, 2 if quick else 10, n, rng) for n in (7, 20)}

@@ -65,7 +65,7 @@ class ScriptedHarvest:
 
     def act_together(self, observations: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
         """The next actions of PettingZoo's agents."""
-        shared = next(iter(observations.values()))[: self.task.observation_size]
+        shared = next(iter(observations.values()))[: len(self.task.bounds[0])]
         parts = self.act(shared).reshape(-1, 3)
         return dict(zip(observations, parts, strict=True))
 

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from pickenv.agents.policies.policy import ReachController
 from pickenv.arm import Pose, displace_pose, forward, inverse, joint_jacobian
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.envs.picking.pick_scene import BRUISE_SPEED
 from pickenv.envs.shared.task import CONTROL_PERIOD
 
 ARRIVED = 2e-4
 """A joint within this of its goal is there, m or rad."""
 
-GENTLE = 0.75 * BRUISE_SPEED
-"""Tool speed that leaves room for swing and following error before it bruises, m/s."""
+GENTLE = 0.75
+"""Share of the speed that bruises fruit at which the tool moves: it leaves room for swing and following error."""
 
 HASTY = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
@@ -30,17 +29,19 @@ HASTY = {"settle": 0.0, "tool_speed": np.inf}
 class ScriptedPick(ReachController):
     """Comes to each fruit from below; `settle` seconds of standing still before it grasps."""
 
-    def __init__(self, env: Any, settle: float = 0.5, approach: float = 0.10, tool_speed: float = GENTLE) -> None:
+    def __init__(self, env: Any, settle: float = 0.5, approach: float = 0.10, tool_speed: float | None = None) -> None:
         """Read the arm from ``env``, a `pickenv/Pick-v0`, wrapped or not.
 
         Args:
             env: The environment.
             settle: Time without motion before the grasp, s; at most 1.
             approach: Length of the straight way from below, m.
-            tool_speed: Largest speed of the believed tool, m/s; the joints' own largest speeds hold in any case.
+            tool_speed: Largest speed of the believed tool, m/s, gentle when left out; joint speeds hold in any case.
         """
         super().__init__(env)
-        self.settle, self.approach, self.tool_speed = settle, approach, tool_speed
+        gentle = GENTLE * env.unwrapped.orchard.station.bruise_speed
+        self.settle, self.approach = settle, approach
+        self.tool_speed = gentle if tool_speed is None else tool_speed
         self.reset()
 
     def reset(self) -> None:

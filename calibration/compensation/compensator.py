@@ -22,7 +22,7 @@ from pickenv.arm import Geometry, displace_pose, forward
 from pickenv.arm.kinematics.backend import clipped
 from pickenv.arm.kinematics.forward import Chain, Scalar, attach, chain_of, frames, split_joints, tool_frame
 from pickenv.arm.kinematics.geometry import Array, Pose
-from pickenv.arm.kinematics.jacobians import joint_columns
+from pickenv.arm.kinematics.jacobians import jacobian_columns
 from pickenv.arm.kinematics.pose_error import frame_error
 from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.calibration.compensation.truncated_solve import TruncatedSolver
@@ -133,7 +133,7 @@ def corrected(
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
-        columns = joint_columns(nominal, links, tool)
+        columns = jacobian_columns(nominal, links, tool)
         solve = solve or _solver(m, columns)
         error: Sequence[Scalar] = frame_error(m, tool, wanted)
         if residual is not None:

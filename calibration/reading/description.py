@@ -12,22 +12,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pickenv.arm import Geometry
-from pickenv.arm.files.arm_file import TO_SI
-from pickenv.arm.files.plausible import largest
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
-from pickenv.calibration.reading.conventions import CONVENTIONS
 from pickenv.calibration.reading.csv_table import expression_tree
+from pickenv.calibration.reading.description_file import (
+    ANGLES,
+    LENGTHS,
+    MASSES,
+    TORQUES,
+    ConditionsTable,
+    DescriptionFile,
+)
 from pickenv.errors import InputError
-from pickenv.texts import is_file, read_toml, shortened
+from pickenv.texts import is_file, shortened
+from pickenv.toml_tables import TO_SI, read
 
 DESCRIPTIONS = Path(__file__).parent / "descriptions"
-LENGTHS, ANGLES = ("mm", "m"), ("deg", "rad")
-KINDS = ("position", "reflectors", "distance", "sockets")
-LOST = ("zeros", "empty")
-TOP = {"description", "separator", "decimal", "names", "joints", "rotation", "conditions", *KINDS}
 
 
 @dataclass(frozen=True)
@@ -107,44 +107,39 @@ def load_description(name: str | Path) -> ColumnDescription:
         raise InputError(
             f"unknown column description '{given}'; give one of {shipped_descriptions()} or a path (.toml)"
         )
-    return parse_description(read_toml(path), str(path))
-
-
-def parse_description(content: Mapping[str, Any], where: str) -> ColumnDescription:
-    """Turn the parsed content of a description into a `ColumnDescription`; ``where`` names the file in messages."""
-    _known(content, TOP, "", where)
-    joints = _section(content, "joints", where)
-    _known(joints, {"columns", "unit", "units"}, "joints", where)
-    expressions = _strings(joints, "columns", where)
-    units = _strings(joints, "units", where) if "units" in joints else (joints.get("unit"),) * len(expressions)
-    if len(units) != len(expressions):
-        raise InputError(f"{where}: [joints] has {len(expressions)} columns but {len(units)} units; give one per joint")
-    for unit in units:
-        _unit(unit, LENGTHS + ANGLES, "joints", where)
-    separator, decimal = content.get("separator", ","), content.get("decimal", ".")
-    fit = isinstance(separator, str) and len(separator) == 1 and (separator == "\t" or separator.isprintable())
-    if not fit or separator in '"+-.' or separator.isalnum():
-        given = shortened(repr(separator))
-        raise InputError(f"{where}: separator is {given}; give one character, such as ',' or ';' or '\\t'")
-    if decimal not in (".", ",") or decimal == separator:
-        raise InputError(f"{where}: decimal is {shortened(repr(decimal))}; give '.' or ',', and not the separator")
-    kinds = [kind for kind in KINDS if kind in content]
-    if len(kinds) > 1:
-        raise InputError(f"{where}: sections [{kinds[0]}] and [{kinds[1]}] are both given; one file holds one kind")
-    kind = kinds[0] if kinds else "position"
+    file = read(DescriptionFile, path)
+    measured: dict[str, Any] = dict(vars(file.measured))
+    stated = measured["position_std"] is not None and file.kind != "sockets"
     found = ColumnDescription(
-        where=where,
-        separator=separator,
-        decimal=decimal,
-        names=_strings(content, "names", where) if "names" in content else None,
-        joints=expressions,
-        joint_units=tuple(str(unit) for unit in units),
-        kind=kind,
-        **_measured(kind, _section(content, kind, where), where),
-        **_rotation(content, kind, where),
-        conditions=_conditions(content, units, where),
+        where=str(path),
+        separator=file.separator,
+        decimal=file.decimal,
+        names=file.names,
+        joints=file.joints.columns,
+        joint_units=file.joints.each,
+        kind=file.kind,
+        **{"position_unit": "mm", **measured, "position_std": measured["position_std"] or POSITION_STD},
+        std_stated=stated,
+        **({} if file.rotation is None else {**vars(file.rotation), "rotation_unit": file.rotation.unit()}),
+        conditions=_conditions(file.conditions, file.joints.each),
     )
     _refuse_repeats(found)
+    return found
+
+
+def _conditions(table: ConditionsTable, joint_units: tuple[str, ...]) -> dict[str, Condition]:
+    """Recorded conditions, each with what turns it into SI."""
+    found = {}
+    if (warmth := table.temperature) is not None:
+        usual = 20.0 if warmth.unit == "degC" else 0.0
+        found["temperature"] = Condition(
+            (warmth.column,), (1.0,), usual if warmth.reference is None else warmth.reference
+        )
+    if (mass := table.payload) is not None:
+        found["payload"] = Condition((mass.column,), (MASSES[mass.unit],), mass.reference)
+    if (torques := table.torques) is not None:
+        units = torques.units or tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
+        found["torque"] = Condition(torques.columns, tuple(TORQUES[unit] for unit in units))
     return found
 
 
@@ -167,150 +162,6 @@ def _refuse_repeats(description: ColumnDescription) -> None:
                 "name each column once"
             )
         seen[plain] = role
-
-
-def _measured(kind: str, section: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """What the section of a kind says."""
-    if kind == "sockets":
-        _known(section, {"column", "std_mm", "spacing_mm", "spacing_std_mm"}, kind, where)
-        column = section.get("column")
-        if column is not None and not isinstance(column, str):
-            raise InputError(f"{where}: column of [sockets] must name the column that numbers the sockets")
-        return {
-            "position": () if column is None else (column,),
-            "position_unit": "mm",
-            "position_std": _uncertainty(section, "std_mm", where) * 1e-3 if "std_mm" in section else 1e-4,
-            "spacing": _uncertainty(section, "spacing_mm", where) * 1e-3 if "spacing_mm" in section else None,
-            "spacing_std": _uncertainty(section, "spacing_std_mm", where) * 1e-3
-            if "spacing_std_mm" in section
-            else 5e-5,
-        }
-    allowed = {"columns", "unit", "std_mm", "std_columns"} | ({"lost"} if kind == "reflectors" else set())
-    _known(section, allowed, kind, where)
-    columns = _strings(section, "columns", where)
-    if kind == "position" and len(columns) != 3:
-        raise InputError(f"{where}: [position] needs three columns, x, y and z")
-    if kind == "reflectors" and (len(columns) % 3 or len(columns) < 3):
-        raise InputError(f"{where}: [reflectors] needs three columns per reflector, x, y and z of each in turn")
-    if kind == "distance" and len(columns) != 1:
-        raise InputError(f"{where}: [distance] needs one column, the length")
-    lost = section.get("lost", [])
-    lost = [lost] if isinstance(lost, str) else lost
-    if not isinstance(lost, list) or any(mark not in LOST for mark in lost):
-        raise InputError(
-            f"{where}: lost is {shortened(repr(lost))}; give how lost reflectors are marked, of {', '.join(LOST)}"
-        )
-    std_columns = _strings(section, "std_columns", where) if "std_columns" in section else ()
-    if std_columns and len(std_columns) != len(columns):
-        raise InputError(
-            f"{where}: [{kind}] has {len(columns)} columns but {len(std_columns)} std_columns; give one each"
-        )
-    return {
-        "position": columns,
-        "position_unit": _unit(section.get("unit"), LENGTHS, kind, where),
-        "position_std": _uncertainty(section, "std_mm", where) * 1e-3 if "std_mm" in section else POSITION_STD,
-        "std_stated": "std_mm" in section,
-        "position_std_columns": std_columns,
-        "lost": tuple(lost),
-    }
-
-
-def _rotation(content: Mapping[str, Any], kind: str, where: str) -> dict[str, Any]:
-    """What [rotation] says; a convention that is not named stays None, and is asked for when the file is read."""
-    if "rotation" not in content:
-        return {}
-    if kind != "position":
-        raise InputError(f"{where}: [rotation] belongs to [position], not to [{kind}]")
-    rotation = _section(content, "rotation", where)
-    _known(rotation, {"columns", "unit", "convention", "std_deg"}, "rotation", where)
-    convention = rotation.get("convention")
-    if convention is not None and convention not in tuple(CONVENTIONS):
-        raise InputError(
-            f"{where}: [rotation] has convention {shortened(repr(convention))}; name one of {', '.join(CONVENTIONS)}"
-        )
-    columns = _strings(rotation, "columns", where)
-    if convention is None and len(columns) not in (3, 4):
-        raise InputError(f"{where}: [rotation] has {len(columns)} columns; give three angles or four of a quaternion")
-    angles = len(columns) == 3 if convention is None else CONVENTIONS[str(convention)][0] == "angle"
-    return {
-        "rotation": columns,
-        "convention": convention,
-        "rotation_unit": _unit(rotation.get("unit"), ANGLES, "rotation", where) if angles else "rad",
-        "attitude_std": float(np.radians(_uncertainty(rotation, "std_deg", where)))
-        if "std_deg" in rotation
-        else ATTITUDE_STD,
-    }
-
-
-def _conditions(content: Mapping[str, Any], joint_units: tuple[Any, ...], where: str) -> dict[str, Condition]:
-    """[conditions]: temperature, payload and torques, each with its unit."""
-    if "conditions" not in content:
-        return {}
-    section, found = _section(content, "conditions", where), {}
-    _known(section, {"temperature", "payload", "torques"}, "conditions", where)
-    units = {"temperature": {"degC": 1.0, "K": 1.0}, "payload": {"kg": 1.0, "g": 1e-3}}
-    for name, scales in units.items():
-        if name in section:
-            table = _section(section, name, where)
-            _known(table, {"column", "unit", "reference"}, f"conditions.{name}", where)
-            column = table.get("column")
-            if not isinstance(column, str):
-                raise InputError(f"{where}: [conditions.{name}] needs a column")
-            unit = _unit(table.get("unit"), tuple(scales), f"conditions.{name}", where)
-            reference = table.get("reference", 20.0 if name == "temperature" and unit == "degC" else 0.0)
-            if isinstance(reference, bool) or not isinstance(reference, int | float) or not np.isfinite(reference):
-                raise InputError(
-                    f"{where}: reference of [conditions.{name}] is {shortened(repr(reference))}; give a finite number"
-                )
-            found[name] = Condition((column,), (scales[unit],), float(reference))
-    if "torques" in section:
-        table = _section(section, "torques", where)
-        _known(table, {"columns", "units"}, "conditions.torques", where)
-        columns = _strings(table, "columns", where)
-        default = tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
-        given = _strings(table, "units", where) if "units" in table else default
-        if len(columns) != len(joint_units) or len(given) != len(columns):
-            raise InputError(f"{where}: [conditions.torques] needs one column, and one unit, per joint")
-        known = {"N*m": 1.0, "N": 1.0, "N*mm": 1e-3, "kN": 1e3}
-        for unit in given:
-            _unit(unit, tuple(known), "conditions.torques", where)
-        found["torque"] = Condition(columns, tuple(known[unit] for unit in given))
-    return found
-
-
-def _section(content: Mapping[str, Any], key: str, where: str) -> Mapping[str, Any]:
-    section = content.get(key)
-    if not isinstance(section, Mapping):
-        raise InputError(f"{where}: section [{key}] is missing")
-    return section
-
-
-def _known(table: Mapping[str, Any], allowed: set[str], section: str, where: str) -> None:
-    unknown = sorted(set(table) - allowed)
-    if unknown:
-        place = f" in [{section}]" if section else ""
-        raise InputError(f"{where}: unknown key '{shortened(unknown[0])}'{place}; known are {sorted(allowed)}")
-
-
-def _strings(table: Mapping[str, Any], key: str, where: str) -> tuple[str, ...]:
-    value = table.get(key)
-    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise InputError(f"{where}: {key} must be a list of column names or expressions")
-    return tuple(value)
-
-
-def _uncertainty(table: Mapping[str, Any], key: str, where: str) -> float:
-    value = table[key]
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= largest(key):
-        raise InputError(f"{where}: {key} is {shortened(repr(value))}; give one above zero, up to {largest(key):g}")
-    return float(value)
-
-
-def _unit(unit: Any, allowed: tuple[str, ...], section: str, where: str) -> str:
-    if unit not in allowed:
-        given = "missing" if unit is None else f"unknown: {shortened(repr(unit))}"
-        raise InputError(f"{where}: the unit of [{section}] is {given}; give one of {', '.join(allowed)}")
-    return str(unit)
 
 
 def own_description(geometry: Geometry, header: list[str], where: str) -> ColumnDescription:

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Geometry
-from pickenv.arm.files.arm_file import TO_SI
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements
@@ -41,6 +40,7 @@ from pickenv.calibration.reading.row_checks import (
     refuse_repeated_joints,
 )
 from pickenv.errors import InputError
+from pickenv.toml_tables import TO_SI
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from pickenv.arm import Geometry
-from pickenv.arm.files.arm_file import TO_SI
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.reading.csv_table import Table
 from pickenv.calibration.reading.description import ColumnDescription
 from pickenv.errors import InputError
+from pickenv.toml_tables import TO_SI
 
 FARTHEST = 1e4
 """No instrument sees a tool from farther away than this, m."""

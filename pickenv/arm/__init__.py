@@ -1,45 +1,36 @@
 """Arms: geometry, kinematics, Jacobians, rank-aware inverse, and the plant (what the true arm does with a command)."""
 
-from pickenv.arm.files.arm_file import Arm, load_arm, shipped_arms
-from pickenv.arm.kinematics.forward import forward, forward_torch
-from pickenv.arm.kinematics.geometry import Geometry, Pose, from_standard_dh
-from pickenv.arm.kinematics.inverse import InverseSolution, inverse
-from pickenv.arm.kinematics.jacobians import joint_jacobian, parameter_jacobian
-from pickenv.arm.kinematics.pose_error import displace_pose, pose_error, rotation_matrix, rotation_vector
-from pickenv.arm.kinematics.task_space import noncompensable_error, task_directions
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at, plants_on
-from pickenv.arm.plant.plant_file import load_plant, shipped_plants
-from pickenv.arm.plant.tolerances import Tolerances, draw_plants, load_tolerances, shipped_tolerances
+from types import ModuleType as _ModuleType
 
-__all__ = [
-    "Arm",
-    "Geometry",
-    "InverseSolution",
-    "Plant",
-    "PlantState",
-    "Pose",
-    "Tolerances",
-    "displace_pose",
-    "draw_plants",
-    "forward",
-    "forward_torch",
-    "from_standard_dh",
-    "inverse",
-    "joint_jacobian",
-    "load_arm",
-    "load_plant",
-    "load_tolerances",
-    "noncompensable_error",
-    "parameter_jacobian",
-    "plant_at",
-    "plants_on",
-    "pose_error",
-    "rotation_matrix",
-    "rotation_vector",
-    "shipped_arms",
-    "shipped_plants",
-    "shipped_tolerances",
-    "task_directions",
-]
+from pickenv.arm.files.arm import Arm as Arm
+from pickenv.arm.files.load import load_arm as load_arm
+from pickenv.arm.files.load import shipped_arms as shipped_arms
+from pickenv.arm.kinematics.forward import Frame as Frame
+from pickenv.arm.kinematics.forward import forward as forward
+from pickenv.arm.kinematics.forward import forward_torch as forward_torch
+from pickenv.arm.kinematics.geometry import Array as Array
+from pickenv.arm.kinematics.geometry import Geometry as Geometry
+from pickenv.arm.kinematics.geometry import Pose as Pose
+from pickenv.arm.kinematics.geometry import from_standard_dh as from_standard_dh
+from pickenv.arm.kinematics.inverse import InverseSolution as InverseSolution
+from pickenv.arm.kinematics.inverse import inverse as inverse
+from pickenv.arm.kinematics.jacobians import joint_jacobian as joint_jacobian
+from pickenv.arm.kinematics.jacobians import parameter_jacobian as parameter_jacobian
+from pickenv.arm.kinematics.pose_error import displace_pose as displace_pose
+from pickenv.arm.kinematics.pose_error import pose_error as pose_error
+from pickenv.arm.kinematics.pose_error import rotation_matrix as rotation_matrix
+from pickenv.arm.kinematics.pose_error import rotation_vector as rotation_vector
+from pickenv.arm.kinematics.task_space import noncompensable_error as noncompensable_error
+from pickenv.arm.kinematics.task_space import task_directions as task_directions
+from pickenv.arm.plant.dynamics import PlantState as PlantState
+from pickenv.arm.plant.plant import Plant as Plant
+from pickenv.arm.plant.plant_batch import plant_at as plant_at
+from pickenv.arm.plant.plant_batch import plants_on as plants_on
+from pickenv.arm.plant.plant_file import load_plant as load_plant
+from pickenv.arm.plant.plant_file import shipped_plants as shipped_plants
+from pickenv.arm.plant.tolerances import Tolerances as Tolerances
+from pickenv.arm.plant.tolerances import draw_plants as draw_plants
+from pickenv.arm.plant.tolerances import load_tolerances as load_tolerances
+from pickenv.arm.plant.tolerances import shipped_tolerances as shipped_tolerances
+
+__all__ = sorted(name for name, value in globals().items() if name[0] != "_" and not isinstance(value, _ModuleType))

@@ -12,14 +12,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.arm.plant.tree import tree_map
 from pickenv.errors import InputError
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.joint_motion import master_time, profile, travel_time
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.pick_point import pick_point
-from pickenv.harvester.picking import Outcome, Picking, attempt
+from pickenv.harvester.picking import Outcome, Picking, attempt, displacements, draw_luck
 from pickenv.harvester.trees import Tree
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
@@ -115,11 +116,6 @@ class Harvest:
     phases: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("move", "image", "pick", "unload"), 0.0))
     repicks: int = 0
 
-    @property
-    def out_of_reach(self) -> NDArray[np.int64]:
-        """Numbers of the fruit that images showed but no arm could reach from any pick point."""
-        return np.flatnonzero(self.seen & ~self.reachable)
-
     def spend(self, phase: str, seconds: float) -> None:
         """Let the clock run."""
         self.seconds += seconds
@@ -170,10 +166,7 @@ def harvest(
         for look in range(strategy.looks):
             tasks = [(i, _plan(machine, strategy, model, states[i], sides[i][number], look)) for i in waiting]
             done = [(i, task) for i, task in tasks if task is not None]
-            waiting = []
-            for i, empty in _execute(true, strategy, model, states, done):
-                if empty:
-                    waiting.append(i)
+            waiting = [i for i, empty in _execute(true, strategy, model, states, done) if empty]
         if not strategy.unload_full:
             for state in states:
                 _unload(machine, state)
@@ -182,32 +175,10 @@ def harvest(
     return states
 
 
-def pick_images(
-    true: TrueMachine,
-    strategy: Strategy,
-    model: Picking,
-    images: Sequence[Tree],
-    rngs: Sequence[np.random.Generator],
-) -> list[Harvest]:
-    """Li's experiment: one image, one picking and one unloading each; the fruit given is what was located."""
-    return harvest(true, strategy, model, images, rngs, Grid(1, 1, 1e-6))
-
-
 def _begin(machine: Machine, tree: Tree, rng: np.random.Generator) -> Harvest:
-    seen, reachable, attempted, attached, detached, collected = np.zeros((6, len(tree)), dtype=bool)
-    return Harvest(
-        tree=tree,
-        rng=rng,
-        seen=seen,
-        reachable=reachable,
-        attempted=attempted,
-        attached=attached,
-        detached=detached,
-        collected=collected,
-        by_arm=np.full(len(tree), -1),
-        load=np.zeros(machine.arms, dtype=np.int64),
-        master=machine.master_start.copy(),
-    )
+    flags = np.zeros((6, len(tree)), dtype=bool)  # from seen to collected
+    load, start = np.zeros(machine.arms, dtype=np.int64), machine.master_start.copy()
+    return Harvest(tree, rng, *flags, by_arm=np.full(len(tree), -1), load=load, master=start)
 
 
 def _plan(machine: Machine, strategy: Strategy, model: Picking, state: Harvest, zone: Zone, look: int) -> _Task | None:
@@ -270,17 +241,11 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     hanging = ~state.detached
     hanging[numbers] = False
     fruit, diameters, masses = tree.fruit[numbers], tree.diameters[numbers], tree.masses[numbers]
-    sorted_outcome = attempt(
-        model,
-        tips[order],
-        fruit[order],
-        diameters[order],
-        masses[order],
-        entry[order],
-        tree.fruit[hanging],
-        rng,
-    )
-    outcome = _reordered(sorted_outcome, np.argsort(order))
+    luck = draw_luck(rng, len(order))
+    moved = displacements(model, fruit[order], masses[order], entry[order], luck)
+    done = attempt(model, tips[order], fruit[order], moved, diameters[order], tree.fruit[hanging], luck)
+    back = np.argsort(order)
+    outcome: Outcome = tree_map(lambda values: values[back], done)
     aimed = task.work.joints[arm, local]
     state.repicks += int(state.attempted[numbers].sum())
     state.attempted[numbers] = True
@@ -299,10 +264,6 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     if strategy.unload_full and state.load.max() >= machine.cycle.tube_fruit:
         _unload(machine, state)
     return bool((~outcome.detached).any())
-
-
-def _reordered(outcome: Outcome, order: NDArray[np.int64]) -> Outcome:
-    return Outcome(*(getattr(outcome, name)[order] for name in Outcome.__dataclass_fields__))
 
 
 def _unload(machine: Machine, state: Harvest) -> None:

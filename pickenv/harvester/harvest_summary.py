@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.bootstrap import interval95, resampled
 from pickenv.errors import InputError
 from pickenv.harvester.harvest import Harvest, Round
 from pickenv.harvester.machine import Machine
 
 STAGES = ("present", "visible", "reachable", "attempted", "attached", "detached", "collected")
+ROUND_NUMBERS = ("makespan", "busy", "held", "waits", "parallel", "travel", "picks", "collisions")
 RESAMPLES = 1000
 
 
@@ -42,14 +43,6 @@ def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
     return total
 
 
-def funnel_by_arm(harvests: Sequence[Harvest], arms: int) -> dict[str, list[int]]:
-    """Fruit at each stage from the attempt on, by the arm that tried last."""
-    return {
-        stage: [sum(int((getattr(h, stage) & (h.by_arm == arm)).sum()) for h in harvests) for arm in range(arms)]
-        for stage in ("attempted", "attached", "detached", "collected")
-    }
-
-
 def summary(machine: Machine, harvests: Sequence[Harvest], rng: np.random.Generator) -> dict[str, Measure]:
     """Measures over trees, each with its interval.
 
@@ -62,24 +55,15 @@ def summary(machine: Machine, harvests: Sequence[Harvest], rng: np.random.Genera
     if not harvests:
         raise InputError("there is no harvest to sum up; work at least one tree")
     rounds = [[_round_numbers(machine, r) for r in h.rounds] for h in harvests]
-    columns = {
-        "collected": [float(h.collected.sum()) for h in harvests],
-        "reachable": [float(h.reachable.sum()) for h in harvests],
-        "present": [float(len(h.tree)) for h in harvests],
-        "seconds": [h.seconds for h in harvests],
-        "repicks": [float(h.repicks) for h in harvests],
-        "zones": [float(len(r)) for r in rounds],
-        "makespan": [sum(x["makespan"] for x in r) for r in rounds],
-        "busy": [sum(x["busy"] for x in r) for r in rounds],
-        "held": [sum(x["held"] for x in r) for r in rounds],
-        "waits": [sum(x["waits"] for x in r) for r in rounds],
-        "parallel": [sum(x["parallel"] for x in r) for r in rounds],
-        "travel": [sum(x["travel"] for x in r) for r in rounds],
-        "picks": [sum(x["picks"] for x in r) for r in rounds],
-        "collisions": [sum(x["collision"] for x in r) for r in rounds],
-        "closest": [min((x["closest"] for x in r), default=np.inf) for r in rounds],
+    table = {
+        "collected": np.array([float(h.collected.sum()) for h in harvests]),
+        "reachable": np.array([float(h.reachable.sum()) for h in harvests]),
+        "present": np.array([float(len(h.tree)) for h in harvests]),
+        "seconds": np.array([h.seconds for h in harvests]),
+        "repicks": np.array([float(h.repicks) for h in harvests]),
+        "zones": np.array([float(len(r)) for r in rounds]),
+        **{name: np.array([sum(x[name] for x in r) for r in rounds]) for name in ROUND_NUMBERS},
     }
-    table = {name: np.array(values) for name, values in columns.items()}
     n, arms = len(harvests), machine.arms
     whole = np.stack(list(table.values()), axis=1)
     sums = resampled(np.arange(n)[None], lambda trees: whole[trees].sum(axis=0), rng, RESAMPLES)
@@ -90,8 +74,6 @@ def summary(machine: Machine, harvests: Sequence[Harvest], rng: np.random.Genera
         low, high = interval95(make(replicates))
         return Measure(value, float(low), float(high))
 
-    closest = float(table["closest"].min())
-    nearest = Measure(closest, closest, float(table["closest"].max())) if np.isfinite(closest) else None
     found = {
         "recovery": measure(lambda t: _share(t["collected"], t["reachable"])),
         "harvested": measure(lambda t: _share(t["collected"], t["present"])),
@@ -106,8 +88,9 @@ def summary(machine: Machine, harvests: Sequence[Harvest], rng: np.random.Genera
         "repicks_per_tree": measure(lambda t: t["repicks"] / n),
         "collisions": measure(lambda t: t["collisions"] + 0.0),
     }
-    if nearest is not None:
-        found["closest"] = nearest
+    closest = [min((r.closest for r in h.rounds), default=np.inf) for h in harvests]
+    if np.isfinite(min(closest)):
+        found["closest"] = Measure(min(closest), min(closest), max(closest))
     return found
 
 
@@ -134,6 +117,5 @@ def _round_numbers(machine: Machine, r: Round) -> dict[str, float]:
         "parallel": float(lengths[out > 1].sum()),
         "travel": 2 * float(reach.sum()) + climbs,
         "picks": float(len(times.fruit)),
-        "collision": float(r.closest < 2 * machine.body.radius),
-        "closest": r.closest,
+        "collisions": float(r.closest < 2 * machine.body.radius),
     }

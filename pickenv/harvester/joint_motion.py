@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.harvester.machine import Machine
+from pickenv.arm import Array
+from pickenv.harvester.machine import SHIPPED, Machine, MachineFile
+from pickenv.toml_tables import read
 
 
 def travel_time(distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
@@ -63,3 +64,10 @@ def workspace(machine: Machine, count: int, rng: np.random.Generator) -> Array:
     """Cups of all slaves at joints drawn evenly within the limits: Fig. 8, (count, arms, 3)."""
     joints = rng.uniform(machine.lower, machine.upper, (count, machine.joints))
     return machine.tips(joints[:, :3], joints[:, 3:].reshape(count, machine.arms, 3))
+
+
+def dense_workspace() -> tuple[tuple[float, ...], ...]:
+    """Where Li 2016, Fig. 8, finds the cloud of reached points dense: ranges of x, y and z in the base frame, m."""
+    workspace = read(MachineFile, SHIPPED).workspace
+    assert workspace is not None, SHIPPED
+    return workspace.dense_x, workspace.dense_y, workspace.dense_z

@@ -10,16 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Arm, Geometry, Pose, forward, load_arm
-from pickenv.arm.files.arm_file import read_toml, refuse_unknown
-from pickenv.arm.files.tables import Table
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, Geometry, Pose, load_arm
 from pickenv.errors import InputError
+from pickenv.toml_tables import MM, SECONDS, WHOLE, Check, Key, Unit, read, toml_table
 
 SHIPPED = Path(__file__).parent / "li2016.toml"
 MOST_SLAVES = 6
@@ -28,7 +26,7 @@ ROUNDING = 1e-9
 Flags = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+@toml_table
 class Body:
     """A slave arm as an obstacle: a capsule around the line from its pivot to its cup.
 
@@ -38,9 +36,9 @@ class Body:
         guard: Distance between surfaces at which an ultrasonic sensor makes a side arm hold, m.
     """
 
-    radius: float
-    margin: float
-    guard: float
+    radius: Annotated[float, MM.positive]
+    margin: Annotated[float, MM.not_negative]
+    guard: Annotated[float, MM.not_negative]
 
     @property
     def clearance(self) -> float:
@@ -53,7 +51,7 @@ class Body:
         return 2 * self.radius + self.guard
 
 
-@dataclass(frozen=True)
+@toml_table
 class Cycle:
     """Times and lengths of a pick.
 
@@ -66,12 +64,12 @@ class Cycle:
         tube_fruit: Fruit that the tube of one arm holds.
     """
 
-    approach: float
-    sense: float
-    cut: float
-    image: float
-    unload: float
-    tube_fruit: int
+    approach: Annotated[float, MM.not_negative]
+    sense: Annotated[float, SECONDS.not_negative]
+    cut: Annotated[float, SECONDS.not_negative]
+    image: Annotated[float, SECONDS.not_negative]
+    unload: Annotated[float, SECONDS.not_negative]
+    tube_fruit: Annotated[int, WHOLE.positive]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,22 +138,17 @@ class Machine:
     @cached_property
     def lower(self) -> Array:
         """Lower limits of all joints, (3 + 3 arms,)."""
-        return np.concatenate([self.master.nominal.lower, *(slave.nominal.lower for slave in self.slaves)])
+        return np.concatenate([arm.nominal.lower for arm in (self.master, *self.slaves)])
 
     @cached_property
     def upper(self) -> Array:
         """Upper limits of all joints."""
-        return np.concatenate([self.master.nominal.upper, *(slave.nominal.upper for slave in self.slaves)])
+        return np.concatenate([arm.nominal.upper for arm in (self.master, *self.slaves)])
 
     @cached_property
     def speed(self) -> Array:
         """Largest speeds of all joints."""
-        return np.concatenate([self.master.speed, *(slave.speed for slave in self.slaves)])
-
-    @cached_property
-    def whole_arms(self) -> tuple[Geometry, ...]:
-        """For each slave the whole chain of six joints from base to cup, for the generic kinematics."""
-        return tuple(joined(self.master.nominal, slave.nominal) for slave in self.slaves)
+        return np.concatenate([arm.speed for arm in (self.master, *self.slaves)])
 
     def frame3(self, master: ArrayLike) -> Array:
         """Origin of frame 3 for master joints (..., 3): last column of eq (2)."""
@@ -214,34 +207,83 @@ class Machine:
 
     def within_limits(self, slave_joints: ArrayLike) -> Flags:
         """Whether slave joints (..., 3) are within the limits, (...)."""
-        q = np.asarray(slave_joints, dtype=float)
-        low, high = self.slave.lower - ROUNDING, self.slave.upper + ROUNDING
-        return np.asarray(((q >= low) & (q <= high)).all(axis=-1))
+        return _inside(self.slave, slave_joints)
 
     def master_within_limits(self, master_joints: ArrayLike) -> Flags:
         """Whether master joints (..., 3) are within the limits; NaN is not."""
-        q = np.asarray(master_joints, dtype=float)
-        low, high = self.master.nominal.lower - ROUNDING, self.master.nominal.upper + ROUNDING
-        return np.asarray(((q >= low) & (q <= high)).all(axis=-1))
+        return _inside(self.master.nominal, master_joints)
 
     def reach(self, master: ArrayLike, targets: ArrayLike) -> Flags:
         """Which slave reaches which target (..., n, 3) from master joints (..., 3): (..., arms, n)."""
         return self.within_limits(self.slave_inverse(master, targets))
 
 
-def joined(master: Geometry, slave: Geometry) -> Geometry:
-    """The serial chain of a master and the slave that it carries."""
-    tables: dict[str, Any] = {name: np.concatenate([getattr(master, name), getattr(slave, name)]) for name in _TABLES}
-    return replace(
-        master,
-        joint_names=master.joint_names + slave.joint_names,
-        prismatic=master.prismatic + slave.prismatic,
-        tool=slave.tool,
-        **tables,
-    )
+def _inside(geometry: Geometry, joints: ArrayLike) -> Flags:
+    """Whether joints (..., 3) are within the limits, (...); NaN is not."""
+    q = np.asarray(joints, dtype=float)
+    return np.asarray(((q >= geometry.lower - ROUNDING) & (q <= geometry.upper + ROUNDING)).all(axis=-1))
 
 
-_TABLES = ("alpha", "a", "theta", "d", "beta", "lower", "upper")
+ARM = Check(lambda value: isinstance(value, str), "the name of an arm or the path of an arm file")
+PLANT = Check(lambda value: isinstance(value, str), "the name of a plant or the path of a plant file")
+Seats = tuple[float, float, float, float, float, float]
+MM_PER_S2, DEG_PER_S2 = Unit("mm_per_s2", 1e-3).positive, Unit("deg_per_s2", np.pi / 180.0).positive
+
+
+@toml_table
+class MachineTable:
+    """[machine] of a machine file; see `Machine`."""
+
+    master: Annotated[str, ARM]
+    slave: Annotated[str, ARM]
+    slaves: Annotated[int, WHOLE]
+    spacing: Annotated[float, MM.positive]
+    base_height: Annotated[float, MM.not_negative]
+    master_start: Annotated[tuple[float, float, float], MM]
+    slave_home: Annotated[float, MM]
+
+
+@toml_table
+class AccelerationTable:
+    """[acceleration] of a machine file: the master's turn, its two slides, a slave's two slides, its turn."""
+
+    master_turn: Annotated[float, DEG_PER_S2, Key("master_deg_per_s2")]
+    master_slides: Annotated[tuple[float, float], MM_PER_S2, Key("master_mm_per_s2")]
+    slave_slides: Annotated[tuple[float, float], MM_PER_S2, Key("slave_mm_per_s2")]
+    slave_turn: Annotated[float, DEG_PER_S2, Key("slave_deg_per_s2")]
+
+
+@toml_table
+class TrueTable:
+    """[true] of a machine file; see `pickenv.harvester.true_machine.TrueMachine`."""
+
+    master: Annotated[str, PLANT]
+    slave: Annotated[str, PLANT]
+    seat_right: Annotated[Seats, MM]
+    seat_ahead: Annotated[Seats, MM]
+    seat_up: Annotated[Seats, MM]
+    repeatability: Annotated[float, MM.not_negative]
+
+
+@toml_table
+class WorkspaceTable:
+    """[workspace] of a machine file: where the cloud of reached points is dense, m, in the base frame."""
+
+    dense_x: Annotated[tuple[float, float], MM]
+    dense_y: Annotated[tuple[float, float], MM]
+    dense_z: Annotated[tuple[float, float], MM]
+
+
+@toml_table
+class MachineFile:
+    """What a machine file holds."""
+
+    machine: MachineTable
+    body: Body
+    acceleration: AccelerationTable
+    cycle: Cycle
+    workspace: WorkspaceTable | None = None
+    true: TrueTable | None = None
 
 
 def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spacing: float | None = None) -> Machine:
@@ -255,60 +297,33 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
     Raises:
         InputError: If a number is impossible, or neighbouring arms would meet at rest.
     """
-    path = Path(path)
-    content, where = read_toml(path), str(path)
-    refuse_unknown(content, ("machine", "body", "acceleration", "cycle", "true"), where, "a machine file")
-
-    def table(name: str, keys: tuple[str, ...]) -> Table:
-        return Table(content.get(name), name, where, keys)
-
-    head = table(
-        "machine",
-        ("master", "slave", "slaves", "spacing_mm", "base_height_mm", "master_start_mm", "slave_home_mm"),
-    )
-    count = head.number("slaves", positive=True) if slaves is None else slaves
+    file = read(MachineFile, path)
+    head, accelerations = file.machine, file.acceleration
+    count = head.slaves if slaves is None else slaves
     if count != int(count) or not 1 <= count <= MOST_SLAVES:
         raise InputError(f"a machine cannot have {count} slave arms; give a whole number from 1 to {MOST_SLAVES}")
-    between = head.number("spacing_mm", positive=True) * 1e-3 if spacing is None else float(spacing)
+    between = head.spacing if spacing is None else float(spacing)
     if not (np.isfinite(between) and between > 0):
         raise InputError(f"a slave spacing of {between} m is impossible; give a number above zero")
-    body = table("body", ("radius_mm", "margin_mm", "guard_mm"))
-    cycle = table("cycle", ("approach_mm", "sense_s", "cut_s", "image_s", "unload_s", "tube_fruit"))
-    acceleration = table(
-        "acceleration", ("master_deg_per_s2", "master_mm_per_s2", "slave_mm_per_s2", "slave_deg_per_s2")
-    )
-    rail, rack = (value * 1e-3 for value in acceleration.numbers("master_mm_per_s2", 2, positive=True))
-    slide, telescope = (value * 1e-3 for value in acceleration.numbers("slave_mm_per_s2", 2, positive=True))
-    turn = np.radians(acceleration.number("master_deg_per_s2", positive=True))
-    swing = np.radians(acceleration.number("slave_deg_per_s2", positive=True))
-    slave = load_arm(_name(head, "slave"))
+    slide, telescope = accelerations.slave_slides
+    slave = load_arm(head.slave)
     shifts = (np.arange(int(count)) - (int(count) - 1) / 2) * between
     machine = Machine(
-        master=load_arm(_name(head, "master")),
+        master=load_arm(head.master),
         slaves=tuple(shifted(slave, float(shift)) for shift in shifts),
         spacing=between,
         master_start=np.zeros(3),
-        slave_home=np.array([head.number("slave_home_mm", signed=True) * 1e-3, 0.0, float(slave.nominal.lower[2])]),
-        master_acceleration=np.array([turn, rail, rack]),
-        slave_acceleration=np.array([slide, swing, telescope]),
-        base_height=head.number("base_height_mm") * 1e-3,
-        body=Body(
-            body.number("radius_mm", positive=True) * 1e-3,
-            body.number("margin_mm") * 1e-3,
-            body.number("guard_mm") * 1e-3,
-        ),
-        cycle=Cycle(
-            approach=cycle.number("approach_mm") * 1e-3,
-            sense=cycle.number("sense_s"),
-            cut=cycle.number("cut_s"),
-            image=cycle.number("image_s"),
-            unload=cycle.number("unload_s"),
-            tube_fruit=int(cycle.number("tube_fruit", positive=True)),
-        ),
+        slave_home=np.array([head.slave_home, 0.0, float(slave.nominal.lower[2])]),
+        master_acceleration=np.array([accelerations.master_turn, *accelerations.master_slides]),
+        slave_acceleration=np.array([slide, accelerations.slave_turn, telescope]),
+        base_height=head.base_height,
+        body=file.body,
+        cycle=file.cycle,
     )
-    start = machine.master_inverse(np.array(head.numbers("master_start_mm", 3, signed=True)) * 1e-3)
+    start = machine.master_inverse(np.array(head.master_start))
     if not machine.master_within_limits(start):
-        raise head.fail("master_start_mm", "a point that the master reaches")
+        point = [round(value * 1e3, 6) for value in head.master_start]
+        raise InputError(f"{path}: master_start_mm of [machine] is {point}; give a point that the master reaches")
     refuse_touching_arms(machine)
     return replace(machine, master_start=start)
 
@@ -350,22 +365,6 @@ def composed(first: Pose, second: Pose) -> Pose:
     return Pose(first.position + turned, first.rotation @ second.rotation)
 
 
-def generic_tips(machine: Machine, master: ArrayLike, slaves: ArrayLike) -> Array:
-    """What `Machine.tips` gives, by the project's generic forward kinematics: the referee of eq (4)."""
-    master, slaves = np.asarray(master, dtype=float), np.asarray(slaves, dtype=float)
-    found = []
-    for i, chain in enumerate(machine.whole_arms):
-        here = np.broadcast_to(master, (*slaves.shape[:-2], 3))
-        found.append(forward(chain, np.concatenate([here, slaves[..., i, :]], axis=-1)).position)
-    return np.stack(found, axis=-2)
-
-
 def _wrapped(angle: Array) -> Array:
     """Angles in [-pi, pi)."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
-
-
-def _name(table: Table, key: str) -> Any:
-    if not isinstance(table.table.get(key), str):
-        raise table.fail(key, "the name of an arm or the path of an arm file")
-    return table.table[key]

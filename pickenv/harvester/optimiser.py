@@ -6,16 +6,15 @@ Both keep the no-overlap constraints of `Work.conflict`. Units: s.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from pickenv.arm.files.arm_file import read_toml
-from pickenv.arm.files.tables import Table
 from pickenv.errors import InputError
-from pickenv.harvester.assignment import hungarian_waves, lower_bound, nearest_neighbour
-from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain
+from pickenv.harvester.rules import hungarian_waves, lower_bound, nearest_neighbour
+from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain_lists
 from pickenv.harvester.zones import SHIPPED
+from pickenv.toml_tables import NUMBER, read, toml_table
 
 TICKS = 1000
 """CP-SAT counts whole milliseconds."""
@@ -33,7 +32,7 @@ def local_search(
         patience: Rounds, as a multiple of the strategy file's.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    lists = plain(work)
+    lists = plain_lists(work)
     starts = [_by_height(work), nearest_neighbour(work), hungarian_waves(work)]
     values = [makespan_of(lists, plan) for plan in starts]
     best = [list(fruit) for fruit in starts[int(np.argmin(values))]]
@@ -43,7 +42,7 @@ def local_search(
     limit = lower_bound(work, integral=False) if bound is None else bound
     reached = work.reached.tolist()
     current, here = [list(fruit) for fruit in best], value
-    rounds = int(_settings()[0] * patience) * count
+    rounds = int(_effort().rounds * patience) * count
     last = 0
     for step in range(rounds):
         if value <= limit * 1.01:
@@ -117,7 +116,7 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
     """
     limit = lower_bound(work)
     start = local_search(work, rng, bound=limit, patience=6.0)
-    lists = plain(work)
+    lists = plain_lists(work)
     value = makespan_of(lists, start)
     if sum(len(fruit) for fruit in start) < 2 or value <= limit * 1.01:
         return start
@@ -167,7 +166,7 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
         model.add_hint(literal, key[1] in start[key[0]])
     model.minimize(span)
     solver: Any = cp_model.CpSolver()
-    solver.parameters.max_time_in_seconds = _settings()[1] if seconds is None else seconds
+    solver.parameters.max_time_in_seconds = _effort().seconds if seconds is None else seconds
     solver.parameters.num_workers = 1
     solver.parameters.random_seed = 0
     if solver.solve(model) not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
@@ -184,7 +183,14 @@ def _ticks(seconds: float) -> int:
     return int(np.ceil(seconds * TICKS))
 
 
+@toml_table
+class Effort:
+    """[optimiser] of a strategy file: rounds of the local search per fruit, and seconds of CP-SAT."""
+
+    rounds: Annotated[float, NUMBER.positive]
+    seconds: Annotated[float, NUMBER.positive]
+
+
 @lru_cache(maxsize=1)
-def _settings() -> tuple[float, float]:
-    table = Table(read_toml(SHIPPED).get("optimiser"), "optimiser", str(SHIPPED), ("rounds", "seconds"))
-    return table.number("rounds", positive=True), table.number("seconds", positive=True)
+def _effort() -> Effort:
+    return read(Effort, SHIPPED, section="optimiser")

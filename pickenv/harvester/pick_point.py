@@ -9,16 +9,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.files.arm_file import read_toml
-from pickenv.arm.files.tables import Table
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.errors import InputError
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.zones import SHIPPED
+from pickenv.toml_tables import DEG, MM, NUMBER, WHOLE, read, toml_table
 
 METHODS = ("as_printed", "equations", "corrected", "search")
 
@@ -105,25 +105,6 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Pi
     return PickPoint(master, machine.frame3(master), machine.reach(master, fruit))
 
 
-def hold(machine: Machine, master: ArrayLike, fruit: ArrayLike | None = None) -> PickPoint:
-    """A pick point given by hand.
-
-    Raises:
-        InputError: If the master cannot stand there; names the joint.
-    """
-    master = np.asarray(master, dtype=float)
-    low, high = machine.master.nominal.lower, machine.master.nominal.upper
-    if not machine.master_within_limits(master):
-        worst = int(np.argmax(np.where(np.isfinite(master), np.maximum(low - master, master - high), np.inf)))
-        name = machine.master.nominal.joint_names[worst]
-        raise InputError(
-            f"the pick point is unreachable: {name} would be {master[worst]:.4g}, outside "
-            f"{low[worst]:.4g} to {high[worst]:.4g} (rad, m); choose a point inside the master's range"
-        )
-    some = np.zeros((0, 3)) if fruit is None else np.asarray(fruit, dtype=float)
-    return PickPoint(master, machine.frame3(master), machine.reach(master, some))
-
-
 def searched(machine: Machine, fruit: Array) -> Array:
     """Master joints from which most fruit is reached; of those, where the slaves move least.
 
@@ -145,7 +126,7 @@ def searched(machine: Machine, fruit: Array) -> Array:
     ahead = distance - machine.a4 - float(machine.slave.lower[2] + machine.slave.upper[2]) / 2
     heading = np.arctan2(middle[1], middle[0]) + np.arcsin(min(machine.a2 / distance, 1.0))
     best = np.clip([heading, 0.0, ahead], low, high)
-    width = settings.half_widths
+    width = np.array([settings.heading, settings.reach])
     for _ in range(2):
         axes = [np.linspace(-w, w, settings.steps) for w in width]
         turn, reach = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
@@ -154,7 +135,7 @@ def searched(machine: Machine, fruit: Array) -> Array:
         which, at = np.unravel_index(int(np.argmin(cost)), cost.shape)
         best = candidates[which].copy()
         best[1] = heights[at]
-        width = width * settings.keep
+        width = width * settings.keep_share
     return np.asarray(best)
 
 
@@ -189,18 +170,16 @@ def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray
     return np.asarray(-gained + 0.3 * (easiest @ within) / (1.5 * len(fruit)) - 0.3 * share)
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    half_widths: Array
-    steps: int
-    keep: float
+@toml_table
+class Search:
+    """[search] of a strategy file: half-widths of the first round, rad and m, its steps, and how much is kept."""
+
+    heading: Annotated[float, DEG.not_negative]
+    reach: Annotated[float, MM.not_negative]
+    steps: Annotated[int, WHOLE.positive]
+    keep_share: Annotated[float, NUMBER.positive]
 
 
 @lru_cache(maxsize=1)
-def _search() -> _Search:
-    keys = ("heading_deg", "reach_mm", "steps", "keep_share")
-    table = Table(read_toml(SHIPPED).get("search"), "search", str(SHIPPED), keys)
-    widths = [np.radians(table.number("heading_deg")), table.number("reach_mm") * 1e-3]
-    return _Search(
-        np.array(widths), int(table.number("steps", positive=True)), table.number("keep_share", positive=True)
-    )
+def _search() -> Search:
+    return read(Search, SHIPPED, section="search")

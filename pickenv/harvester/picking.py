@@ -9,35 +9,31 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.files.arm_file import read_toml
-from pickenv.arm.files.tables import Table
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
+from pickenv.arm import Array
 from pickenv.harvester.trees import SHIPPED
 from pickenv.orchard import Branch, Cup, coupling, load_branch, load_gripper, swing
+from pickenv.toml_tables import MM, NUMBER, SHARE, Key, Then, Unit, fault, read, toml_table
 
 Flags = NDArray[np.bool_]
-KEYS = (
-    "gripper",
-    "branch",
-    "gather_mm",
-    "localisation_mm",
-    "visibility",
-    "cup_outer_mm",
-    "cluster_success",
-    "cut_success",
-    "undamaged",
-    "push_mm",
-    "push_spread",
-    "lasting",
-)
 
 
-@dataclass(frozen=True)
+def _branch(name: str, _context: Any) -> Branch:
+    return load_branch(name)
+
+
+def _cup(name: str, _context: Any) -> Cup:
+    cup = load_gripper(name)
+    if not isinstance(cup, Cup):
+        raise fault("a cup: the harvester's end-effector closes around fruit from below")
+    return cup
+
+
+@toml_table
 class Picking:
     """The picking model; see picking.toml.
 
@@ -56,18 +52,18 @@ class Picking:
         lasting: Share of a push that stays.
     """
 
-    cup: Cup
-    branch: Branch
-    gather: float
-    localisation: tuple[float, float, float]
-    visibility: float
-    outer: float
-    cluster_success: float
-    cut_success: float
-    undamaged: float
-    push: float
-    push_spread: float
-    lasting: float
+    cup: Annotated[Cup, Key("gripper"), Then(_cup, str)]
+    branch: Annotated[Branch, Then(_branch, str)]
+    gather: Annotated[float, MM.positive]
+    localisation: Annotated[tuple[float, float, float], MM.not_negative]
+    visibility: Annotated[float, SHARE]
+    outer: Annotated[float, Key("cup_outer_mm"), Unit("mm", 0.5e-3, most=MM.most).positive]
+    cluster_success: Annotated[float, SHARE]
+    cut_success: Annotated[float, SHARE]
+    undamaged: Annotated[float, SHARE]
+    push: Annotated[float, MM.not_negative]
+    push_spread: Annotated[float, NUMBER.not_negative]
+    lasting: Annotated[float, SHARE]
 
 
 @lru_cache(maxsize=4)
@@ -77,26 +73,33 @@ def load_picking(path: str | Path = SHIPPED) -> Picking:
     Raises:
         InputError: If a number is impossible or the gripper is not a cup.
     """
-    table = Table(read_toml(Path(path)).get("pick"), "pick", str(path), KEYS)
-    cup = load_gripper(str(table.table.get("gripper")))
-    if not isinstance(cup, Cup):
-        raise table.fail("gripper", "a cup: the harvester's end-effector closes around fruit from below")
-    shares = {}
-    for key in ("visibility", "cluster_success", "cut_success", "undamaged", "lasting"):
-        shares[key] = table.number(key)
-        if shares[key] > 1:
-            raise InputError(f"{path}: {key} of [pick] is {shares[key]}; give a share from 0 to 1")
-    x, y, z = (value * 1e-3 for value in table.numbers("localisation_mm", 3))
-    return Picking(
-        cup=cup,
-        branch=load_branch(str(table.table.get("branch"))),
-        gather=table.number("gather_mm", positive=True) * 1e-3,
-        localisation=(x, y, z),
-        outer=table.number("cup_outer_mm", positive=True) * 0.5e-3,
-        push=table.number("push_mm") * 1e-3,
-        push_spread=table.number("push_spread"),
-        **shares,
-    )
+    return read(Picking, path, section="pick")
+
+
+class Luck(NamedTuple):
+    """What chance decides about attempts; each (picks,).
+
+    Attributes:
+        grasp: Uniform: whether the cup takes the fruit.
+        cluster: Uniform: whether it does although another fruit is in its way.
+        cut: Uniform: whether the blade meets the stalk.
+        whole: Uniform: whether the fruit stays whole.
+        push: Standard normal: how hard the cup pushes the foliage.
+        heading: Which way, rad.
+    """
+
+    grasp: Array
+    cluster: Array
+    cut: Array
+    whole: Array
+    push: Array
+    heading: Array
+
+
+def draw_luck(rng: np.random.Generator, count: int) -> Luck:
+    """Six numbers for each of ``count`` attempts."""
+    grasp, cluster, cut, whole = rng.random((count, 4)).T
+    return Luck(grasp, cluster, cut, whole, rng.normal(size=count), rng.uniform(0.0, 2 * np.pi, count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,14 +124,7 @@ class Outcome:
 
 
 def attempt(
-    model: Picking,
-    tips: Array,
-    fruit: Array,
-    diameters: Array,
-    masses: Array,
-    entry: Array,
-    others: Array,
-    rng: np.random.Generator,
+    model: Picking, tips: Array, fruit: Array, moved: Array, diameters: Array, others: Array, luck: Luck
 ) -> Outcome:
     """Let cups go to fruit, one after another.
 
@@ -136,37 +132,33 @@ def attempt(
         model: The picking model.
         tips: True cups at the end of their rise, (picks, 3).
         fruit: True fruit at rest, (picks, 3).
+        moved: How far pushes have moved each when its cup comes, (picks, 3).
         diameters: (picks,).
-        masses: kg, (picks,).
-        entry: Times at which the cups go in, ascending, (picks,).
         others: Fruit that hangs and is not attempted here, (m, 3).
-        rng: Draws seven numbers a pick.
+        luck: What chance decides.
     """
     n = len(tips)
-    draws = rng.random((n, 4))
-    push = model.push * np.exp(model.push_spread * rng.normal(size=n))
-    heading = rng.uniform(0.0, 2 * np.pi, n)
-    moved = displacements(model, fruit, masses, entry, push, heading)
     offset = fruit + moved - tips
     lateral = np.hypot(offset[:, 0], offset[:, 1])
     clearance = (model.cup.opening - diameters) / 2
     taken = np.clip(1.0 - (lateral - clearance) / model.gather, 0.0, 1.0) * (np.abs(offset[:, 2]) <= model.cup.axial)
-    taken = np.where(clearance < 0, 0.0, taken)
+    alone = luck.grasp < np.where(clearance < 0, 0.0, taken)
+    cut = luck.cut < model.cut_success
     attached = np.zeros(n, dtype=bool)
     crowded = np.zeros(n, dtype=bool)
     hanging = np.ones(n, dtype=bool)
     for i in range(n):  # in order: what an earlier cup has taken is out of the way of a later one
         near = np.concatenate([fruit[hanging & (np.arange(n) != i)], others])
         crowded[i] = bool(in_the_way(model, fruit[i], float(diameters[i]), near).any())
-        attached[i] = draws[i, 0] < taken[i] and (not crowded[i] or draws[i, 1] < model.cluster_success)
-        hanging[i] = not (attached[i] and draws[i, 2] < model.cut_success)
-    detached = attached & (draws[:, 2] < model.cut_success)
+        attached[i] = alone[i] and (not crowded[i] or luck.cluster[i] < model.cluster_success)
+        hanging[i] = not (attached[i] and cut[i])
+    detached = attached & cut
     return Outcome(
         lateral=lateral,
         displaced=np.linalg.norm(moved, axis=-1),
         attached=attached,
         detached=detached,
-        collected=detached & (draws[:, 3] < model.undamaged),
+        collected=detached & (luck.whole < model.undamaged),
         crowded=crowded,
     )
 
@@ -178,18 +170,31 @@ def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Fl
     return np.asarray((level < model.outer + diameter / 2) & (away[:, 2] < diameter) & (away[:, 2] > -3 * diameter))
 
 
-def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, push: Array, heading: Array) -> Array:
+def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
+    """How far each cup that goes to ``fruit`` (picks, 3) at once displaces ``others`` (m, 3): (picks, m, 3).
+
+    It falls off with distance. The share `lasting` stays; the rest swings as the branch does, and dies away.
+    """
+    push = model.push * np.exp(model.push_spread * luck.push)
+    distance = np.linalg.norm(fruit[:, None] - others[None], axis=-1)
+    way = np.stack([np.cos(luck.heading), np.sin(luck.heading), np.zeros(len(fruit))], axis=-1)
+    return np.asarray((coupling(model.branch, distance) * push[:, None])[..., None] * way[:, None])
+
+
+def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, luck: Luck) -> Array:
     """How far earlier cups have moved each fruit when its own cup comes, (picks, 3).
 
-    A push falls off with distance from the fruit that the cup went to; the swinging part dies away, the rest stays.
+    Args:
+        model: The picking model.
+        fruit: True fruit at rest, (picks, 3).
+        masses: kg, (picks,).
+        entry: Times at which the cups go in, ascending, (picks,), s.
+        luck: What chance decides.
     """
     n = len(fruit)
     if n < 2:
         return np.zeros((n, 3))
     wait = entry[None, :] - entry[:, None]  # from push i to cup j
-    earlier = wait > 0
-    distance = np.linalg.norm(fruit[:, None] - fruit[None], axis=-1)
-    way = np.stack([np.cos(heading), np.sin(heading), np.zeros(n)], axis=-1)
-    start = (coupling(model.branch, distance) * push[:, None] * earlier)[..., None] * way[:, None]
+    start = pushes(model, fruit, fruit, luck) * (wait > 0)[..., None]
     swung, _ = swing(model.branch, start, np.zeros_like(start), np.broadcast_to(masses, (n, n)), np.maximum(wait, 0.0))
     return np.asarray((model.lasting * start + (1 - model.lasting) * swung).sum(axis=0))

@@ -10,7 +10,7 @@ from multiprocessing import get_context
 import numpy as np
 
 from pickenv.errors import InputError
-from pickenv.harvester.harvest import Harvest, Strategy, harvest, pick_images
+from pickenv.harvester.harvest import Harvest, Strategy, harvest
 from pickenv.harvester.picking import Picking
 from pickenv.harvester.trees import Orchard, Tree, sample_image, sample_tree
 from pickenv.harvester.true_machine import TrueMachine
@@ -68,4 +68,4 @@ def work_images(true: TrueMachine, strategy: Strategy, model: Picking, *, count:
     """Li's experiment: ``count`` images of seven fruit in reach of the *paper's* pick point, each picked once."""
     drawn, happening = _generators(np.random.SeedSequence(seed).spawn(count))
     images: list[Tree] = [sample_image(true.machine, rng) for rng in drawn]
-    return pick_images(true, strategy, model, images, happening)
+    return harvest(true, strategy, model, images, happening, Grid(1, 1, 1e-6))

@@ -8,12 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from pickenv.arm.files.arm_file import read_toml
-from pickenv.arm.files.tables import Table
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.errors import InputError
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.pick_point import pick_point
@@ -28,6 +27,7 @@ from pickenv.orchard import (
     load_fruit_size,
     sample_fruit,
 )
+from pickenv.toml_tables import MM, NUMBER, WHOLE, read, toml_table
 
 SHIPPED = Path(__file__).parent / "picking.toml"
 TRIES = 1000
@@ -62,6 +62,27 @@ class Orchard:
     size: FruitSize
 
 
+@toml_table
+class TreesTable:
+    """[trees] of a picking file: presets of `pickenv.orchard`, and fruit per metre of row."""
+
+    canopy: str
+    fruit_map: str
+    fruit_size: str
+    per_metre: Annotated[float, NUMBER.not_negative]
+
+
+@toml_table
+class Lab:
+    """[lab] of a picking file: images, fruit in each, size of the image and least distance of fruit, m."""
+
+    runs: Annotated[int, WHOLE.positive]
+    fruit: Annotated[int, WHOLE.positive]
+    width: Annotated[float, MM.positive]
+    height: Annotated[float, MM.positive]
+    apart: Annotated[float, MM.positive]
+
+
 def load_orchard(
     path: str | Path = SHIPPED, *, per_metre: float | None = None, fruit_map: str | None = None
 ) -> Orchard:
@@ -72,13 +93,9 @@ def load_orchard(
         per_metre: Fruit per metre of row instead of the file's.
         fruit_map: A fruit map of `pickenv.orchard` instead of the file's; "v_trellis" hangs fruit in clusters of three.
     """
-    table = Table(
-        read_toml(Path(path)).get("trees"), "trees", str(path), ("canopy", "fruit_map", "fruit_size", "per_metre")
-    )
-    density = table.number("per_metre") if per_metre is None else per_metre
-    names = {key: str(table.table.get(key)) for key in ("canopy", "fruit_map", "fruit_size")}
-    where = load_fruit_map(fruit_map or names["fruit_map"]).scaled(density)
-    return Orchard(load_canopy(names["canopy"]), where, load_fruit_size(names["fruit_size"]))
+    trees = read(TreesTable, path, section="trees")
+    where = load_fruit_map(fruit_map or trees.fruit_map).scaled(trees.per_metre if per_metre is None else per_metre)
+    return Orchard(load_canopy(trees.canopy), where, load_fruit_size(trees.fruit_size))
 
 
 def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) -> Tree:
@@ -98,18 +115,16 @@ def in_base_frame(machine: Machine, canopy: Canopy, fruit: Fruit) -> Array:
     return np.stack([-x, -(y + canopy.standoff), z - machine.base_height], axis=-1)
 
 
-@lru_cache(maxsize=4)
-def _lab(path: Path) -> tuple[int, int, float, float, float]:
-    keys = ("runs", "fruit", "width_mm", "height_mm", "apart_mm")
-    table = Table(read_toml(path).get("lab"), "lab", str(path), keys)
-    runs, fruit = (int(table.number(key, positive=True)) for key in keys[:2])
-    wide, high, apart = (table.number(key, positive=True) * 1e-3 for key in keys[2:])
-    return runs, fruit, wide, high, apart
+@lru_cache(maxsize=1)
+def load_lab() -> Lab:
+    """Read Li's experiment."""
+    return read(Lab, SHIPPED, section="lab")
 
 
-def lab_runs() -> int:
-    """Images in Li's experiment."""
-    return _lab(SHIPPED)[0]
+def lab_zone(canopy: Canopy) -> Array:
+    """Width, depth and height of what an image of Li's lab shows, m, (3,)."""
+    lab = load_lab()
+    return np.array([lab.width, canopy.depth, lab.height])
 
 
 def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corrected") -> Tree:
@@ -118,15 +133,16 @@ def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corr
     Raises:
         InputError: If a thousand draws give none: the machine reaches too little.
     """
-    _, count, wide, high, apart = _lab(SHIPPED)
+    lab = load_lab()
+    count, wide, high = lab.fruit, lab.width, lab.height
     canopy, size = load_canopy("li2016"), load_fruit_size("li2016")
     low, top = canopy.bottom - machine.base_height, canopy.top - machine.base_height
     for _ in range(TRIES):
         x = rng.uniform(-(canopy.width - wide) / 2, (canopy.width - wide) / 2) / 2
         z = rng.uniform(low, top - high)
         corner = np.array([x - wide / 2, -canopy.standoff - canopy.depth, z])
-        fruit = corner + np.array([wide, canopy.depth, high]) * rng.random((count, 3))
-        if count > 1 and _least_distance(fruit) < apart:
+        fruit = corner + lab_zone(canopy) * rng.random((count, 3))
+        if count > 1 and _least_distance(fruit) < lab.apart:
             continue
         point = pick_point(machine, fruit, method)
         if machine.master_within_limits(point.master) and point.count == count:

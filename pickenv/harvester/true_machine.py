@@ -14,13 +14,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Geometry, Plant, Pose, forward, load_plant
-from pickenv.arm.files.arm_file import read_toml, refuse_unknown
-from pickenv.arm.files.tables import Table
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry, Plant, Pose, forward, load_plant
 from pickenv.arm.plant.plant import EFFECTS
 from pickenv.errors import InputError
-from pickenv.harvester.machine import MOST_SLAVES, SHIPPED, Machine, composed, shifted
+from pickenv.harvester.machine import SHIPPED, Machine, MachineFile, composed, shifted
+from pickenv.toml_tables import read
 
 ROUNDS = 3
 """Corrections; each leaves a hundredth of what was before."""
@@ -179,27 +177,20 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
     Raises:
         InputError: If a number is impossible or a plant is not that of the machine's arm.
     """
-    keys = ("master", "slave", "seat_right_mm", "seat_ahead_mm", "seat_up_mm", "repeatability_mm")
-    content = read_toml(Path(path))
-    refuse_unknown(content, ("machine", "body", "acceleration", "cycle", "true"), str(path), "a machine file")
-    table = Table(content.get("true"), "true", str(path), keys)
-    plants: list[Plant] = []
-    for key in ("master", "slave"):
-        if not isinstance(table.table.get(key), str):
-            raise table.fail(key, "the name of a plant or the path of a plant file")
-        plants.append(load_plant(table.table[key]))
-    master, slave = plants
+    table = read(MachineFile, path).true
+    if table is None:
+        raise InputError(f"{path}: section [true] is missing; name the plants of master and slave there")
+    master, slave = load_plant(table.master), load_plant(table.slave)
     if master.arm.fingerprint() != machine.master.fingerprint():
         raise InputError(f"{path}: plant '{master.name}' is not one of arm '{machine.master.name}'")
-    right, ahead, up = (table.numbers(f"seat_{axis}_mm", MOST_SLAVES, signed=True) for axis in ("right", "ahead", "up"))
     return TrueMachine(
         machine=machine,
         master=master,
         slaves=tuple(
-            _seated(slave, float(machine.offsets[i]), right[i] * 1e-3, ahead[i] * 1e-3, up[i] * 1e-3)
+            _seated(slave, float(machine.offsets[i]), table.seat_right[i], table.seat_ahead[i], table.seat_up[i])
             for i in range(machine.arms)
         ),
-        repeatability=table.number("repeatability_mm") * 1e-3,
+        repeatability=table.repeatability,
     )
 
 

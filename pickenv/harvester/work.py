@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.harvester.interference import excursion_distances
 from pickenv.harvester.joint_motion import travel_time
 from pickenv.harvester.machine import Machine
@@ -122,7 +122,7 @@ def timetable(work: Work, plan: Plan, *, guard: bool = False) -> Timetable:
         guard: Li's rule: side arms (even numbers, from 0) also hold while a middle arm (odd) is within the guard
             distance, and the middle arm goes first.
     """
-    rows = _schedule(_lists(work, guard), plan)
+    rows = _schedule(plain_lists(work, guard), plan)
     columns = np.array(rows, dtype=float).reshape(-1, 5)
     ends = columns[:, 3]
     return Timetable(
@@ -146,7 +146,8 @@ class Lists:
     guard: bool
 
 
-def _lists(work: Work, guard: bool) -> Lists:
+def plain_lists(work: Work, guard: bool = False) -> Lists:
+    """The work as plain lists, for many calls of `makespan_of`; ``guard`` as in `timetable`."""
     barred = work.conflict
     if guard:
         odd = np.arange(work.arms) % 2 == 1
@@ -200,8 +201,3 @@ def last_arm(lists: Lists, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
     """Makespan of a plan, and the arm that ends it."""
     row = max(_schedule(lists, plan), key=lambda row: row[3])
     return row[3], row[0]
-
-
-def plain(work: Work, guard: bool = False) -> Lists:
-    """The work as plain lists, for many calls of `makespan_of`."""
-    return _lists(work, guard)

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.files.arm_file import read_toml
-from pickenv.arm.files.tables import Table
-from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
+from pickenv.toml_tables import MM, WHOLE, read, toml_table
 
 SHIPPED = Path(__file__).parent / "strategy.toml"
 
@@ -44,7 +43,7 @@ class Zone:
         return np.asarray((x >= self.left) & (x <= self.right) & (z >= self.bottom) & (z <= self.top))
 
 
-@dataclass(frozen=True)
+@toml_table
 class Grid:
     """How a tree's side is cut.
 
@@ -54,16 +53,14 @@ class Grid:
         overlap: How far neighbouring zones overlap, m.
     """
 
-    columns: int
-    rows: int
-    overlap: float
+    columns: Annotated[int, WHOLE.positive]
+    rows: Annotated[int, WHOLE.positive]
+    overlap: Annotated[float, MM.not_negative]
 
 
 def load_grid(path: str | Path = SHIPPED) -> Grid:
     """Read the grid from a strategy file."""
-    table = Table(read_toml(Path(path)).get("zones"), "zones", str(path), ("columns", "rows", "overlap_mm"))
-    columns, rows = (int(table.number(key, positive=True)) for key in ("columns", "rows"))
-    return Grid(columns, rows, table.number("overlap_mm") * 1e-3)
+    return read(Grid, path, section="zones")
 
 
 def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> list[Zone]:
@@ -97,8 +94,3 @@ def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> lis
                 Zone(f"row {row + 1}, column {column + 1}", x - half, x + wide + half, z - half, z + high + half)
             )
     return zones
-
-
-def border_fruit(zones: list[Zone], positions: Array) -> NDArray[np.bool_]:
-    """Fruit (n, 3) that more than one zone's image shows."""
-    return np.asarray(np.sum([zone.holds(positions) for zone in zones], axis=0) > 1)

@@ -1,145 +1,81 @@
 """The orchard: fruit and canopy, what cameras see of it, what grippers forgive, and how fruit swings and comes off."""
 
-from pickenv.orchard.branch import Branch, coupling, load_branch, natural_frequencies, pushed, settling_time, swing
-from pickenv.orchard.camera import (
-    DRAWS,
-    SUNLIGHT,
-    Camera,
-    camera_frame,
-    depth_bias,
-    depth_noise,
-    detect,
-    detection_probability,
-    in_image,
-    load_camera,
-    measured_positions,
-    orchard_frame,
-    stereo_depth_noise,
-)
-from pickenv.orchard.canopy import (
-    Canopy,
-    approach_direction,
-    depth_behind_face,
-    face,
-    foliage_path,
-    foliage_transmission,
-    in_canopy,
-    load_canopy,
-)
-from pickenv.orchard.detachment import (
-    Detachment,
-    Strength,
-    detached,
-    detachment_probability,
-    load_detachment,
-    sample_strength,
-    stem_ends,
-)
-from pickenv.orchard.detections import Detections, match_detections
-from pickenv.orchard.fruit import (
-    Clumping,
-    FruitMap,
-    FruitSize,
-    clumping,
-    fit_fruit_map,
-    fruit_masses,
-    load_fruit_map,
-    load_fruit_size,
-    sample_counts,
-    sample_diameters,
-)
-from pickenv.orchard.gripper import (
-    CompliantHand,
-    Cup,
-    Gripper,
-    Misalignment,
-    capture_probability,
-    captured,
-    load_gripper,
-    misalignment,
-)
-from pickenv.orchard.occlusion import Occlusion, approach_clear, occlusion, reachable
-from pickenv.orchard.placement import Fruit, sample_fruit
-from pickenv.orchard.presets import shipped
-from pickenv.orchard.render import Look, StereoPair, load_look, render_stereo, sample_leaves
-from pickenv.orchard.stereo import StereoCamera, load_stereo_camera, project, triangulate
-from pickenv.orchard.vision import Regions, fruit_mask, fruit_regions, locate, red_minus_green
+from types import ModuleType as _ModuleType
 
-__all__ = [
-    "DRAWS",
-    "SUNLIGHT",
-    "Branch",
-    "Camera",
-    "Canopy",
-    "Clumping",
-    "CompliantHand",
-    "Cup",
-    "Detachment",
-    "Detections",
-    "Fruit",
-    "FruitMap",
-    "FruitSize",
-    "Gripper",
-    "Look",
-    "Misalignment",
-    "Occlusion",
-    "Regions",
-    "StereoCamera",
-    "StereoPair",
-    "Strength",
-    "approach_clear",
-    "approach_direction",
-    "camera_frame",
-    "capture_probability",
-    "captured",
-    "clumping",
-    "coupling",
-    "depth_behind_face",
-    "depth_bias",
-    "depth_noise",
-    "detached",
-    "detachment_probability",
-    "detect",
-    "detection_probability",
-    "face",
-    "fit_fruit_map",
-    "foliage_path",
-    "foliage_transmission",
-    "fruit_mask",
-    "fruit_masses",
-    "fruit_regions",
-    "in_canopy",
-    "in_image",
-    "load_branch",
-    "load_camera",
-    "load_canopy",
-    "load_detachment",
-    "load_fruit_map",
-    "load_fruit_size",
-    "load_gripper",
-    "load_look",
-    "load_stereo_camera",
-    "locate",
-    "match_detections",
-    "measured_positions",
-    "misalignment",
-    "natural_frequencies",
-    "occlusion",
-    "orchard_frame",
-    "project",
-    "pushed",
-    "reachable",
-    "red_minus_green",
-    "render_stereo",
-    "sample_counts",
-    "sample_diameters",
-    "sample_fruit",
-    "sample_leaves",
-    "sample_strength",
-    "settling_time",
-    "shipped",
-    "stem_ends",
-    "stereo_depth_noise",
-    "swing",
-    "triangulate",
-]
+from pickenv.orchard.branch import Branch as Branch
+from pickenv.orchard.branch import coupling as coupling
+from pickenv.orchard.branch import load_branch as load_branch
+from pickenv.orchard.branch import natural_frequencies as natural_frequencies
+from pickenv.orchard.branch import pushed as pushed
+from pickenv.orchard.branch import settling_time as settling_time
+from pickenv.orchard.branch import swing as swing
+from pickenv.orchard.camera import DRAWS as DRAWS
+from pickenv.orchard.camera import Camera as Camera
+from pickenv.orchard.camera import camera_frame as camera_frame
+from pickenv.orchard.camera import depth_bias as depth_bias
+from pickenv.orchard.camera import depth_noise as depth_noise
+from pickenv.orchard.camera import detect as detect
+from pickenv.orchard.camera import detection_probability as detection_probability
+from pickenv.orchard.camera import in_image as in_image
+from pickenv.orchard.camera import load_camera as load_camera
+from pickenv.orchard.camera import measured_positions as measured_positions
+from pickenv.orchard.camera import orchard_frame as orchard_frame
+from pickenv.orchard.camera import stereo_depth_noise as stereo_depth_noise
+from pickenv.orchard.canopy import Canopy as Canopy
+from pickenv.orchard.canopy import approach_direction as approach_direction
+from pickenv.orchard.canopy import depth_behind_face as depth_behind_face
+from pickenv.orchard.canopy import face as face
+from pickenv.orchard.canopy import foliage_path as foliage_path
+from pickenv.orchard.canopy import foliage_transmission as foliage_transmission
+from pickenv.orchard.canopy import in_canopy as in_canopy
+from pickenv.orchard.canopy import load_canopy as load_canopy
+from pickenv.orchard.detachment import Detachment as Detachment
+from pickenv.orchard.detachment import Strength as Strength
+from pickenv.orchard.detachment import detached as detached
+from pickenv.orchard.detachment import detachment_probability as detachment_probability
+from pickenv.orchard.detachment import load_detachment as load_detachment
+from pickenv.orchard.detachment import sample_strength as sample_strength
+from pickenv.orchard.detachment import stem_ends as stem_ends
+from pickenv.orchard.detections import Detections as Detections
+from pickenv.orchard.detections import match_detections as match_detections
+from pickenv.orchard.fruit import Clumping as Clumping
+from pickenv.orchard.fruit import FruitMap as FruitMap
+from pickenv.orchard.fruit import FruitSize as FruitSize
+from pickenv.orchard.fruit import clumping as clumping
+from pickenv.orchard.fruit import fit_fruit_map as fit_fruit_map
+from pickenv.orchard.fruit import fruit_masses as fruit_masses
+from pickenv.orchard.fruit import load_fruit_map as load_fruit_map
+from pickenv.orchard.fruit import load_fruit_size as load_fruit_size
+from pickenv.orchard.fruit import sample_counts as sample_counts
+from pickenv.orchard.fruit import sample_diameters as sample_diameters
+from pickenv.orchard.gripper import CompliantHand as CompliantHand
+from pickenv.orchard.gripper import Cup as Cup
+from pickenv.orchard.gripper import Gripper as Gripper
+from pickenv.orchard.gripper import Misalignment as Misalignment
+from pickenv.orchard.gripper import capture_probability as capture_probability
+from pickenv.orchard.gripper import load_gripper as load_gripper
+from pickenv.orchard.gripper import misalignment as misalignment
+from pickenv.orchard.occlusion import Occlusion as Occlusion
+from pickenv.orchard.occlusion import approach_clear as approach_clear
+from pickenv.orchard.occlusion import occlusion as occlusion
+from pickenv.orchard.placement import Fruit as Fruit
+from pickenv.orchard.placement import sample_fruit as sample_fruit
+from pickenv.orchard.preset_files import shipped as shipped
+from pickenv.orchard.render import Look as Look
+from pickenv.orchard.render import StereoPair as StereoPair
+from pickenv.orchard.render import load_look as load_look
+from pickenv.orchard.render import render_stereo as render_stereo
+from pickenv.orchard.render import sample_leaves as sample_leaves
+from pickenv.orchard.station import Station as Station
+from pickenv.orchard.station import load_station as load_station
+from pickenv.orchard.stereo import StereoCamera as StereoCamera
+from pickenv.orchard.stereo import load_stereo_camera as load_stereo_camera
+from pickenv.orchard.stereo import project as project
+from pickenv.orchard.stereo import triangulate as triangulate
+from pickenv.orchard.vision import Regions as Regions
+from pickenv.orchard.vision import fruit_mask as fruit_mask
+from pickenv.orchard.vision import fruit_regions as fruit_regions
+from pickenv.orchard.vision import locate as locate
+from pickenv.orchard.vision import red_minus_green as red_minus_green
+
+__all__ = sorted(name for name, value in globals().items() if name[0] != "_" and not isinstance(value, _ModuleType))

@@ -6,19 +6,18 @@ solved exactly, whatever their length. Units: m, s, N, kg. Axes as in canopy.py:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.orchard import checks, presets
-from pickenv.orchard.checks import Array
+from pickenv.orchard import checks, preset_files
+from pickenv.orchard.checks import MM, Array
+from pickenv.toml_tables import GRAVITY, KG, NUMBER, Unit, toml_table
 
-GRAVITY = 9.80665  # m/s², standard
 
-
-@dataclass(frozen=True)
+@toml_table
 class Branch:
     """What fruit hangs from.
 
@@ -29,36 +28,24 @@ class Branch:
         wood: Mass of wood that moves with the fruit, kg.
         damping_ratio: Share of critical damping.
         coupling: Distance over which a push on one fruit falls to 1/e at its neighbours, m.
+        source: Where its numbers come from.
     """
 
-    pendulum: float
-    stiffness_sideways: float
-    stiffness_upright: float
-    wood: float
-    damping_ratio: float
-    coupling: float
+    pendulum: Annotated[float, MM.positive]
+    stiffness_sideways: Annotated[float, Unit("N_per_m").not_negative]
+    stiffness_upright: Annotated[float, Unit("N_per_m").positive]
+    wood: Annotated[float, KG.not_negative]
+    damping_ratio: Annotated[float, NUMBER.not_negative]
+    coupling: Annotated[float, MM.positive]
+    source: str = ""
 
     def __post_init__(self) -> None:
-        for key in ("pendulum", "stiffness_upright", "coupling"):
-            checks.positive(f"the {key} of a branch", getattr(self, key))
-        for key in ("stiffness_sideways", "wood", "damping_ratio"):
-            checks.not_negative(f"the {key} of a branch", getattr(self, key))
+        checks.bounded("a branch", self)
 
 
 def load_branch(name: str | Path) -> Branch:
     """Read a branch by name (`shipped("branch")`) or from a path to a TOML file."""
-    return presets.load(
-        "branch",
-        name,
-        lambda p: Branch(
-            pendulum=p.number("pendulum_mm"),
-            stiffness_sideways=p.number("stiffness_sideways_N_per_m"),
-            stiffness_upright=p.number("stiffness_upright_N_per_m"),
-            wood=p.number("wood_kg"),
-            damping_ratio=p.number("damping_ratio"),
-            coupling=p.number("coupling_mm"),
-        ),
-    )
+    return preset_files.load("branch", name, Branch)
 
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:

@@ -7,22 +7,24 @@ r/2. Fruit drops out as it disappears. Units: m, px, lx.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, fields
 from pathlib import Path
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
-from pickenv.orchard.checks import Array, Flags
+from pickenv.orchard import checks, preset_files
+from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.detections import Detections
+from pickenv.toml_tables import LX, NUMBER, PX, REQUIRED, SHARE, WHOLE_PX, Kinds, Unit, toml_table
 
 DRAWS = 5  # normal numbers per measurement: three of noise, two for the side from which leaves hide the fruit
-SUNLIGHT = 100_000.0  # lx, a clear day
 
 
-@dataclass(frozen=True)
+@toml_table
 class Camera:
     """A camera as an error model.
 
@@ -33,9 +35,9 @@ class Camera:
         image: Width and height, px.
         nearest: Least distance it measures, m.
         farthest: Largest distance it measures, m.
-        depth_noise_floor: Part of the depth noise that does not grow with distance, m.
         depth_noise: Depth noise at 1 m, growing with the square of distance, 1/m.
         pixel_noise: Noise of a centroid in the image, px.
+        depth_noise_floor: Part of the depth noise that does not grow with distance, m.
         noise_light: Light at which the depth noise holds, lx.
         noise_growth: Growth of depth noise with light, exp(growth × (light − noise_light)), 1/lx.
         bias: Mean error along the line of sight at ``bias_distance`` and ``bias_light``, m; positive is too far.
@@ -48,53 +50,78 @@ class Camera:
         found_above: Visible share above which only ``dropout`` loses it; linear between the two.
         occlusion_pull: Largest pull of the centroid to the visible side, in radii.
         false_detections: Mean number of detections per image where there is no fruit.
+        light: Light in which it is used, unless told otherwise, lx.
     """
 
     name: str
     source: str
-    focal_length: float
-    image: tuple[int, int]
-    nearest: float
-    farthest: float
-    depth_noise_floor: float
-    depth_noise: float
-    pixel_noise: float
-    noise_light: float = 0.0
-    noise_growth: float = 0.0
-    bias: float = 0.0
-    bias_distance: float = 0.0
-    bias_light: float = 0.0
-    bias_per_distance: float = 0.0
-    bias_per_light: float = 0.0
-    dropout: float = 0.0
-    lost_below: float = 0.0
-    found_above: float = 0.0
-    occlusion_pull: float = 0.0
-    false_detections: float = 0.0
+    focal_length: Annotated[float, PX.positive]
+    image: Annotated[tuple[int, int], WHOLE_PX.at_least(1)]
+    nearest: Annotated[float, MM.positive]
+    farthest: Annotated[float, MM]
+    depth_noise: Annotated[float, Unit("mm_at_1m", 1e-3).not_negative]
+    pixel_noise: Annotated[float, PX.not_negative]
+    depth_noise_floor: Annotated[float, MM.not_negative] = 0.0
+    noise_light: Annotated[float, LX.not_negative] = 0.0
+    noise_growth: Annotated[float, Unit("per_lx")] = 0.0
+    bias: Annotated[float, MM, REQUIRED] = 0.0
+    bias_distance: Annotated[float, MM] = 0.0
+    bias_light: Annotated[float, LX] = 0.0
+    bias_per_distance: Annotated[float, NUMBER] = 0.0
+    bias_per_light: Annotated[float, NUMBER] = 0.0
+    dropout: Annotated[float, SHARE, REQUIRED] = 0.0
+    lost_below: Annotated[float, SHARE, REQUIRED] = 0.0
+    found_above: Annotated[float, SHARE, REQUIRED] = 0.0
+    occlusion_pull: Annotated[float, SHARE, REQUIRED] = 0.0
+    false_detections: Annotated[float, NUMBER.not_negative, REQUIRED] = 0.0
+    light: Annotated[float, LX.not_negative] = 100_000.0
 
     def __post_init__(self) -> None:
         name = f"of camera '{self.name}'"
-        checks.positive(f"the focal length {name} (px)", self.focal_length)
-        if len(self.image) != 2 or min(self.image) < 1:
-            raise InputError(f"the image {name} is {self.image} px; give a width and a height of at least 1")
-        checks.positive(f"the least distance {name} (m)", self.nearest)
+        checks.bounded(name[3:], self)
         if not self.nearest < self.farthest < np.inf:
             raise InputError(
                 f"the range {name} ends at {self.farthest} m; give more than its beginning, {self.nearest} m"
             )
-        for key in ("depth_noise_floor", "depth_noise", "pixel_noise", "false_detections", "noise_light"):
-            checks.not_negative(f"{key} {name}", getattr(self, key))
-        for key in ("noise_growth", "bias", "bias_distance", "bias_light", "bias_per_distance", "bias_per_light"):
-            checks.finite(f"{key} {name}", getattr(self, key))
-        for key in ("dropout", "lost_below", "found_above", "occlusion_pull"):
-            checks.share(f"{key} {name}", getattr(self, key))
         if self.found_above < self.lost_below:
             raise InputError(f"found_above {name} is {self.found_above}; give at least lost_below, {self.lost_below}")
 
 
+@toml_table
+class PairedCamera(Camera):
+    """A camera of a file that gives its base line and disparity noise: its depth noise follows from them.
+
+    Attributes:
+        baseline: m.
+        disparity_noise: px.
+    """
+
+    _: KW_ONLY
+    depth_noise: Annotated[float, Unit("mm_at_1m", 1e-3)] = float("nan")
+    baseline: Annotated[float, MM]
+    disparity_noise: Annotated[float, PX]
+
+    def __post_init__(self) -> None:
+        if not np.isnan(self.depth_noise):
+            raise InputError(f"camera '{self.name}' has depth_noise_mm_at_1m and baseline_mm; give one of them")
+        noise = stereo_depth_noise(self.focal_length, self.baseline, self.disparity_noise)
+        object.__setattr__(self, "depth_noise", noise)
+        super().__post_init__()
+
+
+def camera_kind(table: Mapping[str, Any]) -> type[Camera]:
+    """Which camera a table of a file is."""
+    return PairedCamera if "baseline_mm" in table else Camera
+
+
+CameraFile: TypeAlias = Annotated[Camera | PairedCamera, Kinds(camera_kind)]
+"""What a camera file holds."""
+
+
 def load_camera(name: str | Path) -> Camera:
     """Read a camera by name (`shipped("camera")`) or from a path to a TOML file."""
-    return presets.load("camera", name, _build)
+    found = preset_files.load("camera", name, camera_kind)
+    return Camera(**{field.name: getattr(found, field.name) for field in fields(Camera)})
 
 
 def stereo_depth_noise(focal_length: float, baseline: float, disparity_noise: float) -> float:
@@ -105,18 +132,17 @@ def stereo_depth_noise(focal_length: float, baseline: float, disparity_noise: fl
     return disparity_noise / (focal_length * baseline)
 
 
-def depth_noise(camera: Camera, distance: ArrayLike, light: ArrayLike = SUNLIGHT) -> Array:
-    """Standard deviation along the line of sight, m, at distances in m under light in lx."""
+def depth_noise(camera: Camera, distance: ArrayLike, light: ArrayLike | None = None) -> Array:
+    """Standard deviation along the line of sight, m, at distances in m under light in lx, the camera's own if None."""
     law = np.hypot(camera.depth_noise_floor, camera.depth_noise * np.asarray(distance, dtype=float) ** 2)
-    brighter = checks.numbers("the light (lx)", light, lowest=0.0) - camera.noise_light
-    growth = np.exp(camera.noise_growth * brighter)
-    return np.asarray(law * growth)
+    light = camera.light if light is None else checks.numbers("the light (lx)", light, lowest=0.0)
+    return np.asarray(law * np.exp(camera.noise_growth * (light - camera.noise_light)))
 
 
-def depth_bias(camera: Camera, distance: ArrayLike, light: ArrayLike = SUNLIGHT) -> Array:
+def depth_bias(camera: Camera, distance: ArrayLike, light: ArrayLike | None = None) -> Array:
     """Mean error along the line of sight, m; positive is too far."""
     beyond = np.asarray(distance, dtype=float) - camera.bias_distance
-    brighter = np.asarray(light, dtype=float) - camera.bias_light
+    brighter = np.asarray(camera.light if light is None else light, dtype=float) - camera.bias_light
     return np.asarray(camera.bias + camera.bias_per_distance * beyond + camera.bias_per_light * brighter)
 
 
@@ -134,7 +160,7 @@ def measured_positions(
     viewpoint: ArrayLike,
     draws: ArrayLike,
     *,
-    light: ArrayLike = SUNLIGHT,
+    light: ArrayLike | None = None,
     visible: ArrayLike = 1.0,
     diameters: ArrayLike = 0.0,
     visible_side: ArrayLike | None = None,
@@ -146,7 +172,7 @@ def measured_positions(
         positions: True fruit centres, m, shape (..., 3).
         viewpoint: Camera positions, m, shape (..., 3).
         draws: Standard normal numbers, shape (..., DRAWS): the caller owns the randomness.
-        light: lx, shape (...).
+        light: lx, shape (...); None is the camera's own.
         visible: Visible share of each fruit, shape (...).
         diameters: Fruit diameters, m, shape (...); they scale the pull of occlusion.
         visible_side: Directions in which the visible part lies, shape (..., 3), zero or None where leaves decide at
@@ -219,7 +245,7 @@ def detect(
     looking: ArrayLike,
     rng: np.random.Generator,
     *,
-    light: float = SUNLIGHT,
+    light: float | None = None,
     visible: ArrayLike = 1.0,
     visible_side: ArrayLike | None = None,
 ) -> Detections:
@@ -232,7 +258,7 @@ def detect(
         viewpoint: Camera position, m, shape (3,).
         looking: Direction in which the camera looks, shape (3,).
         rng: Source of every random draw; its use does not depend on what is found.
-        light: lx.
+        light: lx; None is the camera's own.
         visible: Visible share of each fruit, see `occlusion`.
         visible_side: See `Occlusion.visible_side`.
 
@@ -240,7 +266,6 @@ def detect(
         Detections in the frame of ``positions``; confidence is the visible share, one half for false ones.
     """
     positions, diameters = checks.fruit_arrays(positions, diameters)
-    checks.not_negative("the light (lx)", light)
     viewpoint = checks.points("the viewpoint", viewpoint)
     count = len(positions)
     share = np.broadcast_to(checks.numbers("the visible share", visible, lowest=0.0), (count,))
@@ -271,35 +296,3 @@ def _across(ray: Array) -> tuple[Array, Array]:
     upright = level < 1e-9  # looking straight up or down there is no level direction to the right: take the row's
     a, b = (np.where(upright, rest, part / np.where(upright, 1.0, level)) for rest, part in ((1.0, y), (0.0, -x)))
     return np.stack([a, b, np.zeros_like(z)], axis=-1), np.stack([b * z, -a * z, a * y - b * x], axis=-1)
-
-
-def _build(p: presets.Preset) -> Camera:
-    focal_length = p.number("focal_length_px")
-    if "baseline_mm" in p:
-        noise = stereo_depth_noise(focal_length, p.number("baseline_mm"), p.number("disparity_noise_px"))
-    else:
-        noise = p.number("depth_noise_mm_at_1m") * 1e-3
-    width, height = (int(side) for side in p.numbers("image_px"))
-    return Camera(
-        name=p.name,
-        source=p.source,
-        focal_length=focal_length,
-        image=(width, height),
-        nearest=p.number("nearest_mm"),
-        farthest=p.number("farthest_mm"),
-        depth_noise_floor=p.number("depth_noise_floor_mm", 0.0),
-        depth_noise=noise,
-        pixel_noise=p.number("pixel_noise_px"),
-        noise_light=p.number("noise_light_lx", 0.0),
-        noise_growth=p.number("noise_growth_per_lx", 0.0),
-        bias=p.number("bias_mm"),
-        bias_distance=p.number("bias_distance_mm", 0.0),
-        bias_light=p.number("bias_light_lx", 0.0),
-        bias_per_distance=p.number("bias_per_distance", 0.0),
-        bias_per_light=p.number("bias_per_light", 0.0),
-        dropout=p.number("dropout"),
-        lost_below=p.number("lost_below"),
-        found_above=p.number("found_above"),
-        occlusion_pull=p.number("occlusion_pull"),
-        false_detections=p.number("false_detections"),
-    )

@@ -7,20 +7,21 @@ path). Units: m, rad, m²/m³.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
-from pickenv.orchard.checks import Array, Flags
+from pickenv.orchard import checks, preset_files
+from pickenv.orchard.checks import MM, Array, Flags
+from pickenv.toml_tables import DEG, NUMBER, SHARE, toml_table
 
 ROUNDING = 1e-9  # m
 
 
-@dataclass(frozen=True)
+@toml_table
 class Canopy:
     """The slab of foliage that one machine stop sees; foliage goes on along the row, fruit is wanted in ``width``.
 
@@ -40,55 +41,29 @@ class Canopy:
 
     name: str
     source: str
-    bottom: float
-    top: float
-    depth: float
-    width: float
-    standoff: float
-    lean: float
-    leaf_area_per_volume: float
-    leaf_projection: float
-    approach_elevation: float
+    bottom: Annotated[float, MM.not_negative]
+    top: Annotated[float, MM]
+    depth: Annotated[float, MM.positive]
+    width: Annotated[float, MM.positive]
+    standoff: Annotated[float, MM.not_negative]
+    lean: Annotated[float, DEG]
+    leaf_area_per_volume: Annotated[float, NUMBER.not_negative]
+    leaf_projection: Annotated[float, SHARE]
+    approach_elevation: Annotated[float, DEG.within(0.0, 90.0, "from below")]
 
     def __post_init__(self) -> None:
-        for key in ("depth", "width"):
-            checks.positive(f"the {key} of canopy '{self.name}' (m)", getattr(self, key))
-        for key in ("bottom", "standoff", "leaf_area_per_volume"):
-            checks.not_negative(f"the {key} of canopy '{self.name}'", getattr(self, key))
-        checks.share(f"the leaf projection of canopy '{self.name}'", self.leaf_projection)
-        checks.finite(f"the top of canopy '{self.name}' (m)", self.top)
+        checks.bounded(f"canopy '{self.name}'", self)
         if self.top <= self.bottom:
             raise InputError(
                 f"canopy '{self.name}' is empty: its top {self.top} m is not above its bottom {self.bottom} m"
             )
         if not abs(self.lean) < np.pi / 3:
             raise InputError(f"canopy '{self.name}' leans by {self.lean} rad; give less than 60 degrees (1.05 rad)")
-        if not 0 <= self.approach_elevation <= np.pi / 2:
-            angle = self.approach_elevation
-            raise InputError(
-                f"canopy '{self.name}' has an approach elevation of {angle} rad; give 0 to pi/2, from below"
-            )
 
 
 def load_canopy(name: str | Path) -> Canopy:
     """Read a canopy by name (`shipped("canopy")`) or from a path to a TOML file."""
-    return presets.load(
-        "canopy",
-        name,
-        lambda p: Canopy(
-            name=p.name,
-            source=p.source,
-            bottom=p.number("bottom_mm"),
-            top=p.number("top_mm"),
-            depth=p.number("depth_mm"),
-            width=p.number("width_mm"),
-            standoff=p.number("standoff_mm"),
-            lean=p.number("lean_deg"),
-            leaf_area_per_volume=p.number("leaf_area_per_volume"),
-            leaf_projection=p.number("leaf_projection"),
-            approach_elevation=p.number("approach_elevation_deg"),
-        ),
-    )
+    return preset_files.load("canopy", name, Canopy)
 
 
 def face(canopy: Canopy, height: ArrayLike) -> Array:

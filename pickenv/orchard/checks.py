@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.errors import InputError
+from pickenv.toml_tables import Unit, units_of
 
 Array: TypeAlias = NDArray[np.float64]
 Flags: TypeAlias = NDArray[np.bool_]
 Integers: TypeAlias = NDArray[np.int64]
+
+MM = Unit("mm", per=1000.0)
+"""Millimetres of the orchard's files, where a camera may see any distance."""
+
+
+def bounded(what: str, thing: Any) -> None:
+    """Refuse an object with a number that its class's annotations do not allow."""
+    for name, unit in units_of(cast(Any, type(thing))).items():
+        for value in np.ravel(getattr(thing, name)).tolist():
+            if not unit.holds(value):
+                raise InputError(f"{name} of {what} is {value}; give {unit.wanted}")
 
 
 def positive(what: str, value: float) -> None:
@@ -24,18 +36,6 @@ def not_negative(what: str, value: float) -> None:
     """Refuse a number below zero."""
     if not (np.isfinite(value) and value >= 0):
         raise InputError(f"{what} is {value}; give a number that is not negative")
-
-
-def finite(what: str, value: float) -> None:
-    """Refuse a number that is not finite."""
-    if not np.isfinite(value):
-        raise InputError(f"{what} is {value}; give a finite number")
-
-
-def share(what: str, value: float) -> None:
-    """Refuse a number outside 0..1."""
-    if not (np.isfinite(value) and 0 <= value <= 1):
-        raise InputError(f"{what} is {value}; give a number from 0 to 1")
 
 
 def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf) -> Array:

@@ -7,17 +7,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.orchard import checks, presets
-from pickenv.orchard.checks import Array, Flags
+from pickenv.orchard import checks, preset_files
+from pickenv.orchard.checks import MM, Array, Flags
+from pickenv.toml_tables import NEWTON, NEWTON_METRE, NUMBER, toml_table
 
 QUANTILE_95 = 1.6448536269514722  # of the standard normal
 
 
-@dataclass(frozen=True)
+@toml_table
 class Detachment:
     """Distribution of what holds the fruit.
 
@@ -26,17 +28,17 @@ class Detachment:
         twist_95: Twist about the stem that detaches 95 % of fruit, N·m.
         spread: Standard deviation of the logarithm of both.
         stem: Length of the stem, m.
+        source: Where its numbers come from.
     """
 
-    pull_95: float
-    twist_95: float
-    spread: float
-    stem: float
+    pull_95: Annotated[float, NEWTON.positive]
+    twist_95: Annotated[float, NEWTON_METRE.positive]
+    spread: Annotated[float, NUMBER.positive]
+    stem: Annotated[float, MM.not_negative]
+    source: str = ""
 
     def __post_init__(self) -> None:
-        for key in ("pull_95", "twist_95", "spread"):
-            checks.positive(f"{key} of a fruit's detachment", getattr(self, key))
-        checks.not_negative("the stem's length (m)", self.stem)
+        checks.bounded("a fruit's detachment", self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +51,7 @@ class Strength:
 
 def load_detachment(name: str | Path) -> Detachment:
     """Read detachment limits by name (`shipped("detachment")`) or from a path to a TOML file."""
-    return presets.load(
-        "detachment",
-        name,
-        lambda p: Detachment(p.number("pull_95_N"), p.number("twist_95_N_m"), p.number("spread"), p.number("stem_mm")),
-    )
+    return preset_files.load("detachment", name, Detachment)
 
 
 def sample_strength(detachment: Detachment, shape: int | tuple[int, ...], rng: np.random.Generator) -> Strength:

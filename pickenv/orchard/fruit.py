@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
-from pickenv.orchard.checks import Array, Integers
+from pickenv.orchard import checks, preset_files
+from pickenv.orchard.checks import MM, Array, Integers
+from pickenv.toml_tables import NUMBER, REQUIRED, WHOLE, Unit, toml_table
 
-NEARLY_POISSON = 1.0 + 1e-9
 
-
-@dataclass(frozen=True)
+@toml_table
 class FruitMap:
     """A model of apples per block along a row of trees.
 
@@ -29,57 +29,24 @@ class FruitMap:
         row_means: Expected apples per block in each row of blocks, from the top row to the bottom row.
         cluster_size: Apples per cluster.
         cluster_variance_ratio: Variance/mean of clusters per block; 1 is Poisson, more is clumped.
+        source: Where its numbers come from.
     """
 
-    block: float
-    row_means: tuple[float, ...]
-    cluster_size: int = 1
-    cluster_variance_ratio: float = 1.0
+    block: Annotated[float, MM.positive]
+    row_means: Annotated[tuple[float, ...], NUMBER.not_negative]
+    cluster_size: Annotated[int, WHOLE.at_least(1), REQUIRED] = 1
+    cluster_variance_ratio: Annotated[float, NUMBER.at_least(1), REQUIRED] = 1.0
+    source: str = ""
 
     def __post_init__(self) -> None:
-        checks.positive("the block of a fruit map (m)", self.block)
+        checks.bounded("a fruit map", self)
         if not self.row_means:
             raise InputError("a fruit map needs at least one row of blocks; row_means is empty")
-        for i, mean in enumerate(self.row_means):
-            checks.not_negative(f"the density of row {i + 1} of a fruit map (apples per block)", mean)
-        if self.cluster_size != int(self.cluster_size) or self.cluster_size < 1:
-            raise InputError(f"the cluster size of a fruit map is {self.cluster_size}; give a whole number from 1")
-        if not (np.isfinite(self.cluster_variance_ratio) and self.cluster_variance_ratio >= 1):
-            ratio = self.cluster_variance_ratio
-            raise InputError(f"the cluster variance/mean of a fruit map is {ratio}; give 1 (Poisson) or more")
 
     @property
     def density(self) -> float:
         """Expected apples per metre of row."""
         return sum(self.row_means) / self.block
-
-    @property
-    def row_shares(self) -> tuple[float, ...]:
-        """Share of the apples in each row of blocks, top to bottom; sums to 1 unless there are none."""
-        total = sum(self.row_means)
-        return tuple(mean / total if total else 0.0 for mean in self.row_means)
-
-    @property
-    def variance_ratio(self) -> float:
-        """Variance/mean of apples over all blocks of the map, the spread between rows included."""
-        means = np.array(self.row_means)
-        if not means.any():
-            return float("nan")
-        within = self.cluster_size * self.cluster_variance_ratio
-        return float(within + means.var() / means.mean())
-
-    @property
-    def k(self) -> float:
-        """Dispersion of the negative binomial with this map's mean and variance: mean²/(variance − mean)."""
-        excess = self.variance_ratio - 1.0
-        return float(np.mean(self.row_means)) / excess if excess > 0 else float("inf")
-
-    @property
-    def empty_share(self) -> float:
-        """Expected share of blocks without an apple."""
-        ratio = max(self.cluster_variance_ratio, NEARLY_POISSON)
-        clusters = np.array(self.row_means) / self.cluster_size
-        return float(np.mean(np.exp(-clusters * np.log(ratio) / (ratio - 1.0))))
 
     def scaled(self, density: float) -> FruitMap:
         """This map with ``density`` apples per metre of row, equally clumped and equally bottom-heavy."""
@@ -87,11 +54,6 @@ class FruitMap:
         if not self.density:
             raise InputError("a fruit map without apples cannot be scaled; give row_means above zero")
         return replace(self, row_means=tuple(mean * density / self.density for mean in self.row_means))
-
-    def unclumped(self) -> FruitMap:
-        """The map a uniform sampler would use: the same apples per metre, Poisson in every block of every row."""
-        even = (float(np.mean(self.row_means)),) * len(self.row_means)
-        return replace(self, row_means=even, cluster_size=1, cluster_variance_ratio=1.0)
 
     def with_rows(self, rows: int) -> FruitMap:
         """This map over another number of block rows: same apples per metre, same profile of height."""
@@ -204,7 +166,7 @@ def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, s
     return np.asarray(clusters * fruit_map.cluster_size, dtype=np.int64)
 
 
-@dataclass(frozen=True)
+@toml_table
 class FruitSize:
     """Diameters, normal and cut at both ends, and the density that turns them into masses.
 
@@ -214,19 +176,18 @@ class FruitSize:
         smallest: Smallest diameter, m.
         largest: Largest diameter, m.
         density: Mass per volume, kg/m³.
+        source: Where its numbers come from.
     """
 
-    mean: float
-    std: float
-    smallest: float
-    largest: float
-    density: float
+    mean: Annotated[float, MM.positive]
+    std: Annotated[float, MM.not_negative]
+    smallest: Annotated[float, MM.positive]
+    largest: Annotated[float, MM]
+    density: Annotated[float, Unit("kg_per_m3").positive]
+    source: str = ""
 
     def __post_init__(self) -> None:
-        checks.positive("the mean diameter of fruit (m)", self.mean)
-        checks.not_negative("the standard deviation of fruit diameters (m)", self.std)
-        checks.positive("the smallest fruit diameter (m)", self.smallest)
-        checks.positive("the density of fruit (kg/m³)", self.density)
+        checks.bounded("a fruit size", self)
         if not self.smallest <= self.mean <= self.largest:
             raise InputError(
                 f"fruit diameters from {self.smallest} to {self.largest} m do not hold their mean {self.mean} m"
@@ -252,28 +213,12 @@ def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
 
 def load_fruit_map(name: str | Path) -> FruitMap:
     """Read a fruit map by name (`shipped("fruit")`) or from a path to a TOML file."""
-    return presets.load(
-        "fruit",
-        name,
-        lambda p: FruitMap(
-            p.number("block_mm"), p.numbers("row_means"), p.whole("cluster_size"), p.number("cluster_variance_ratio")
-        ),
-    )
+    return preset_files.load("fruit", name, FruitMap)
 
 
 def load_fruit_size(name: str | Path) -> FruitSize:
     """Read fruit diameters and density by name (`shipped("fruit_size")`) or from a path to a TOML file."""
-    return presets.load(
-        "fruit_size",
-        name,
-        lambda p: FruitSize(
-            mean=p.number("mean_mm"),
-            std=p.number("std_mm"),
-            smallest=p.number("smallest_mm"),
-            largest=p.number("largest_mm"),
-            density=p.number("density_kg_per_m3"),
-        ),
-    )
+    return preset_files.load("fruit_size", name, FruitSize)
 
 
 def _counts(counts: ArrayLike) -> Array:

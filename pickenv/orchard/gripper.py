@@ -5,19 +5,23 @@ Misalignment of the fruit in the tool: lateral (across the tool's axis), axial (
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
-from pickenv.orchard.checks import Array, Flags
+from pickenv.orchard import checks, preset_files
+from pickenv.orchard.checks import MM, Array
+from pickenv.toml_tables import DEG, NUMBER, REQUIRED, Check, Kinds, Unit, toml_table
+
+KIND = Check(lambda value: value in ("cup", "hand"), "'cup' or 'hand'")
 
 
-@dataclass(frozen=True)
+@toml_table
 class Cup:
     """A rigid cup: it takes the fruit if every misalignment stays within its tolerance.
 
@@ -28,26 +32,22 @@ class Cup:
         fruit: Diameter of the fruit it is meant for, m.
         axial: Tolerance along the axis, m.
         angle: Tolerance of the axis' direction, rad.
+        kind: Which table of a file this is.
     """
 
     name: str
     source: str
-    opening: float
-    fruit: float
-    axial: float
-    angle: float
+    opening: Annotated[float, MM.positive]
+    fruit: Annotated[float, MM.positive]
+    axial: Annotated[float, MM.positive]
+    angle: Annotated[float, DEG.positive]
+    kind: Annotated[Literal["cup"], KIND, REQUIRED] = "cup"
 
     def __post_init__(self) -> None:
-        for key in ("opening", "fruit", "axial", "angle"):
-            checks.positive(f"{key} of gripper '{self.name}'", getattr(self, key))
-
-    @property
-    def radial(self) -> float:
-        """Radial clearance around the fruit it is meant for, m; negative if that fruit does not fit."""
-        return (self.opening - self.fruit) / 2
+        checks.bounded(f"gripper '{self.name}'", self)
 
 
-@dataclass(frozen=True)
+@toml_table
 class CompliantHand:
     """A hand with soft fingers: logit of success = intercept − lateral·|x| − axial·|z| − angle·|φ|.
 
@@ -58,19 +58,19 @@ class CompliantHand:
         lateral: 1/m.
         axial: 1/m.
         angle: 1/rad.
+        kind: Which table of a file this is.
     """
 
     name: str
     source: str
-    intercept: float
-    lateral: float
-    axial: float
-    angle: float
+    intercept: Annotated[float, NUMBER]
+    lateral: Annotated[float, Unit("per_10mm", 100.0).not_negative]
+    axial: Annotated[float, Unit("per_10mm", 100.0).not_negative]
+    angle: Annotated[float, Unit("per_10deg", 18.0 / math.pi).not_negative]
+    kind: Annotated[Literal["hand"], KIND, REQUIRED] = "hand"
 
     def __post_init__(self) -> None:
-        checks.finite(f"intercept of gripper '{self.name}'", self.intercept)
-        for key in ("lateral", "axial", "angle"):
-            checks.not_negative(f"{key} of gripper '{self.name}'", getattr(self, key))
+        checks.bounded(f"gripper '{self.name}'", self)
 
 
 Gripper: TypeAlias = Cup | CompliantHand
@@ -132,37 +132,15 @@ def capture_probability(
     return np.asarray(inside, dtype=np.float64)
 
 
-def captured(
-    gripper: Gripper,
-    lateral: ArrayLike,
-    axial: ArrayLike,
-    angle: ArrayLike,
-    rng: np.random.Generator,
-    diameter: ArrayLike | None = None,
-) -> Flags:
-    """Draw whether the gripper takes the fruit: one uniform number per attempt, whatever the gripper."""
-    probability = capture_probability(gripper, lateral, axial, angle, diameter)
-    return np.asarray(rng.random(probability.shape) < probability)
-
-
 def load_gripper(name: str | Path) -> Gripper:
     """Read a gripper by name (`shipped("gripper")`) or from a path to a TOML file."""
-    return presets.load("gripper", name, _build)
+    return preset_files.load("gripper", name, gripper_kind)
 
 
-def _build(p: presets.Preset) -> Gripper:
-    kind = p.text("kind")
-    if kind == "cup":
-        return Cup(
-            p.name, p.source, p.number("opening_mm"), p.number("fruit_mm"), p.number("axial_mm"), p.number("angle_deg")
-        )
-    if kind == "hand":
-        return CompliantHand(
-            name=p.name,
-            source=p.source,
-            intercept=p.number("intercept"),
-            lateral=p.number("lateral_per_10mm") * 100.0,
-            axial=p.number("axial_per_10mm") * 100.0,
-            angle=p.number("angle_per_10deg") * 18.0 / float(np.pi),
-        )
-    raise InputError(f"{p.where}: kind of '{p.name}' is '{kind}'; give 'cup' or 'hand'")
+def gripper_kind(table: Mapping[str, Any]) -> type[Gripper]:
+    """Which gripper a table of a file is."""
+    return CompliantHand if table.get("kind") == "hand" else Cup
+
+
+GripperFile: TypeAlias = Annotated[Cup | CompliantHand, Kinds(gripper_kind)]
+"""What a gripper file holds."""

@@ -1,4 +1,4 @@
-"""What a camera can see and an arm can get at: foliage and fruit in the way, reach, a free way from below.
+"""What a camera can see and an arm can get at: foliage and fruit in the way, a free way from below.
 
 Fruit are spheres, so from a viewpoint each is a disc of angular radius asin(r/d); nearer discs cover parts of farther
 ones (area of two circles' overlap). Units: m, rad. Frame: see canopy.py.
@@ -6,7 +6,6 @@ ones (area of two circles' overlap). Units: m, rad. Frame: see canopy.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,26 +85,6 @@ def disc_cover(radius: ArrayLike, other: ArrayLike, apart: ArrayLike) -> Array:
     lens = r**2 * (a - np.sin(2 * a) / 2) + s**2 * (b - np.sin(2 * b) / 2)
     lens = np.where(inside, np.pi * np.minimum(r, s) ** 2, np.where(d >= r + s, 0.0, lens))
     return np.asarray(np.clip(lens / (np.pi * r**2), 0.0, 1.0))
-
-
-def reachable(positions: ArrayLike, reach: Callable[[Array], ArrayLike] | ArrayLike) -> Flags:
-    """Which fruit an arm can reach.
-
-    Args:
-        positions: Fruit centres, m, shape (..., 3).
-        reach: One flag per fruit, shape (...), or a function that takes the positions and returns them.
-
-    Raises:
-        InputError: If the flags are not one true or false per fruit.
-    """
-    positions = checks.points("fruit positions", positions)
-    flags = np.asarray(reach(positions) if callable(reach) else reach)
-    if flags.shape != positions.shape[:-1] or flags.dtype != np.bool_:
-        raise InputError(
-            f"reach must give one true or false per fruit, shape {positions.shape[:-1]}, "
-            f"not {flags.dtype} of shape {flags.shape}"
-        )
-    return flags
 
 
 def approach_clear(

@@ -8,21 +8,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
-from pickenv.orchard.checks import Array, Integers
+from pickenv.orchard import checks, preset_files
+from pickenv.orchard.checks import MM, Array, Integers
 from pickenv.orchard.stereo import StereoCamera, project
+from pickenv.toml_tables import NUMBER, SHARE, WHOLE, WHOLE_PX, Unit, toml_table
 
 BACKGROUND, LEAF = -1, -2
-SHARPNESS = 12  # exponent of the sun's reflection (Phong); 12 is a waxy skin
-PATCH = 16  # px, patches of light and dark behind the trees
+
+Triple = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
+@toml_table
 class Look:
     """Colours and light; colours are red, green, blue from 0 to 255.
 
@@ -30,31 +32,32 @@ class Look:
         fruit: Colour of fruit.
         leaf: Colour of leaves.
         background: Colour of what is far away.
-        leaf_size: Length and width of a leaf, m.
+        leaf_length: Of a leaf, m.
+        leaf_width: Of a leaf, m.
         ambient: Light that reaches shaded sides, share.
         highlight: Strength of the sun's reflection on fruit, share of white.
         pixel_noise: Standard deviation of the sensor's noise, grey levels.
         sun: Direction in which the light falls against, towards the sun, camera frame.
+        source: Where its numbers come from.
+        sharpness: Exponent of the sun's reflection (Phong).
+        patch: Edge of the patches of light and dark behind the trees, px.
     """
 
-    fruit: tuple[float, ...]
-    leaf: tuple[float, ...]
-    background: tuple[float, ...]
-    leaf_size: tuple[float, float]
-    ambient: float
-    highlight: float
-    pixel_noise: float
-    sun: tuple[float, ...]
+    fruit: Annotated[Triple, Unit("rgb")]
+    leaf: Annotated[Triple, Unit("rgb")]
+    background: Annotated[Triple, Unit("rgb")]
+    leaf_length: Annotated[float, MM.positive]
+    leaf_width: Annotated[float, MM.positive]
+    ambient: Annotated[float, SHARE]
+    highlight: Annotated[float, SHARE]
+    pixel_noise: Annotated[float, NUMBER.not_negative]
+    sun: Annotated[Triple, NUMBER]
+    source: str = ""
+    sharpness: Annotated[int, WHOLE.at_least(1)] = 12
+    patch: Annotated[int, WHOLE_PX.at_least(1)] = 16
 
     def __post_init__(self) -> None:
-        for key in ("fruit", "leaf", "background", "sun"):
-            if len(getattr(self, key)) != 3:
-                raise InputError(f"{key} of a look has {len(getattr(self, key))} numbers; give three")
-        for size in self.leaf_size:
-            checks.positive("the size of a leaf (m)", size)
-        checks.share("the ambient light", self.ambient)
-        checks.share("the highlight", self.highlight)
-        checks.not_negative("the pixel noise (grey levels)", self.pixel_noise)
+        checks.bounded("a look", self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,20 +79,7 @@ class StereoPair:
 
 def load_look(name: str | Path) -> Look:
     """Read a look by name (`shipped("look")`) or from a path to a TOML file."""
-    return presets.load(
-        "look",
-        name,
-        lambda p: Look(
-            fruit=p.numbers("fruit_rgb"),
-            leaf=p.numbers("leaf_rgb"),
-            background=p.numbers("background_rgb"),
-            leaf_size=(p.number("leaf_length_mm"), p.number("leaf_width_mm")),
-            ambient=p.number("ambient"),
-            highlight=p.number("highlight"),
-            pixel_noise=p.number("pixel_noise"),
-            sun=p.numbers("sun"),
-        ),
-    )
+    return preset_files.load("look", name, Look)
 
 
 def sample_leaves(
@@ -103,7 +93,7 @@ def sample_leaves(
     checks.not_negative("the leaf area per volume (m²/m³)", leaf_area_per_volume)
     if (high < low).any():
         raise InputError("the foliage has a high corner below its low corner; exchange them")
-    area = np.pi / 4 * look.leaf_size[0] * look.leaf_size[1]
+    area = np.pi / 4 * look.leaf_length * look.leaf_width
     count = rng.poisson(leaf_area_per_volume * float(np.prod(high - low)) / area)
     return np.asarray(low + (high - low) * rng.random((count, 3)))
 
@@ -142,7 +132,7 @@ def render_stereo(
         is_fruit = item < len(positions)
         i = int(item) if is_fruit else int(item) - len(positions)
         at, z = (fruit_at[i], positions[i, 2]) if is_fruit else (leaf_at[i], leaves[i, 2])
-        reach = camera.focal_length / z * (diameters[i] / 2 if is_fruit else max(look.leaf_size) / 2)
+        reach = camera.focal_length / z * (diameters[i] / 2 if is_fruit else max(look.leaf_length, look.leaf_width) / 2)
         if is_fruit:
             whole[i] = np.pi * reach**2
         for eye, image in enumerate(images):
@@ -176,14 +166,14 @@ def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
     facing = np.clip(sun[0] * u + sun[1] * v - sun[2] * ahead, 0.0, None)
     mirrored = np.clip(2 * facing * ahead + sun[2], 0.0, None)  # the reflected ray's share towards the camera
     light = look.ambient + (1.0 - look.ambient) * facing
-    white = 255.0 * look.highlight * mirrored[..., None] ** SHARPNESS
+    white = 255.0 * look.highlight * mirrored[..., None] ** look.sharpness
     return square <= 1.0, np.asarray(light[..., None] * np.array(look.fruit) + white, dtype=np.float64)
 
 
 def _leaf_shapes(look: Look, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Projected ellipses of leaves of all attitudes, as matrices that map them to the unit disc, and their colours."""
     basis, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))
-    size = np.array(look.leaf_size) / max(look.leaf_size)
+    size = np.array([look.leaf_length, look.leaf_width]) / max(look.leaf_length, look.leaf_width)
     axes = basis[:, :2, :2] * size  # the leaf's two half axes, seen along z
     thin = np.abs(np.linalg.det(axes)) < 1e-3
     axes[thin] = np.diag([1e-3, 1e-3])  # seen edge-on: nothing
@@ -193,6 +183,6 @@ def _leaf_shapes(look: Look, count: int, rng: np.random.Generator) -> tuple[Arra
 
 def _background(look: Look, image: tuple[int, int], rng: np.random.Generator) -> Array:
     """Patches of light and dark."""
-    coarse = 0.7 + 0.6 * rng.random((image[1] // PATCH + 1, image[0] // PATCH + 1))
-    fine = np.kron(coarse, np.ones((PATCH, PATCH)))[: image[1], : image[0]]
+    coarse = 0.7 + 0.6 * rng.random((image[1] // look.patch + 1, image[0] // look.patch + 1))
+    fine = np.kron(coarse, np.ones((look.patch, look.patch)))[: image[1], : image[0]]
     return np.asarray(fine[..., None] * np.array(look.background))

@@ -6,18 +6,19 @@ Units: m, px.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
-from pickenv.orchard import checks, presets
-from pickenv.orchard.checks import Array
+from pickenv.orchard import checks, preset_files
+from pickenv.orchard.checks import MM, Array
+from pickenv.toml_tables import PX, SHARE, WHOLE, WHOLE_PX, toml_table
 
 
-@dataclass(frozen=True)
+@toml_table
 class StereoCamera:
     """Two parallel cameras.
 
@@ -33,30 +34,25 @@ class StereoCamera:
         dilations: Dilations of 3 × 3 at the end.
         least_area_share: Regions below this share of the largest are noise.
         least_correlation: Correlation from which a match counts.
+        margin: Surroundings that the matched patch takes along, px: edges carry the match.
     """
 
     name: str
     source: str
-    focal_length: float
-    baseline: float
-    image: tuple[int, int]
-    nearest: float
-    farthest: float
-    erosions: int
-    dilations: int
-    least_area_share: float
-    least_correlation: float
+    focal_length: Annotated[float, PX.positive]
+    baseline: Annotated[float, MM.positive]
+    image: Annotated[tuple[int, int], WHOLE_PX.at_least(16)]
+    nearest: Annotated[float, MM.positive]
+    farthest: Annotated[float, MM]
+    erosions: Annotated[int, WHOLE.not_negative]
+    dilations: Annotated[int, WHOLE.not_negative]
+    least_area_share: Annotated[float, SHARE]
+    least_correlation: Annotated[float, SHARE]
+    margin: Annotated[int, WHOLE_PX.not_negative] = 3
 
     def __post_init__(self) -> None:
         name = f"of stereo camera '{self.name}'"
-        for key in ("focal_length", "baseline", "nearest"):
-            checks.positive(f"{key} {name}", getattr(self, key))
-        for key in ("erosions", "dilations"):
-            checks.not_negative(f"{key} {name}", getattr(self, key))
-        for key in ("least_area_share", "least_correlation"):
-            checks.share(f"{key} {name}", getattr(self, key))
-        if len(self.image) != 2 or min(self.image) < 16:
-            raise InputError(f"the image {name} is {self.image} px; give a width and a height of at least 16")
+        checks.bounded(name[3:], self)
         if not self.nearest < self.farthest < np.inf:
             raise InputError(
                 f"the range {name} ends at {self.farthest} m; give more than its beginning, {self.nearest} m"
@@ -67,7 +63,7 @@ class StereoCamera:
 
 def load_stereo_camera(name: str | Path) -> StereoCamera:
     """Read a stereo camera by name (`shipped("vision")`) or from a path to a TOML file."""
-    return presets.load("vision", name, _build)
+    return preset_files.load("vision", name, StereoCamera)
 
 
 def project(camera: StereoCamera, positions: ArrayLike) -> Array:
@@ -89,20 +85,3 @@ def triangulate(camera: StereoCamera, pixels: ArrayLike) -> Array:
     x = (column - camera.image[0] / 2 + 0.5) * z / camera.focal_length
     y = (row - camera.image[1] / 2 + 0.5) * z / camera.focal_length
     return np.stack([x, y, z], axis=-1)
-
-
-def _build(p: presets.Preset) -> StereoCamera:
-    width, height = (int(side) for side in p.numbers("image_px"))
-    return StereoCamera(
-        name=p.name,
-        source=p.source,
-        focal_length=p.number("focal_length_px"),
-        baseline=p.number("baseline_mm"),
-        image=(width, height),
-        nearest=p.number("nearest_mm"),
-        farthest=p.number("farthest_mm"),
-        erosions=p.whole("erosions"),
-        dilations=p.whole("dilations"),
-        least_area_share=p.number("least_area_share"),
-        least_correlation=p.number("least_correlation"),
-    )

@@ -17,7 +17,6 @@ from pickenv.orchard.checks import Array, Flags, Integers
 from pickenv.orchard.detections import Detections
 from pickenv.orchard.stereo import StereoCamera, triangulate
 
-MARGIN = 3  # px of surroundings that the matched patch takes along: edges carry the match
 SQUARE = np.ones((3, 3), dtype=bool)
 
 
@@ -119,8 +118,8 @@ def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers)
     from skimage.feature import match_template
 
     width, height = camera.image
-    top, bottom = max(int(box[0]) - MARGIN, 0), min(int(box[2]) + MARGIN, height)
-    start, end = max(int(box[1]) - MARGIN, 0), min(int(box[3]) + MARGIN, width)
+    top, bottom = max(int(box[0]) - camera.margin, 0), min(int(box[2]) + camera.margin, height)
+    start, end = max(int(box[1]) - camera.margin, 0), min(int(box[3]) + camera.margin, width)
     reach = camera.focal_length * camera.baseline
     low = max(start - int(np.ceil(reach / camera.nearest)), 0)
     high = end - int(reach / camera.farthest)

@@ -19,7 +19,6 @@ from pickenv.arm.kinematics.pose_error import pose_error
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.calibration import Compensator
 from pickenv.envs.picking.pick import PickEnv
-from pickenv.envs.picking.pick_scene import BRUISE_SPEED
 from pickenv.errors import InputError
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
@@ -140,7 +139,7 @@ def test_only_a_fast_tool_bruises_what_it_meets(speed, bruised):
     env.reset(seed=0, options={"fruit": [FRUIT[0]]})
     scene = env.unwrapped.scene
     beside = scene.positions[0] - [0.05, 0.0, 0.01]
-    step = np.array([speed * BRUISE_SPEED * 0.1, 0.0, 0.0])
+    step = np.array([speed * scene.orchard.station.bruise_speed * 0.1, 0.0, 0.0])
     before, after = ((*np.eye(3).ravel(), *point) for point in (beside - step, beside))
     scene.advance(before, after, None, 0.1)
     assert scene.damaged.tolist() == [bruised]

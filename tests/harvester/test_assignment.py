@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.harvester.assignment import assign, li_rule, lower_bound
+from pickenv.harvester.assignment import assign
 from pickenv.harvester.joint_motion import travel_time
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.pick_point import pick_point
+from pickenv.harvester.rules import li_rule, lower_bound
 from pickenv.harvester.work import Work, timetable, zone_work
 
 METHODS = ("li", "nearest", "columns", "hungarian", "search")

@@ -1,12 +1,15 @@
 """The machine of Li 2016: closed forms against the generic kinematics, and what its tables really say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
 from pickenv.errors import InputError
 from pickenv.harvester.joint_motion import joint_curves, profile, travel_time, workspace
-from pickenv.harvester.machine import generic_tips, load_machine
+from pickenv.harvester.machine import load_machine
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
 PICK_POINT = np.array([-80, -660, 1220]) * 1e-3
@@ -16,6 +19,21 @@ TABLE2_450 = np.array([[80, -0.05123, 273.328], [360, 0.11168, 289.6709], [580, 
 def random_joints(machine, rng, count=500):
     q = rng.uniform(machine.lower, machine.upper, (count, machine.joints))
     return q[:, :3], q[:, 3:].reshape(count, machine.arms, 3)
+
+
+def whole_arm(machine, i):
+    """The serial chain of the master and slave ``i``: six joints from base to cup."""
+    master, slave = machine.master.nominal, machine.slaves[i].nominal
+    tables = (*LINK_PARAMETERS, "lower", "upper")
+    numbers = {name: np.concatenate([getattr(master, name), getattr(slave, name)]) for name in tables}
+    names, kinds = master.joint_names + slave.joint_names, master.prismatic + slave.prismatic
+    return replace(master, joint_names=names, prismatic=kinds, tool=slave.tool, **numbers)
+
+
+def generic_tips(machine, master, slaves):
+    """What `Machine.tips` gives, by the project's generic forward kinematics."""
+    joints = (np.concatenate([master, slaves[:, i]], axis=-1) for i in range(machine.arms))
+    return np.stack([forward(whole_arm(machine, i), q).position for i, q in enumerate(joints)], axis=-2)
 
 
 @pytest.mark.parametrize("arms", range(1, 7))
@@ -36,7 +54,7 @@ def test_the_chain_is_equation_2_to_4(machine):
     rotation = forward(machine.master.nominal, [theta1, d2, d3]).rotation
     sin, cos = np.sin(theta1), np.cos(theta1)
     assert rotation == pytest.approx(np.array([[sin, 0, cos], [-cos, 0, sin], [0, -1, 0]]), abs=1e-12)
-    middle = machine.whole_arms[1]
+    middle = whole_arm(machine, 1)
     swing = 0.2
     rotation = forward(middle, [theta1, d2, d3, 0.1, swing, 0.5]).rotation
     turn = theta1 + swing - np.pi / 2  # theta5 counts from -pi/2; o_z is printed as 1, which makes no rotation

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.harvester.pick_point import METHODS, border_indices, hold, pick_point
-from pickenv.harvester.zones import Grid, border_fruit, cut, load_grid
+from pickenv.harvester.pick_point import METHODS, border_indices, pick_point
+from pickenv.harvester.zones import Grid, cut, load_grid
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
 
@@ -62,17 +62,11 @@ def test_fruit_at_the_axis_gives_an_unreachable_pick_point(machine):
         pick_point(machine, np.array([[0.0, -0.3, 1.0], [0.1, -0.31, 1.0]]), "corrected")
 
 
-def test_an_unreachable_pick_point_names_its_joint(machine):
-    with pytest.raises(InputError, match=r"pick point is unreachable: d2 vertical screw"):
-        hold(machine, [-1.5, 3.0, 0.5])
-    assert hold(machine, machine.master_start, TARGETS).reached.shape == (3, 3)
-
-
 def test_zones_cover_the_side_and_overlap():
     zones = cut(load_grid(), -1.25, 1.25, 0.42, 2.42)
     points = np.random.default_rng(0).uniform([-1.25, -1.4, 0.42], [1.25, -1.0, 2.42], (500, 3))
-    assert np.any([zone.holds(points) for zone in zones], axis=0).all()
-    assert 0.1 < border_fruit(zones, points).mean() < 0.6
+    shown = np.sum([zone.holds(points) for zone in zones], axis=0)
+    assert (shown > 0).all() and 0.1 < (shown > 1).mean() < 0.6
     steps = [abs(a.bottom - b.bottom) + abs(a.left - b.left) for a, b in pairwise(zones)]
     assert max(steps) < 0.7  # each zone is next to the one before
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.harvester import picking
-from pickenv.harvester.picking import attempt, displacements, in_the_way, load_picking
+from pickenv.harvester.picking import attempt, displacements, draw_luck, in_the_way, load_picking
 from pickenv.harvester.trees import load_orchard, sample_image, sample_tree
 from pickenv.orchard import coupling, swing
 
@@ -23,8 +22,14 @@ def tries(model, lateral, rng, count=400, axial=0.0):
     """Shares of attempts, far apart, at one misalignment."""
     fruit = np.arange(count)[:, None] * np.array([1.0, 0.0, 0.0])
     tips = fruit - np.array([lateral, 0.0, axial])
-    masses, sizes = np.full(count, 0.1), np.full(count, 0.06)
-    return attempt(model, tips, fruit, sizes, masses, np.arange(count) * 1.0, NOTHING, rng).collected.mean()
+    still = np.zeros_like(fruit)
+    return attempt(model, tips, fruit, still, np.full(count, 0.06), NOTHING, draw_luck(rng, count)).collected.mean()
+
+
+def luck_of(count, **given):
+    """Attempts without a push, or with what is given."""
+    none = draw_luck(np.random.default_rng(0), count)
+    return none._replace(push=np.zeros(count), heading=np.zeros(count), **given)
 
 
 def test_the_cups_radial_clearance_is_5_mm_not_nearly_10(sure):
@@ -40,13 +45,13 @@ def test_a_cup_takes_fruit_within_its_clearance_and_ever_fewer_beyond(sure):
 
 
 def test_a_push_moves_neighbours_less_the_farther_they_are_and_dies_away(sure):
-    model = replace(sure, push=0.02)
+    model, luck = replace(sure, push=0.02), luck_of(2)
     for wait, far in ((0.5, 0.1), (0.5, 0.4)):
         fruit = np.array([[0.0, 0, 0], [far, 0, 0]])
-        moved = displacements(model, fruit, np.full(2, 0.1), np.array([0.0, wait]), np.full(2, 0.02), np.zeros(2))
+        moved = displacements(model, fruit, np.full(2, 0.1), np.array([0.0, wait]), luck)
         assert (moved[0] == 0).all()  # nothing came before the first
         assert 0 < np.linalg.norm(moved[1]) < 0.02 * np.exp(-far / model.branch.coupling) * 1.01
-    late = displacements(model, fruit, np.full(2, 0.1), np.array([0.0, 60.0]), np.full(2, 0.02), np.zeros(2))
+    late = displacements(model, fruit, np.full(2, 0.1), np.array([0.0, 60.0]), luck)
     stays = model.lasting * 0.02 * np.exp(-0.4 / model.branch.coupling)
     assert np.linalg.norm(late[1]) == pytest.approx(stays, rel=1e-3)
 
@@ -57,9 +62,8 @@ def test_fruit_in_a_cluster_is_in_the_cups_way(sure):
     assert in_the_way(sure, fruit, 0.06, others).tolist() == [True, True, False, False]
     rng, lost = np.random.default_rng(1), 0
     for _ in range(100):
-        outcome = attempt(
-            sure, fruit[None], fruit[None], np.array([0.06]), np.array([0.1]), np.zeros(1), others[:1], rng
-        )
+        still, luck = np.zeros((1, 3)), draw_luck(rng, 1)
+        outcome = attempt(sure, fruit[None], fruit[None], still, np.array([0.06]), others[:1], luck)
         assert outcome.crowded.all()
         lost += not outcome.collected[0]
     assert 30 < lost < 70
@@ -81,10 +85,11 @@ def test_images_of_the_lab_show_seven_fruit_in_reach(machine):
 
 
 def test_a_pushed_fruit_first_swings_with_all_of_the_push_and_then_as_its_branch_does(sure):
-    fruit, masses, heading = np.array([[0.0, 0, 0], [0.1, 0, 0]]), np.full(2, 0.1), np.zeros(2)
+    fruit, masses = np.array([[0.0, 0, 0], [0.1, 0, 0]]), np.full(2, 0.1)
+    model = replace(sure, push=0.02)
     start = 0.02 * float(coupling(sure.branch, 0.1))
     for wait in (1e-6, 0.15, 0.4):
-        moved = displacements(sure, fruit, masses, np.array([0.0, wait]), np.full(2, 0.02), heading)[1]
+        moved = displacements(model, fruit, masses, np.array([0.0, wait]), luck_of(2))[1]
         swung, _ = swing(sure.branch, [start, 0.0, 0.0], np.zeros(3), 0.1, wait)
         expected = sure.lasting * start + (1 - sure.lasting) * swung[0]
         np.testing.assert_allclose(moved, [expected, 0.0, 0.0], atol=1e-12)
@@ -92,12 +97,18 @@ def test_a_pushed_fruit_first_swings_with_all_of_the_push_and_then_as_its_branch
             assert moved[0] == pytest.approx(start, rel=1e-6)
 
 
-def test_a_cup_that_goes_where_the_fruit_was_pushed_to_takes_it(sure, monkeypatch):
+def test_a_cup_that_goes_where_the_fruit_was_pushed_to_takes_it(sure):
     fruit, moved = np.array([[0.0, 0, 0], [1.0, 0, 0]]), np.array([[0.0, 0, 0], [0.03, -0.01, 0]])
-    monkeypatch.setattr(picking, "displacements", lambda *_: moved)
     for tips, lateral in ((fruit + moved, [0.0, 0.0]), (fruit, [0.0, np.hypot(0.03, 0.01)])):
-        arguments = (fruit, np.full(2, 0.06), np.full(2, 0.1), np.arange(2.0), NOTHING)
-        outcome = attempt(sure, tips, *arguments, np.random.default_rng(0))
+        outcome = attempt(sure, tips, fruit, moved, np.full(2, 0.06), NOTHING, draw_luck(np.random.default_rng(0), 2))
         np.testing.assert_allclose(outcome.lateral, lateral, atol=1e-12)
         np.testing.assert_allclose(outcome.displaced, np.linalg.norm(moved, axis=1))
         assert outcome.collected.tolist() == [True, lateral[1] == 0.0]
+
+
+def test_fruit_that_does_not_fit_into_the_cup_is_never_taken(sure):
+    fruit = np.zeros((1, 3))
+    for diameter, taken in ((0.069, True), (0.071, False)):
+        luck = luck_of(1)._replace(grasp=np.zeros(1))
+        outcome = attempt(sure, fruit, fruit, np.zeros((1, 3)), np.array([diameter]), NOTHING, luck)
+        assert outcome.attached[0] == taken

@@ -133,10 +133,10 @@ def test_a_study_is_known_by_its_configuration(tmp_path: Path) -> None:
         (lambda path: path.write_bytes(path.read_bytes()[:-400]), "is not a Comparison file or is damaged"),
         (lambda path: path.write_bytes(b""), "is not a Comparison file or is damaged"),
         (lambda path: path.write_text("no archive"), "is not a Comparison file or is damaged"),
-        (lambda path: rewritten(path, version=99), "has format 99, this program reads up to 2; update pickenv"),
+        (lambda path: rewritten(path, version=99), "has format 99, this program reads up to 3; update pickenv"),
         (
             lambda path: rewritten(path, version=1),
-            "has the earlier format 1, this program reads 2; `pickenv demo --out",
+            "has the earlier format 1, this program reads 3; `pickenv demo --out",
         ),
         (lambda path: rewritten(path, kind="CalibrationTrace"), "holds a CalibrationTrace, not a Comparison"),
         (
@@ -191,7 +191,7 @@ def test_a_path_that_is_no_folder_is_refused(tmp_path: Path) -> None:
 
 def test_what_holds_code_cannot_be_saved(tmp_path: Path, comparison: Comparison) -> None:
     with pytest.raises(TypeError, match="function cannot be saved"):
-        saved.save(tmp_path / "x.npz", replace(comparison, plant=replace(comparison.plant, place=lambda x: x)))
+        saved.save_numbers(tmp_path / "x.npz", replace(comparison, plant=replace(comparison.plant, ready=lambda x: x)))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -14,7 +14,6 @@ from pickenv.orchard import (
     in_canopy,
     load_canopy,
     occlusion,
-    reachable,
     shipped,
 )
 from pickenv.orchard.occlusion import disc_cover
@@ -119,9 +118,3 @@ def test_a_fruit_right_below_blocks_the_cup_and_one_above_does_not() -> None:
     stacked = [[0.0, 0.2, 1.5], [0.0, 0.2, 1.42], [0.5, 0.2, 1.5]]
     clear = approach_clear(stacked, 0.075, [0.0, 0.0, 1.0], tool_radius=0.037)
     assert clear.tolist() == [False, True, True]
-
-
-def test_reach_is_a_function_or_flags() -> None:
-    positions = np.array([[0.0, 0.1, 1.0], [0.0, 0.1, 3.0]])
-    by_function = reachable(positions, lambda p: p[..., 2] < 2.0)
-    assert by_function.tolist() == reachable(positions, [True, False]).tolist() == [True, False]

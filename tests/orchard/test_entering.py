@@ -19,7 +19,7 @@ def test_entering_loads_neither_scipy_nor_scikit_image() -> None:
 def test_a_picking_step_needs_only_numpy() -> None:
     code = (
         "import numpy as np; from pickenv.orchard import *; rng = np.random.default_rng(0); "
-        "captured(load_gripper('li_cup'), 0.0, 0.0, 0.0, rng); "
+        "capture_probability(load_gripper('li_cup'), 0.0, 0.0, 0.0); "
         "measured_positions(load_camera('d455f'), [0, 1, 0], [0, 0, 0], rng.normal(size=5)); "
         "swing(load_branch('apple'), [0, 0, 0], [0, 0, 0], 0.2, 0.1); "
         "detached(sample_strength(load_detachment('apple'), (), rng), 20.0)"

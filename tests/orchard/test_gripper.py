@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pickenv.orchard import CompliantHand, Cup, capture_probability, captured, load_gripper, misalignment
+from pickenv.orchard import CompliantHand, Cup, capture_probability, load_gripper, misalignment
 
 quick = settings(deadline=None, derandomize=True)
 
@@ -66,7 +66,7 @@ def test_calibration_decides_with_the_cup_and_helps_with_the_hand() -> None:
 
 def test_lis_cup_clears_five_millimetres() -> None:
     cup = load_gripper("li_cup")
-    assert isinstance(cup, Cup) and cup.radial == pytest.approx(0.005)
+    assert isinstance(cup, Cup) and (cup.opening - cup.fruit) / 2 == pytest.approx(0.005)
     assert capture_probability(cup, [0.0049, 0.0051], 0.0, 0.0).tolist() == [1.0, 0.0]
     assert capture_probability(cup, 0.0, 0.0, 0.0, diameter=0.0749) == 0.0  # a real apple does not fit
 
@@ -98,10 +98,3 @@ def test_the_angle_is_that_between_the_axes_small_ones_too() -> None:
     for angle in (0.0, 1e-9, 0.3, np.pi / 2, np.pi):
         found = misalignment(np.zeros(3), [0, np.sin(angle), np.cos(angle)], [0, 0, 2.0])
         assert found.angle == pytest.approx(angle, rel=1e-6, abs=1e-15)
-
-
-def test_draws_follow_the_probability_and_the_seed() -> None:
-    hand, lateral = load_gripper("compliant_hand"), np.full(20_000, 0.02)
-    drawn = captured(hand, lateral, 0.01, 0.0, np.random.default_rng(0))
-    assert drawn.mean() == pytest.approx(capture_probability(hand, 0.02, 0.01, 0.0), abs=0.01)
-    np.testing.assert_array_equal(drawn, captured(hand, lateral, 0.01, 0.0, np.random.default_rng(0)))

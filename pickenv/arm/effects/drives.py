@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Annotated
 
+from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, nearest_whole
 from pickenv.arm.kinematics.forward import Scalar
+from pickenv.toml_tables import MILLISECONDS, toml_table
 
 
 @dataclass(frozen=True)
@@ -21,7 +24,7 @@ class Encoder:
     resolution: tuple[Scalar, ...]
 
 
-@dataclass(frozen=True)
+@toml_table
 class Servo:
     """Position loops that follow with an error proportional to speed: x' = (command - x) / time constant.
 
@@ -29,7 +32,7 @@ class Servo:
         time_constant: Of each joint's loop, s (one over the position gain).
     """
 
-    time_constant: tuple[Scalar, ...]
+    time_constant: Annotated[tuple[Scalar, ...], MILLISECONDS.positive, PER_JOINT]
 
 
 def quantised(m: ModuleType, encoder: Encoder, q: Sequence[Scalar]) -> list[Scalar]:

@@ -7,15 +7,16 @@ one time constant (a Kelvin-Voigt body). Gravity points along -z of the world. U
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from types import ModuleType
+from typing import Annotated
 
-from pickenv.arm.effects.structure import GRAVITY, Load, turn_horizontally
+from pickenv.arm.effects.structure import Load, turn_horizontally
 from pickenv.arm.kinematics.backend import exponential
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, attach
+from pickenv.toml_tables import GRAVITY, HOURS, MM, NUMBER, Unit, toml_table
 
 
-@dataclass(frozen=True)
+@toml_table
 class BaseTilt:
     """Tilt and sinkage of the machine that carries the arm.
 
@@ -27,11 +28,11 @@ class BaseTilt:
         time_constant: Time constant of creep and settlement, s.
     """
 
-    stiffness: tuple[Scalar, Scalar]
-    pivot: tuple[float, float, float]
-    creep: Scalar
-    settlement: Scalar
-    time_constant: Scalar
+    stiffness: Annotated[tuple[Scalar, Scalar], Unit("N_m_per_rad").positive]
+    pivot: Annotated[tuple[float, float, float], MM]
+    creep: Annotated[Scalar, NUMBER.not_negative]
+    settlement: Annotated[Scalar, MM.not_negative]
+    time_constant: Annotated[Scalar, HOURS.positive]
 
 
 def immediate_tilt(tilt: BaseTilt, chain: Chain, frames: Sequence[Frame], load: Load) -> tuple[Scalar, Scalar]:

@@ -6,18 +6,23 @@ first-order lag. A held command is integrated exactly, whatever the time step. U
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from types import ModuleType
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
+from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, namespace_of
 from pickenv.arm.kinematics.forward import Scalar
+from pickenv.toml_tables import MILLISECONDS, NUMBER, Check, Unit, toml_table
 
-TWO_PI = 6.283185307179586
+BELOW_ONE = Check(
+    lambda values: not isinstance(values, list) or all(not isinstance(v, int | float) or v < 1 for v in values),
+    "damping ratios from 0 to below 1",
+)
 
 
-@dataclass(frozen=True)
+@toml_table
 class Settling:
     """Vibration of the structure behind each joint.
 
@@ -28,10 +33,10 @@ class Settling:
         rise_time: Time constant of the motion profile, s: how smoothly commands are approached.
     """
 
-    frequency: tuple[Scalar, ...]
-    damping: tuple[Scalar, ...]
-    participation: tuple[Scalar, ...]
-    rise_time: Scalar
+    frequency: Annotated[tuple[Scalar, ...], Unit("Hz").positive, PER_JOINT]
+    damping: Annotated[tuple[Scalar, ...], NUMBER.not_negative, BELOW_ONE, PER_JOINT]
+    participation: Annotated[tuple[Scalar, ...], NUMBER.not_negative, PER_JOINT]
+    rise_time: Annotated[Scalar, MILLISECONDS.positive]
 
 
 class Swing(NamedTuple):
@@ -69,7 +74,7 @@ def swung(m: ModuleType, settling: Settling, swings: Sequence[Swing], q: Sequenc
     for swing, command, frequency, zeta, share in zip(
         swings, q, settling.frequency, settling.damping, settling.participation, strict=True
     ):
-        omega = TWO_PI * frequency
+        omega = math.tau * frequency
         decay = zeta * omega
         damped = omega * namespace_of(m, zeta).sqrt(1.0 - zeta * zeta)
         angle = damped * dt

@@ -6,17 +6,18 @@ numbers of an effect may be arrays too, one entry per arm. Gravity points along 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Annotated, Any
 
+from pickenv.arm.files.joint_keys import BOOM, PER_JOINT, ByJoint
 from pickenv.arm.kinematics.forward import Chain, Flexure, Frame, Scalar, attach
-
-GRAVITY = 9.80665
-"""Standard acceleration of gravity, m/s^2 (ISO 80000-3)."""
+from pickenv.toml_tables import ARCMIN, DEG, GRAVITY, KG, KG_PER_M, MM, NUMBER, WHOLE, Then, Unit, toml_table
 
 
-@dataclass(frozen=True)
+@toml_table
 class Load:
     """Masses that gravity pulls at.
 
@@ -26,12 +27,12 @@ class Load:
         payload: Mass held at the tool's origin, kg.
     """
 
-    mass: tuple[Scalar, ...]
-    centre: tuple[tuple[float, float, float], ...]
-    payload: Scalar
+    mass: Annotated[tuple[Scalar, ...], KG.not_negative, PER_JOINT]
+    centre: Annotated[tuple[tuple[float, float, float], ...], MM, PER_JOINT]
+    payload: Annotated[Scalar, KG.not_negative] = 0.0
 
 
-@dataclass(frozen=True)
+@toml_table
 class JointCompliance:
     """Each joint yields under its gravity torque or force: dq = tau / k.
 
@@ -39,10 +40,10 @@ class JointCompliance:
         stiffness: N*m/rad for revolute joints, N/m for prismatic ones.
     """
 
-    stiffness: tuple[Scalar, ...]
+    stiffness: Annotated[tuple[Scalar, ...], NUMBER.positive, PER_JOINT]
 
 
-@dataclass(frozen=True)
+@toml_table
 class BoomBending:
     """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
 
@@ -54,14 +55,14 @@ class BoomBending:
         mass_per_length: Mass of the boom, kg/m.
     """
 
-    joint: int
-    length: Scalar
-    flexural_rigidity: Scalar
-    end_mass: Scalar
-    mass_per_length: Scalar
+    joint: Annotated[int, WHOLE, BOOM]
+    length: Annotated[Scalar, MM.not_negative]
+    flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
+    end_mass: Annotated[Scalar, KG.not_negative]
+    mass_per_length: Annotated[Scalar, KG_PER_M.not_negative]
 
 
-@dataclass(frozen=True)
+@toml_table
 class RollerPlay:
     """A telescopic boom tips in its rollers: angle = clearance / overlap, and the overlap shrinks as the boom runs out.
 
@@ -72,10 +73,10 @@ class RollerPlay:
         overlap: Length inside the rollers at zero displacement, m; the displacement is taken off it.
     """
 
-    joint: int
-    length: Scalar
-    clearance: Scalar
-    overlap: Scalar
+    joint: Annotated[int, WHOLE, BOOM]
+    length: Annotated[Scalar, MM.not_negative]
+    clearance: Annotated[Scalar, MM.not_negative]
+    overlap: Annotated[Scalar, MM.positive]
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,12 @@ class Harmonic:
     phase: Scalar
 
 
-@dataclass(frozen=True)
+HARMONICS = ByJoint(
+    amplitude=(ARCMIN.not_negative, MM.not_negative), period=(DEG.positive, MM.positive), phase=(DEG, DEG)
+)
+
+
+@toml_table
 class TransmissionError:
     """Drives that do not deliver what the motor side shows: a lead error and periodic terms.
 
@@ -104,8 +110,12 @@ class TransmissionError:
         harmonics: The periodic terms.
     """
 
-    lead: tuple[Scalar, ...]
-    harmonics: tuple[Harmonic, ...]
+    lead: Annotated[tuple[Scalar, ...], NUMBER, PER_JOINT]
+    harmonics: Annotated[tuple[Harmonic, ...], Then(_harmonics, Annotated[tuple[Any, ...], HARMONICS])] = ()
+
+
+def _harmonics(entries: Any, _context: Any) -> tuple[Harmonic, ...]:
+    return tuple(Harmonic(entry.joint, entry.amplitude, entry.period, entry.phase) for entry in entries)
 
 
 def driven_joints(m: ModuleType, error: TransmissionError, q: Sequence[Scalar]) -> list[Scalar]:
@@ -115,7 +125,7 @@ def driven_joints(m: ModuleType, error: TransmissionError, q: Sequence[Scalar]) 
         for value, lead in zip(q, error.lead, strict=True)
     ]
     for term in error.harmonics:
-        angle = q[term.joint] * (6.283185307179586 / term.period) + term.phase
+        angle = q[term.joint] * (math.tau / term.period) + term.phase
         driven[term.joint] = driven[term.joint] + term.amplitude * m.sin(angle)
     return driven
 

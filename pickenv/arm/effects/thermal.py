@@ -6,14 +6,16 @@ dT is the rise above the temperature at which the true geometry holds. Units: K,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from types import ModuleType
+from typing import Annotated
 
+from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential
 from pickenv.arm.kinematics.forward import Chain, Scalar
+from pickenv.toml_tables import HOURS, KELVIN, Unit, toml_table
 
 
-@dataclass(frozen=True)
+@toml_table
 class ThermalGrowth:
     """Growth of each link with the arm's temperature.
 
@@ -24,10 +26,10 @@ class ThermalGrowth:
         time_constant: Time constant of the warm-up, s.
     """
 
-    expansion: tuple[Scalar, ...]
-    initial_rise: Scalar
-    final_rise: Scalar
-    time_constant: Scalar
+    expansion: Annotated[tuple[Scalar, ...], Unit("um_per_m_K", 1e-6).not_negative, PER_JOINT]
+    initial_rise: Annotated[Scalar, KELVIN]
+    final_rise: Annotated[Scalar, KELVIN]
+    time_constant: Annotated[Scalar, HOURS.positive]
 
 
 def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> Scalar:

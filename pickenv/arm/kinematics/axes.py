@@ -42,9 +42,7 @@ def geometry_from_axes(
     points, directions = np.asarray(points, dtype=float), np.asarray(directions, dtype=float)
     lengths = np.linalg.norm(directions, axis=1)
     if np.any(lengths < PARALLEL):
-        raise InputError(
-            f"joint '{joint_names[int(np.argmin(lengths))]}' has an axis without direction; give a unit vector"
-        )
+        raise InputError(f"axis {int(np.argmin(lengths)) + 1} has no direction; give a unit vector")
     z = directions / lengths[:, None]
     n = len(z)
     origins, x = np.zeros((n, 3)), np.zeros((n, 3))
@@ -56,31 +54,17 @@ def geometry_from_axes(
         else:
             previous = x[i - 1] if i else np.array([1.0, 0.0, 0.0])
             origins[i], x[i] = _common_normal(near, z[i], points[i + 1], z[i + 1], previous)
-    table = np.zeros((4, n))
+    table = np.zeros((4, n))  # alpha, a, theta, d
     for i in range(1, n):
         step = origins[i] - origins[i - 1]
-        table[:, i] = (
-            _angle(z[i - 1], z[i], x[i - 1]),
-            step @ x[i - 1],
-            _angle(x[i - 1], x[i], z[i]),
-            step @ z[i],
-        )
-    alpha, a, theta, d = table
+        twist, turn = _angle(z[i - 1], z[i], x[i - 1]), _angle(x[i - 1], x[i], z[i])
+        table[:, i] = twist, step @ x[i - 1], turn, step @ z[i]
     last = np.column_stack([x[-1], np.cross(z[-1], x[-1]), z[-1]])
     first = np.column_stack([x[0], np.cross(z[0], x[0]), z[0]])
-    return Geometry(
-        joint_names=joint_names,
-        prismatic=prismatic,
-        alpha=alpha,
-        a=a,
-        theta=theta,
-        d=d,
-        beta=np.zeros(n),
-        lower=np.asarray(lower, dtype=float),
-        upper=np.asarray(upper, dtype=float),
-        base=Pose(origins[0], first),
-        tool=Pose(last.T @ (tool.position - origins[-1]), last.T @ tool.rotation),
-    )
+    base = Pose(origins[0], first)
+    hand = Pose(last.T @ (tool.position - origins[-1]), last.T @ tool.rotation)
+    low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+    return Geometry(joint_names, prismatic, *table, beta=np.zeros(n), lower=low, upper=high, base=base, tool=hand)
 
 
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:

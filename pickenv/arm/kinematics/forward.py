@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose
 
 Scalar = Any
 """A Python float, a NumPy array or a torch tensor: the executors' common ground."""
@@ -59,22 +59,9 @@ def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
     convert = float if m is math else np.asarray
     links = []
     for i, prismatic in enumerate(geometry.slides):
-        alpha, a, theta, d, beta = (
-            convert(getattr(geometry, name)[..., i]) for name in ("alpha", "a", "theta", "d", "beta")
-        )
-        links.append(
-            Link(
-                prismatic=prismatic,
-                cos_alpha=m.cos(alpha),
-                sin_alpha=m.sin(alpha),
-                a=a,
-                theta=theta,
-                d=d,
-                cos_theta=m.cos(theta),
-                sin_theta=m.sin(theta),
-                beta=(m.cos(beta), m.sin(beta)) if np.any(beta) else None,
-            )
-        )
+        alpha, a, theta, d, beta = (convert(getattr(geometry, name)[..., i]) for name in LINK_PARAMETERS)
+        bent = (m.cos(beta), m.sin(beta)) if np.any(beta) else None
+        links.append(Link(prismatic, m.cos(alpha), m.sin(alpha), a, theta, d, m.cos(theta), m.sin(theta), bent))
     still = not geometry.tool.position.any() and np.array_equal(geometry.tool.rotation, np.eye(3))
     tool = None if still else frame_of(geometry.tool)
     return Chain(frame_of(geometry.base), tuple(links), tool, geometry.coupling)

@@ -159,18 +159,10 @@ class Geometry:
         n = self.links
         if delta.shape != (5 * n + 12,):
             raise ValueError(f"delta has shape {delta.shape}, but this geometry has {5 * n + 12} parameters")
-        alpha, a, theta, d, beta = delta[: 5 * n].reshape(5, n)
+        parts = zip(LINK_PARAMETERS, delta[: 5 * n].reshape(5, n), strict=True)
+        links: dict[str, Any] = {name: getattr(self, name) + part for name, part in parts}
         base, tool = delta[5 * n :].reshape(2, 6)
-        return replace(
-            self,
-            alpha=self.alpha + alpha,
-            a=self.a + a,
-            theta=self.theta + theta,
-            d=self.d + d,
-            beta=self.beta + beta,
-            base=move_pose(self.base, base),
-            tool=move_pose(self.tool, tool),
-        )
+        return replace(self, **links, base=move_pose(self.base, base), tool=move_pose(self.tool, tool))
 
     def difference(self, other: Geometry) -> Array:
         """The ``delta`` (5L + 12,) that turns this geometry into ``other`` (inverse of `displaced`)."""

@@ -7,7 +7,7 @@ said to be so, with the error that remains. Metres and radians.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -107,13 +107,8 @@ def inverse(
         best[open_[better]] = tried[better]
         state = _judge(geometry, goals, best, position_tolerance, attitude_tolerance, rank_tolerance)
     assert state.joints.shape == (count, n)
-    return InverseSolution(
-        joints=state.joints.reshape(*shape, n),
-        reached=state.reached.reshape(shape),
-        position_error=state.position_error.reshape(shape),
-        attitude_error=state.attitude_error.reshape(shape),
-        noncompensable_attitude=state.noncompensable_attitude.reshape(shape),
-    )
+    joints, *judged = (getattr(state, part.name) for part in fields(state))
+    return InverseSolution(joints.reshape(*shape, n), *(values.reshape(shape) for values in judged))
 
 
 def _judge(

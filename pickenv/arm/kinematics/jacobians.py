@@ -43,7 +43,7 @@ def link_column(
     return y * w - z * v, z * u - x * w, x * v - y * u, x, y, z
 
 
-def joint_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[Column]:
+def jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[Column]:
     """Columns of the joint Jacobian, one per joint, for the frames of base, links and tool in components."""
     hand = tool[9:]
     columns = [
@@ -70,7 +70,7 @@ def joint_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
     """
     links, tool, shape = _frames(geometry, q)
     jacobian = np.empty((6, geometry.joints, *shape))
-    for i, column in enumerate(joint_columns(geometry, links, tool)):
+    for i, column in enumerate(jacobian_columns(geometry, links, tool)):
         for row, value in enumerate(column):
             jacobian[row, i] = value
     return np.moveaxis(jacobian, (0, 1), (-2, -1))

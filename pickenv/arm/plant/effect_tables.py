@@ -1,192 +1,78 @@
-"""One reader per table of a plant file: file units in, an effect in SI units out."""
+"""The tables of a plant file whose effects are not laid out as the file is: entries by joint, in the joint's unit.
+
+The other effects say the keys and units of their tables themselves.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Annotated, Any
 
-from pickenv.arm.effects.drives import Encoder, Servo
-from pickenv.arm.effects.ground import BaseTilt
+from pickenv.arm.effects.drives import Encoder
 from pickenv.arm.effects.hysteresis import Backlash, StickBand
-from pickenv.arm.effects.settling import Settling
-from pickenv.arm.effects.structure import BoomBending, Harmonic, JointCompliance, Load, RollerPlay, TransmissionError
-from pickenv.arm.effects.thermal import ThermalGrowth
-from pickenv.arm.files.arm_file import Arm
-from pickenv.arm.files.tables import METRES, RADIANS, Table
+from pickenv.arm.files.joint_keys import ByJoint, arm_in
 from pickenv.errors import InputError
+from pickenv.toml_tables import ARCMIN, ARCSEC, MM, NEWTON, NEWTON_METRE, NUMBER, UM, Then, toml_table
 
-HARMONIC_KEYS = ("joint", "phase_deg", "amplitude_mm", "period_mm", "amplitude_arcmin", "period_deg")
-
-
-def load(table: Table, arm: Arm) -> Load:
-    """Masses: kg and mm."""
-    n = arm.nominal.joints
-    centres = table.table.get("centre_mm")
-    if not isinstance(centres, list) or len(centres) != n:
-        raise table.fail("centre_mm", f"{n} points of three numbers")
-    points = [
-        Table({"centre_mm": c}, "load", table.where, ("centre_mm",)).numbers("centre_mm", 3, signed=True)
-        for c in centres
-    ]
-    return Load(
-        mass=table.numbers("mass_kg", n),
-        centre=tuple((x * 1e-3, y * 1e-3, z * 1e-3) for x, y, z in points),
-        payload=table.number("payload_kg", default=0.0),
-    )
+TRAVEL = (ARCMIN.not_negative, MM.not_negative)
 
 
-def joint_compliance(table: Table, arm: Arm) -> JointCompliance:
-    """Stiffness per joint: N*m/rad or N/m."""
-    return JointCompliance(table.numbers("stiffness", arm.nominal.joints, positive=True))
+@toml_table
+class BacklashTable:
+    """Gaps; joints left out have none."""
+
+    joints: Annotated[
+        tuple[Any, ...], ByJoint(width=TRAVEL, preload=(NEWTON_METRE.not_negative, NEWTON.not_negative))
+    ] = ()
 
 
-def boom_bending(table: Table, arm: Arm) -> BoomBending:
-    """A boom: mm, N*m^2, kg."""
-    return BoomBending(
-        joint=table.slide_index(arm),
-        length=table.number("length_mm") * 1e-3,
-        flexural_rigidity=table.number("flexural_rigidity_N_m2", positive=True),
-        end_mass=table.number("end_mass_kg"),
-        mass_per_length=table.number("mass_per_length_kg_per_m"),
-    )
+@toml_table
+class StickBandTable:
+    """Friction bands; joints left out have none."""
+
+    joints: Annotated[tuple[Any, ...], ByJoint(forward=TRAVEL, backward=TRAVEL)] = ()
+    scatter: Annotated[float, NUMBER.not_negative] = 0.0
 
 
-def transmission_error(table: Table, arm: Arm) -> TransmissionError:
-    """Lead errors (relative) and harmonics: arcmin and deg, or mm."""
-    harmonics = []
-    for term in table.entries("harmonics", HARMONIC_KEYS):
-        joint = term.joint_index(arm)
-        if arm.nominal.prismatic[joint]:
-            amplitude, period = term.number("amplitude_mm") * 1e-3, term.number("period_mm", positive=True) * 1e-3
-        else:
-            amplitude = math.radians(term.number("amplitude_arcmin") / 60.0)
-            period = math.radians(term.number("period_deg", positive=True))
-        harmonics.append(Harmonic(joint, amplitude, period, math.radians(term.number("phase_deg", signed=True))))
-    lead = table.numbers("lead", arm.nominal.joints, signed=True)
-    return TransmissionError(lead, tuple(harmonics))
+@toml_table
+class EncoderTable:
+    """Counts; every joint has an encoder."""
+
+    joints: Annotated[tuple[Any, ...], ByJoint(resolution=(ARCSEC.positive, UM.positive))]
 
 
-def roller_play(table: Table, arm: Arm) -> RollerPlay:
-    """Play of a boom in its rollers: mm."""
-    joint = table.slide_index(arm)
-    overlap = table.number("overlap_mm", positive=True) * 1e-3
-    furthest = float(arm.nominal.upper[joint])
-    if overlap <= furthest:
-        raise table.fail("overlap_mm", f"more than the {furthest * 1e3:g} mm that joint {joint + 1} runs out")
-    return RollerPlay(joint, table.number("length_mm") * 1e-3, table.number("clearance_mm") * 1e-3, overlap)
+def backlash_of(table: BacklashTable, context: Any) -> Backlash:
+    """The effect of an arm."""
+    return Backlash(_per_joint(table, "width", context), _per_joint(table, "preload", context))
 
 
-def backlash(table: Table, arm: Arm) -> Backlash:
-    """Gaps: arcmin and N*m, or mm and N; joints left out have none."""
-    width, preload = [0.0] * arm.nominal.joints, [0.0] * arm.nominal.joints
-    for joint, entry in table.by_joint(arm, ("width_arcmin", "width_mm", "preload_N_m", "preload_N")).items():
-        width[joint] = _travel(entry, "width", arm, joint)
-        preload[joint] = entry.number("preload_N" if arm.nominal.prismatic[joint] else "preload_N_m")
-    return Backlash(tuple(width), tuple(preload))
+def stick_band_of(table: StickBandTable, context: Any) -> StickBand:
+    """The effect of an arm."""
+    forward, backward = (_per_joint(table, side, context) for side in ("forward", "backward"))
+    return StickBand(forward, backward, table.scatter)
 
 
-def stick_band(table: Table, arm: Arm) -> StickBand:
-    """Friction bands: arcmin or mm; joints left out have none. Their scatter from stop to stop is a share of them."""
-    bands = {"forward": [0.0] * arm.nominal.joints, "backward": [0.0] * arm.nominal.joints}
-    keys = [f"{side}_{unit}" for side in bands for unit in ("arcmin", "mm")]
-    for joint, entry in table.by_joint(arm, keys).items():
-        for side, band in bands.items():
-            band[joint] = _travel(entry, side, arm, joint)
-    scatter = table.number("scatter", default=0.0)
-    return StickBand(tuple(bands["forward"]), tuple(bands["backward"]), scatter)
+def encoder_of(table: EncoderTable, context: Any) -> Encoder:
+    """The effect of an arm."""
+    resolution = _per_joint(table, "resolution", context)
+    if 0.0 in resolution:
+        raise InputError(f"joints of [encoder] does not name joint {resolution.index(0.0) + 1}; give each joint")
+    return Encoder(resolution)
 
 
-def thermal_growth(table: Table, arm: Arm) -> ThermalGrowth:
-    """Growth: 1e-6/K, K and hours."""
-    return ThermalGrowth(
-        expansion=tuple(value * 1e-6 for value in table.numbers("expansion_um_per_m_K", arm.nominal.joints)),
-        initial_rise=table.number("initial_rise_K", signed=True),
-        final_rise=table.number("final_rise_K", signed=True),
-        time_constant=table.number("time_constant_h", positive=True) * 3600.0,
-    )
+def _per_joint(table: Any, key: str, context: Any) -> tuple[float, ...]:
+    """One number per joint from the entries of a table, zero for joints that none names."""
+    found: dict[int, float] = {}
+    for entry in table.joints:
+        if entry.joint in found:
+            raise InputError(f"joint {entry.joint + 1} has two entries in one table; give each joint once")
+        found[entry.joint] = getattr(entry, key)
+    arm = arm_in(context)
+    return () if arm is None else tuple(found.get(joint, 0.0) for joint in range(arm.nominal.joints))
 
 
-def base_tilt(table: Table, _arm: Arm) -> BaseTilt:
-    """The ground: N*m/rad, mm and hours."""
-    about_x, about_y = table.numbers("stiffness_N_m_per_rad", 2, positive=True)
-    x, y, z = table.numbers("pivot_mm", 3, signed=True)
-    return BaseTilt(
-        stiffness=(about_x, about_y),
-        pivot=(x * 1e-3, y * 1e-3, z * 1e-3),
-        creep=table.number("creep"),
-        settlement=table.number("settlement_mm") * 1e-3,
-        time_constant=table.number("time_constant_h", positive=True) * 3600.0,
-    )
-
-
-def settling(table: Table, arm: Arm) -> Settling:
-    """Modes: Hz, ratios and ms."""
-    n = arm.nominal.joints
-    damping = table.numbers("damping", n)
-    if any(value >= 1 for value in damping):
-        raise table.fail("damping", "damping ratios from 0 to below 1")
-    return Settling(
-        frequency=table.numbers("frequency_Hz", n, positive=True),
-        damping=damping,
-        participation=table.numbers("participation", n),
-        rise_time=table.number("rise_time_ms", positive=True) * 1e-3,
-    )
-
-
-def encoder(table: Table, arm: Arm) -> Encoder:
-    """Counts: arcsec or um."""
-    entries = table.by_joint(arm, ("resolution_arcsec", "resolution_um"))
-    resolution = []
-    for joint in range(arm.nominal.joints):
-        if joint not in entries:
-            raise InputError(
-                f"{table.where}: joints of [{table.name}] does not name joint {joint + 1}; give each joint"
-            )
-        resolution.append(_travel(entries[joint], "resolution", arm, joint, ("arcsec", "um"), positive=True))
-    return Encoder(tuple(resolution))
-
-
-def servo(table: Table, arm: Arm) -> Servo:
-    """Lags: ms."""
-    milliseconds = table.numbers("time_constant_ms", arm.nominal.joints, positive=True)
-    return Servo(tuple(value * 1e-3 for value in milliseconds))
-
-
-def _travel(
-    entry: Table,
-    quantity: str,
-    arm: Arm,
-    joint: int,
-    units: tuple[str, str] = ("arcmin", "mm"),
-    *,
-    positive: bool = False,
-) -> float:
-    """A displacement of ``joint`` in rad or m, from the key whose unit suits the joint."""
-    turn, slide = units
-    if arm.nominal.prismatic[joint]:
-        return entry.number(f"{quantity}_{slide}", positive=positive) * METRES[slide]
-    return entry.number(f"{quantity}_{turn}", positive=positive) * RADIANS[turn]
-
-
-READERS: Mapping[str, tuple[Callable[[Table, Arm], Any], tuple[str, ...]]] = {
-    "load": (load, ("mass_kg", "centre_mm", "payload_kg")),
-    "joint_compliance": (joint_compliance, ("stiffness",)),
-    "boom_bending": (
-        boom_bending,
-        ("joint", "length_mm", "flexural_rigidity_N_m2", "end_mass_kg", "mass_per_length_kg_per_m"),
-    ),
-    "transmission_error": (transmission_error, ("lead", "harmonics")),
-    "roller_play": (roller_play, ("joint", "length_mm", "clearance_mm", "overlap_mm")),
-    "backlash": (backlash, ("joints",)),
-    "stick_band": (stick_band, ("joints", "scatter")),
-    "thermal_growth": (
-        thermal_growth,
-        ("expansion_um_per_m_K", "initial_rise_K", "final_rise_K", "time_constant_h"),
-    ),
-    "base_tilt": (base_tilt, ("stiffness_N_m_per_rad", "pivot_mm", "creep", "settlement_mm", "time_constant_h")),
-    "settling": (settling, ("frequency_Hz", "damping", "participation", "rise_time_ms")),
-    "encoder": (encoder, ("joints",)),
-    "servo": (servo, ("time_constant_ms",)),
+BY_JOINT = {
+    "backlash": Annotated[Any, Then(backlash_of, BacklashTable)],
+    "stick_band": Annotated[Any, Then(stick_band_of, StickBandTable)],
+    "encoder": Annotated[Any, Then(encoder_of, EncoderTable)],
 }
-"""Reader and keys of each table."""
+"""By effect: what a plant file holds, and what is made of it."""

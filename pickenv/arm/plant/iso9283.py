@@ -13,12 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Geometry, Plant, Pose, displace_pose, forward, inverse, pose_error
+from pickenv.arm import Array, Frame, Geometry, Plant, PlantState, Pose, forward, inverse, pose_error
 from pickenv.arm.effects.hysteresis import one_stop
-from pickenv.arm.kinematics.forward import Frame, pose_of
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import Cube, largest_cube
-from pickenv.arm.plant.dynamics import PlantState
 from pickenv.arm.plant.motion import Pace, moved
 from pickenv.errors import InputError
 
@@ -156,10 +154,8 @@ class Iso9283Result:
         cube = {"centre_mm": (1e3 * self.cube.centre).tolist(), "edge_mm": 1e3 * self.cube.edge}
         found: dict[str, Any] = {}
         for name, performance in self.performances().items():
-            found[name] = asdict(performance) | {
-                "worst_accuracy_mm": performance.worst_accuracy_mm,
-                "worst_repeatability_mm": performance.worst_repeatability_mm,
-            }
+            worst = {key: getattr(performance, key) for key in ("worst_accuracy_mm", "worst_repeatability_mm")}
+            found[name] = asdict(performance) | worst
         head = {"standard": "ISO 9283:1998", "plant": self.plant, "settings": settings, "cube": cube}
         return head | {"instrument_repeatability_mm": self.instrument_mm} | found
 
@@ -220,14 +216,18 @@ def iso9283(
     targets = _joints_for(plant, poses, None)
     approaches = _approaches(plant, poses, targets, settings.approach)
     wanted = forward(reference or plant.arm.nominal, targets)
-    tests = [_Test(plant, change, settings, targets, approaches, wanted, seed) for change in (None, compensate)]
+
+    def performance(change: Compensate) -> Performance:
+        commands, before = np.asarray(change(targets)).tolist(), np.asarray(change(approaches)).tolist()
+        return _Test(plant, settings, commands, before, wanted, np.random.default_rng(seed)).performance()
+
     return Iso9283Result(
         plant=plant.name,
         cube=cube,
         settings=settings,
         instrument_mm=NORM_OF_NOISE * 1e3 * (plant.measurement_noise.position_std if plant.measurement_noise else 0.0),
-        raw=tests[0].performance(),
-        calibrated=None if compensate is None else tests[1].performance(),
+        raw=performance(lambda joints: joints),
+        calibrated=None if compensate is None else performance(compensate),
     )
 
 
@@ -250,24 +250,16 @@ def _approaches(plant: Plant, poses: Pose, targets: Array, length: float) -> Arr
     return _joints_for(plant, Pose(before, rotation), start)
 
 
+@dataclass(frozen=True, eq=False)
 class _Test:
     """One controller's run through all parts of the test."""
 
-    def __init__(
-        self,
-        plant: Plant,
-        compensate: Compensate | None,
-        settings: Iso9283Settings,
-        targets: Array,
-        approaches: Array,
-        wanted: Pose,
-        seed: int,
-    ) -> None:
-        self.plant, self.settings, self.rng = plant, settings, np.random.default_rng(seed)
-        self.wanted = wanted
-        change = compensate or (lambda joints: joints)
-        self.commands: list[list[float]] = np.asarray(change(targets)).tolist()
-        self.approaches: list[list[list[float]]] = np.asarray(change(approaches)).tolist()
+    plant: Plant
+    settings: Iso9283Settings
+    commands: list[list[float]]
+    approaches: list[list[list[float]]]
+    wanted: Pose
+    rng: np.random.Generator
 
     def performance(self) -> Performance:
         """All figures."""
@@ -349,10 +341,7 @@ class _Test:
 
     def _error(self, i: int, frame: Frame) -> Array:
         """Measured pose error (6,) against the commanded pose, m and rad."""
-        pose, noise = pose_of(frame), self.plant.measurement_noise
-        if noise is not None:
-            scale = np.repeat([noise.position_std, noise.attitude_std], 3)
-            pose = displace_pose(pose, self.rng.normal(size=6) * scale)
+        pose = self.plant.measured(pose_of(frame), self.rng)
         return pose_error(Pose(self.wanted.position[i], self.wanted.rotation[i]), pose)
 
 

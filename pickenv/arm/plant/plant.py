@@ -9,39 +9,21 @@ the joints alone; the others have a state, a tuple of components that runs on fl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pickenv.arm.effects import hysteresis, structure
 from pickenv.arm.effects.drives import Encoder, Servo, followed, quantised
 from pickenv.arm.effects.ground import BaseTilt, immediate_tilt, long_run, sunk, tilted_frame
-from pickenv.arm.effects.hysteresis import (
-    Backlash,
-    StickBand,
-    joints_amid_friction,
-    joints_behind_backlash,
-    joints_behind_friction,
-)
 from pickenv.arm.effects.settling import Settling, Swing, at_rest, swung
-from pickenv.arm.effects.structure import (
-    BoomBending,
-    JointCompliance,
-    Load,
-    RollerPlay,
-    TransmissionError,
-    boom_flexure,
-    driven_joints,
-    gravity_torques,
-    roller_flexure,
-    yielded_joints,
-)
 from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain, grown_joints, warmed
-from pickenv.arm.files.arm_file import Arm
+from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import (
     Chain,
     Flexure,
@@ -53,43 +35,27 @@ from pickenv.arm.kinematics.forward import (
     split_joints,
     tool_frame,
 )
-from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
+from pickenv.arm.kinematics.geometry import Geometry, Pose
 from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant.dynamics import Components, PlantState
+from pickenv.toml_tables import DEG, MM, toml_table
 
-EFFECTS = (
-    "joint_compliance",
-    "boom_bending",
-    "transmission_error",
-    "measurement_noise",
-    "roller_play",
-    "backlash",
-    "stick_band",
-    "thermal_growth",
-    "base_tilt",
-    "settling",
-    "encoder",
-    "servo",
-)
 WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling", "servo")
 
 
-@dataclass(frozen=True)
+@toml_table
 class MeasurementNoise:
     """Normal noise of the measuring instrument, per axis: position in m, attitude in rad."""
 
-    position_std: float
-    attitude_std: float
+    position_std: Annotated[float, MM.not_negative]
+    attitude_std: Annotated[float, DEG.not_negative]
 
 
-def placed_chain(chain: Chain, place: Callable[[Array], Scalar]) -> Chain:
-    """A chain of many arms with its arrays where the executor wants them."""
-    links = []
-    for link in chain.links:
-        beta = None if link.beta is None else (place(link.beta[0]), place(link.beta[1]))
-        numbers = {name: place(getattr(link, name)) for name in link._fields if name not in ("prismatic", "beta")}
-        links.append(link._replace(beta=beta, **numbers))
-    return chain._replace(links=tuple(links))
+class Ready(NamedTuple):
+    """A chain, and the geometry that it belongs to."""
+
+    geometry: Geometry
+    chain: Chain
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,34 +79,33 @@ class Plant:
         settling: Vibration after moves, or None.
         encoder: Resolution of the motor encoders, or None.
         servo: Following error of the drives, or None.
-        place: Puts the arrays of a batch of arms where the executor wants them (`batch.plants_on`), or None.
+        ready: The geometry's chain where its numbers were moved or picked (`batch.plants_on`), or None to compute it.
     """
 
     name: str
     arm: Arm
     geometry: Geometry
-    load: Load | None = None
-    joint_compliance: JointCompliance | None = None
-    boom_bending: BoomBending | None = None
-    transmission_error: TransmissionError | None = None
+    load: structure.Load | None = None
+    joint_compliance: structure.JointCompliance | None = None
+    boom_bending: structure.BoomBending | None = None
+    transmission_error: structure.TransmissionError | None = None
     measurement_noise: MeasurementNoise | None = None
-    roller_play: RollerPlay | None = None
-    backlash: Backlash | None = None
-    stick_band: StickBand | None = None
+    roller_play: structure.RollerPlay | None = None
+    backlash: hysteresis.Backlash | None = None
+    stick_band: hysteresis.StickBand | None = None
     thermal_growth: ThermalGrowth | None = None
     base_tilt: BaseTilt | None = None
     settling: Settling | None = None
     encoder: Encoder | None = None
     servo: Servo | None = None
-    place: Callable[[Array], Scalar] | None = None
+    ready: Ready | None = None
 
     @cached_property
     def chain(self) -> Chain:
         """The true geometry made ready for the executors, at the temperature at which it holds."""
-        if self.geometry.alpha.ndim == 1:
-            return chain_of(self.geometry)
-        chain = chain_of(self.geometry, np)
-        return chain if self.place is None else placed_chain(chain, self.place)
+        if self.ready is not None and self.ready.geometry is self.geometry:
+            return self.ready.chain
+        return chain_of(self.geometry, math if self.geometry.alpha.ndim == 1 else np)
 
     @cached_property
     def warm_chain(self) -> Chain:
@@ -171,8 +136,8 @@ class Plant:
         gear = _gear(self, m, self._target(m, q), None)
         rise = (self.thermal_growth.final_rise,) if self.thermal_growth is not None else ()
         sinkage: Components = ()
-        if self.base_tilt is not None and gear.tilt is not None:
-            sinkage = long_run(self.base_tilt, gear.tilt)
+        if self.base_tilt is not None and gear[3] is not None:
+            sinkage = long_run(self.base_tilt, gear[3])
         return _tool(self, m, self.warm_chain, gear, (), rise, sinkage)
 
     def initial_state(self, m: ModuleType, q: Sequence[Scalar]) -> PlantState:
@@ -214,8 +179,8 @@ class Plant:
         if self.thermal_growth is not None:
             rise = (warmed(m, self.thermal_growth, rise[0], dt),)
             chain = grown_chain(self.thermal_growth, chain, rise[0])
-        if self.base_tilt is not None and gear.tilt is not None:
-            sinkage = sunk(m, self.base_tilt, sinkage, gear.tilt, dt)
+        if self.base_tilt is not None and gear[3] is not None:
+            sinkage = sunk(m, self.base_tilt, sinkage, gear[3], dt)
         new = _state(self, motor, gear, swings, rise, sinkage)
         return new, _tool(self, m, chain, gear, swings, rise, sinkage)
 
@@ -235,13 +200,12 @@ class Plant:
         """True tool pose, free of measurement noise, for joint commands ``(..., n)`` in rad and m."""
         return pose_of(self.tool_frame(np, split_joints(self.geometry.joints, q)))
 
-    def tool_frame_floats(self, q: Sequence[float]) -> Frame:
-        """True tool frame for one joint command, on Python floats: the fast path of a single environment."""
-        return self.tool_frame(math, q)
-
     def measured_pose(self, q: ArrayLike, rng: np.random.Generator) -> Pose:
         """Tool pose as an instrument with this plant's measurement noise reports it."""
-        pose = self.tool_pose(q)
+        return self.measured(self.tool_pose(q), rng)
+
+    def measured(self, pose: Pose, rng: np.random.Generator) -> Pose:
+        """A pose, or a batch of them, as an instrument with this plant's measurement noise reports it."""
         noise = self.measurement_noise
         if noise is None:
             return pose
@@ -249,22 +213,21 @@ class Plant:
         return displace_pose(pose, rng.normal(size=(*pose.position.shape[:-1], 6)) * scale)
 
 
-class _Gear(NamedTuple):
-    """Joint displacements on their way from motor to link, and the loads on them."""
+EFFECTS = tuple(part.name for part in fields(Plant) if part.name not in ("name", "arm", "geometry", "load", "ready"))
 
-    friction: Sequence[Scalar]
-    backlash: Sequence[Scalar]
-    torques: list[Scalar] | None
-    tilt: tuple[Scalar, Scalar] | None
+
+_Gear: TypeAlias = tuple[Sequence[Scalar], Sequence[Scalar], list[Scalar] | None, tuple[Scalar, Scalar] | None]
+"""Joint displacements behind friction and behind backlash, and the loads on them: torques, and the base's tilt."""
 
 
 def _state(
     plant: Plant, motor: Sequence[Scalar], gear: _Gear, swings: Sequence[Swing], rise: Components, sinkage: Components
 ) -> PlantState:
+    friction, backlash, *_ = gear
     return PlantState(
         motor=tuple(motor) if plant.servo is not None else (),
-        friction=tuple(gear.friction) if plant.stick_band is not None else (),
-        backlash=tuple(gear.backlash) if plant.backlash is not None else (),
+        friction=tuple(friction) if plant.stick_band is not None else (),
+        backlash=tuple(backlash) if plant.backlash is not None else (),
         profile=tuple(swing.profile for swing in swings),
         vibration=tuple(swing.vibration for swing in swings),
         rate=tuple(swing.rate for swing in swings),
@@ -277,26 +240,26 @@ def _gear(plant: Plant, m: ModuleType, motor: Sequence[Scalar], state: PlantStat
     """From motor positions to displacements behind the gears; without a state, the history-free ones."""
     driven = motor
     if plant.transmission_error is not None:
-        driven = driven_joints(m, plant.transmission_error, driven)
+        driven = structure.driven_joints(m, plant.transmission_error, driven)
     torques, tilt = None, None
     if plant.load is not None and (plant.joint_compliance or plant.backlash or plant.base_tilt):
         # Loads are taken at the driven joints of the straight, cold arm: what is left out is of second order.
         straight = frames(m, plant.chain, driven)
         if plant.joint_compliance is not None or plant.backlash is not None:
-            torques = gravity_torques(plant.chain, straight, plant.load)
+            torques = structure.gravity_torques(plant.chain, straight, plant.load)
         if plant.base_tilt is not None:
             tilt = immediate_tilt(plant.base_tilt, plant.chain, straight, plant.load)
     friction = driven
     if plant.stick_band is not None:
         if state is None:
-            friction = joints_amid_friction(plant.stick_band, driven)
+            friction = hysteresis.joints_amid_friction(plant.stick_band, driven)
         else:
-            friction = joints_behind_friction(m, plant.stick_band, driven, state.friction)
+            friction = hysteresis.joints_behind_friction(m, plant.stick_band, driven, state.friction)
     backlash = friction
     if plant.backlash is not None:
         before = friction if state is None else state.backlash
-        backlash = joints_behind_backlash(m, plant.backlash, torques, friction, before)
-    return _Gear(friction, backlash, torques, tilt)
+        backlash = hysteresis.joints_behind_backlash(m, plant.backlash, torques, friction, before)
+    return friction, backlash, torques, tilt
 
 
 def _tool(
@@ -309,16 +272,16 @@ def _tool(
     sinkage: Components,
 ) -> Frame:
     """From displacements behind the gears to the tool."""
-    joints = gear.backlash
-    if plant.joint_compliance is not None and gear.torques is not None:
-        joints = yielded_joints(plant.joint_compliance, gear.torques, joints)
+    _, joints, torques, tilt = gear
+    if plant.joint_compliance is not None and torques is not None:
+        joints = structure.yielded_joints(plant.joint_compliance, torques, joints)
     if swings:
         joints = [value + swing.vibration for value, swing in zip(joints, swings, strict=True)]
     if plant.thermal_growth is not None:
         joints = grown_joints(plant.thermal_growth, chain, joints, rise[0])
     frame = tool_frame(m, chain, joints, _flexure(plant, joints))
-    if plant.base_tilt is not None and gear.tilt is not None:
-        frame = tilted_frame(plant.base_tilt, gear.tilt, sinkage, frame)
+    if plant.base_tilt is not None and tilt is not None:
+        frame = tilted_frame(plant.base_tilt, tilt, sinkage, frame)
     return frame
 
 
@@ -326,9 +289,9 @@ def _flexure(plant: Plant, joints: Sequence[Scalar]) -> Flexure | None:
     """Bending of the boom and play in its rollers, one after the other."""
     bend = slack = None
     if plant.boom_bending is not None:
-        bend = boom_flexure(plant.boom_bending, plant.load.payload if plant.load else 0.0, joints)
+        bend = structure.boom_flexure(plant.boom_bending, plant.load.payload if plant.load else 0.0, joints)
     if plant.roller_play is not None:
-        slack = roller_flexure(plant.roller_play, joints)
+        slack = structure.roller_flexure(plant.roller_play, joints)
     if bend is None or slack is None:
         return bend or slack
     return lambda i, frame: slack(i, bend(i, frame))

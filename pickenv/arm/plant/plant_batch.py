@@ -6,14 +6,15 @@ Link parameters of the geometry are then ``(N, n)``, other numbers ``(N,)``; wha
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from pickenv.arm.kinematics.forward import Scalar
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array
-from pickenv.arm.plant.plant import EFFECTS, Plant
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
+from pickenv.arm.plant.plant import EFFECTS, Plant, Ready
+from pickenv.arm.plant.tree import leaves, tree_map
+
+PARTS = ("load", *EFFECTS)
 
 
 def plant_count(plants: Plant) -> int | None:
@@ -30,29 +31,39 @@ def plant_at(plants: Plant, i: int) -> Plant:
     count = plant_count(plants)
     if count is None or not -count <= i < count:
         raise IndexError(f"there is no arm {i} in this plant of {count or 1} arms")
-    geometry = replace(plants.geometry, **{name: getattr(plants.geometry, name)[i] for name in LINK_PARAMETERS})
-    parts = {name: _mapped(getattr(plants, name), lambda values: float(values[i])) for name in ("load", *EFFECTS)}
-    return replace(plants, geometry=geometry, place=None, **parts)
+    parts = {name: tree_map(lambda values: float(values[i]), getattr(plants, name)) for name in PARTS}
+    return replace(plants, geometry=with_links(plants.geometry, lambda values: values[i]), ready=None, **parts)
 
 
-def plants_on(plants: Plant, place: Callable[[Array], Scalar]) -> Plant:
-    """The same arms with their arrays of numbers where another executor wants them.
+def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
+    """The same arms with each of their arrays changed: where another executor wants them, or some of many arms.
+
+    The prepared chain's sines and cosines are changed, not computed anew, so that an arm has the same numbers to the
+    bit however many others stand beside it. A single arm stays as it is.
 
     Args:
         plants: A batch of arms.
-        place: Turns an array into what the executor takes, for example
-            ``lambda values: torch.as_tensor(values, dtype=torch.float32, device="cuda")``.
+        change: Turns an array into what is wanted, for example
+            ``lambda values: torch.as_tensor(values, dtype=torch.float32, device="cuda")`` or
+            ``lambda values: values[rows]``.
     """
-    parts = {name: _mapped(getattr(plants, name), place) for name in ("load", *EFFECTS)}
-    return replace(plants, place=place, **parts)
+    if plant_count(plants) is None:
+        return plants
+    geometry = with_links(plants.geometry, change)
+    parts = {name: tree_map(change, getattr(plants, name)) for name in PARTS}
+    return replace(plants, geometry=geometry, ready=Ready(geometry, tree_map(change, plants.chain)), **parts)
 
 
-def _mapped(value: Any, change: Callable[[Array], Scalar]) -> Any:
-    """An effect with every array in it changed."""
-    if isinstance(value, np.ndarray):
-        return change(value)
-    if isinstance(value, tuple):
-        return tuple(_mapped(entry, change) for entry in value)
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{field.name: _mapped(getattr(value, field.name), change) for field in fields(value)})
-    return value
+def arrays_of(plants: Plant) -> list[Any]:
+    """All arrays of a batch of arms, in a fixed order, for writing other arms into them; none of a single arm."""
+    if plant_count(plants) is None:
+        return []
+    links = tuple(getattr(plants.geometry, name) for name in LINK_PARAMETERS)
+    return leaves((links, tuple(getattr(plants, name) for name in PARTS), plants.chain))
+
+
+def with_links(geometry: Geometry, change: Callable[..., Any], *others: Geometry) -> Geometry:
+    """The geometry with ``change`` applied to each of its link parameters (and those of the others beside it)."""
+    tables = (geometry, *others)
+    values: dict[str, Any] = {name: change(*(getattr(each, name) for each in tables)) for name in LINK_PARAMETERS}
+    return replace(geometry, **values)

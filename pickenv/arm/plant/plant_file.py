@@ -2,26 +2,52 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
+from dataclasses import make_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
-from pickenv.arm.files.arm_file import Arm, load_arm, refuse_unknown, shipped_arms, word
-from pickenv.arm.files.tables import Table
-from pickenv.arm.plant.effect_tables import READERS
-from pickenv.arm.plant.plant import EFFECTS, MeasurementNoise, Plant
+from pickenv.arm.files.arm import Arm
+from pickenv.arm.files.load import load_arm
+from pickenv.arm.plant.effect_tables import BY_JOINT
+from pickenv.arm.plant.plant import EFFECTS, Plant
 from pickenv.errors import InputError
-from pickenv.texts import is_file, read_toml, shortened
+from pickenv.toml_tables import LINE, Check, Then, file_named, read, shipped_in, toml_table
 
 PLANTS = Path(__file__).parent / "plants"
 
-NEED_LOAD = ("joint_compliance", "base_tilt")
+NAMED = Check(lambda value: isinstance(value, str), "the name of a shipped arm or a path to an arm file")
+
+
+def _arm(name: Any, context: Any) -> Arm:
+    """The arm that a file names; what is read after it finds it in the context."""
+    arm = load_arm(name)
+    if arm.nominal.coupling is not None:
+        raise InputError(f"a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet")
+    if arm.true is None:
+        raise InputError(f"arm '{arm.name}' has no true_… values, so there is no true arm to simulate")
+    context["arm"] = arm
+    return arm
+
+
+PlantFile: Any = toml_table(
+    make_dataclass(
+        "PlantFile",
+        [
+            ("arm", Annotated[Arm, Then(_arm, Annotated[str, NAMED])]),
+            ("name", Annotated[str, LINE]),
+            ("source", str),
+            *((effect, BY_JOINT.get(effect, get_type_hints(Plant)[effect]), None) for effect in ("load", *EFFECTS)),
+        ],
+        frozen=True,
+    )
+)
+"""What a plant file holds."""
 
 
 def shipped_plants() -> list[str]:
     """Names of the plant presets that come with pickenv."""
-    return sorted(path.stem for path in PLANTS.glob("*.toml"))
+    return shipped_in(PLANTS)
 
 
 def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
@@ -34,44 +60,19 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
     Raises:
         InputError: If the plant or an effect is unknown or a number is impossible; names the file and the key.
     """
-    path = Path(name)
-    if path.suffix != ".toml":
-        path = PLANTS / f"{name}.toml"
-    if not is_file(path):
+    path = file_named("plant", name, PLANTS)
+    parts = dict(vars(read(PlantFile, path, context={})))
+    del parts["source"]
+    plant = Plant(geometry=parts["arm"].true, **parts)
+    for effect in ("joint_compliance", "base_tilt"):
+        if parts[effect] is not None and plant.load is None:
+            raise InputError(f"{path}: {effect} needs [load], the masses that gravity pulls at")
+    if (play := plant.roller_play) is not None and play.overlap <= (limit := plant.arm.nominal.upper[play.joint]):
         raise InputError(
-            f"unknown plant '{shortened(name)}'; give one of {shipped_plants()} or a path to a plant file (.toml)"
+            f"{path}: overlap_mm of [roller_play] is {play.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
+            f"that joint {play.joint + 1} runs out"
         )
-    plant = parse_plant(read_toml(path), str(path))
     try:
         return plant.without(without)
     except ValueError as error:
         raise InputError(str(error)) from error
-
-
-def parse_plant(content: Mapping[str, Any], where: str) -> Plant:
-    """Turn the parsed content of a plant file into a `Plant`; ``where`` names the file in error messages."""
-    refuse_unknown(content, ("name", "arm", "source", "load", *EFFECTS), where, "a plant file")
-    if not isinstance(content.get("arm"), str):
-        raise InputError(f"{where}: arm is missing; name the arm, one of {shipped_arms()} or a path to an arm file")
-    try:
-        arm = load_arm(content["arm"])
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
-    if arm.nominal.coupling is not None:
-        raise InputError(
-            f"{where}: a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet"
-        )
-    if arm.true is None:
-        raise InputError(f"{where}: arm '{arm.name}' has no true_… values, so there is no true arm to simulate")
-    readers = {**READERS, "measurement_noise": (_noise, ("position_std_mm", "attitude_std_deg"))}
-    parts = {
-        key: read(Table(content[key], key, where, keys), arm) for key, (read, keys) in readers.items() if key in content
-    }
-    for effect in NEED_LOAD:
-        if effect in parts and "load" not in parts:
-            raise InputError(f"{where}: {effect} needs [load], the masses that gravity pulls at")
-    return Plant(name=word(content, "name", Path(where).stem, where), arm=arm, geometry=arm.true, **parts)
-
-
-def _noise(table: Table, _arm: Arm) -> MeasurementNoise:
-    return MeasurementNoise(table.number("position_std_mm") * 1e-3, math.radians(table.number("attitude_std_deg")))

@@ -7,54 +7,78 @@ Sizes of effects spread log-normally about the plant's own. Inside everything is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from scipy.special import ndtri
 
-from pickenv.arm.effects.ground import BaseTilt
-from pickenv.arm.effects.hysteresis import Backlash, StickBand
-from pickenv.arm.effects.settling import Settling
-from pickenv.arm.effects.structure import BoomBending, JointCompliance, RollerPlay, TransmissionError
-from pickenv.arm.effects.thermal import ThermalGrowth
-from pickenv.arm.files.arm_file import read_toml, refuse_unknown
-from pickenv.arm.files.tables import Table
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.errors import InputError
+from pickenv.toml_tables import (
+    DEG,
+    KELVIN,
+    MM,
+    NUMBER,
+    WHOLE,
+    Key,
+    Then,
+    fault,
+    file_named,
+    read,
+    shipped_in,
+    toml_table,
+)
 
 TOLERANCES = Path(__file__).parent / "tolerance_classes"
 
 GRADES = {5: 7, 6: 10, 7: 16, 8: 25, 9: 40, 10: 64, 11: 100, 12: 160, 13: 250, 14: 400, 15: 640, 16: 1000, 17: 1600}
 """Tolerance in units i for each IT grade (ISO 286-1, table 1)."""
 
-Effect = TypeVar("Effect")
-
 LARGEST_DAMPING = 0.5
 """No structure is damped more; a draw from a wide spread stops here."""
 
-DISTRIBUTIONS = ("uniform", "normal")
-SPREADS = (
-    "joint_stiffness",
-    "flexural_rigidity",
-    "transmission_error",
-    "roller_clearance",
-    "backlash",
-    "friction",
-    "warm_up_time",
-    "ground_stiffness",
-    "sinkage",
-    "frequency",
-    "damping",
-)
+GRADE = WHOLE.within(min(GRADES), max(GRADES))
+LogSize = Annotated[float, NUMBER.not_negative]
 
 
-@dataclass(frozen=True)
+@toml_table
+class SpreadTable:
+    """[spread] of a tolerance file: the standard deviation of the logarithm of each size, 0 where it is left out."""
+
+    joint_stiffness: LogSize = 0.0
+    flexural_rigidity: LogSize = 0.0
+    transmission_error: LogSize = 0.0
+    roller_clearance: LogSize = 0.0
+    backlash: LogSize = 0.0
+    friction: LogSize = 0.0
+    warm_up_time: LogSize = 0.0
+    ground_stiffness: LogSize = 0.0
+    sinkage: LogSize = 0.0
+    frequency: LogSize = 0.0
+    damping: LogSize = 0.0
+
+
+SPREADS = tuple(field.name for field in fields(SpreadTable))
+
+
+def _sizes(found: Any, _context: Any) -> dict[str, float]:
+    return asdict(found)
+
+
+def _range(rise: Any, _context: Any) -> Any:
+    if rise[0] > rise[1]:
+        raise fault("the lower number first")
+    return rise
+
+
+@toml_table
 class Tolerances:
-    """How far arms of one design may lie from each other.
+    """How far arms of one design may lie from each other; a tolerance file says it in sections.
 
     Attributes:
         name: Name of the class.
@@ -68,12 +92,12 @@ class Tolerances:
     """
 
     name: str
-    it_grade: int
-    least_length: float
-    angle: float
-    distribution: str
-    spread: dict[str, float]
-    temperature_rise: tuple[float, float]
+    it_grade: Annotated[int, GRADE, Key(section="lengths")]
+    least_length: Annotated[float, MM.positive, Key(section="lengths")]
+    angle: Annotated[float, DEG.not_negative, Key("half_width_deg", "angles")]
+    distribution: Annotated[Literal["uniform", "normal"], Key(section="lengths")]
+    spread: Annotated[dict[str, float], Then(_sizes, SpreadTable)]
+    temperature_rise: Annotated[tuple[float, float], KELVIN, Then(_range), Key("rise_K", "temperature")]
 
 
 def it_tolerance(grade: int, length: Array | float) -> Array:
@@ -86,7 +110,7 @@ def it_tolerance(grade: int, length: Array | float) -> Array:
 
 def shipped_tolerances() -> list[str]:
     """Names of the tolerance classes that come with pickenv."""
-    return sorted(path.stem for path in TOLERANCES.glob("*.toml"))
+    return shipped_in(TOLERANCES)
 
 
 def load_tolerances(name: str | Path) -> Tolerances:
@@ -95,34 +119,7 @@ def load_tolerances(name: str | Path) -> Tolerances:
     Raises:
         InputError: If it is unknown or a number is impossible; the message names the file and the key.
     """
-    path = Path(name)
-    if path.suffix != ".toml":
-        path = TOLERANCES / f"{name}.toml"
-    if not path.is_file():
-        raise InputError(
-            f"unknown tolerance class '{name}'; give one of {shipped_tolerances()} or a path to a file (.toml)"
-        )
-    content, where = read_toml(path), str(path)
-    refuse_unknown(content, ("name", "source", "lengths", "angles", "spread", "temperature"), where, "a tolerance file")
-    lengths = Table(content.get("lengths", {}), "lengths", where, ("it_grade", "least_length_mm", "distribution"))
-    grade = lengths.number("it_grade")
-    if grade not in GRADES:
-        raise lengths.fail("it_grade", f"a whole number from {min(GRADES)} to {max(GRADES)}")
-    angles = Table(content.get("angles", {}), "angles", where, ("half_width_deg",))
-    spread = Table(content.get("spread", {}), "spread", where, SPREADS)
-    temperature = Table(content.get("temperature", {}), "temperature", where, ("rise_K",))
-    low, high = temperature.numbers("rise_K", 2, signed=True)
-    if low > high:
-        raise temperature.fail("rise_K", "the lower number first")
-    return Tolerances(
-        name=str(content.get("name", path.stem)),
-        it_grade=int(grade),
-        least_length=lengths.number("least_length_mm", positive=True) * 1e-3,
-        angle=math.radians(angles.number("half_width_deg")),
-        distribution=lengths.choice("distribution", DISTRIBUTIONS, "uniform"),
-        spread={key: spread.number(key, default=0.0) for key in SPREADS},
-        temperature_rise=(low, high),
-    )
+    return read(Tolerances, file_named("tolerance class", name, TOLERANCES))
 
 
 def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:
@@ -161,7 +158,7 @@ def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
         even: Numbers from 0 to 1 for each arm ``(N, K)``; `random_columns` says what each column is for.
     """
     draws = _Draws(plant, tolerances, even)
-    parts = {name: draw(draws) for name, draw in EFFECT_DRAWS.items() if getattr(plant, name) is not None}
+    parts = {name: _drawn(draws, name) for name in SIZES if getattr(plant, name) is not None}
     return replace(plant, geometry=_geometry(draws), **parts)
 
 
@@ -208,7 +205,7 @@ def _geometry(draws: _Draws) -> Geometry:
     n = nominal.joints
     deviation = draws.deviation("geometry")
     count = len(deviation)
-    numbers: dict[str, Any] = {name: np.broadcast_to(getattr(nominal, name), (count, n)) for name in LINK_PARAMETERS}
+    numbers: dict[str, Any] = {name: np.tile(getattr(nominal, name), (count, 1)) for name in LINK_PARAMETERS}
     for k, name in enumerate(("alpha", "a", "theta", "d")):
         if name in ("a", "d"):
             length = np.maximum(np.abs(getattr(nominal, name)), tolerances.least_length)
@@ -219,85 +216,43 @@ def _geometry(draws: _Draws) -> Geometry:
     return replace(nominal, **numbers)
 
 
-def _joint_compliance(draws: _Draws) -> JointCompliance:
-    effect = _given(draws.plant.joint_compliance)
-    return replace(effect, stiffness=draws.scaled(effect.stiffness, "joint_stiffness"))
-
-
-def _boom_bending(draws: _Draws) -> BoomBending:
-    effect = _given(draws.plant.boom_bending)
-    return replace(effect, flexural_rigidity=draws.scaled((effect.flexural_rigidity,), "flexural_rigidity")[0])
-
-
-def _transmission_error(draws: _Draws) -> TransmissionError:
-    """Amplitudes and leads spread, phases are anything: no two gears are mounted alike."""
-    effect = _given(draws.plant.transmission_error)
-    amplitudes = draws.scaled(tuple(term.amplitude for term in effect.harmonics), "transmission_error")
-    phases = 2.0 * math.pi * draws.even["phase"]
-    factors = draws.factors("lead", "transmission_error")
-    return TransmissionError(
-        lead=tuple(lead * factors[:, i] for i, lead in enumerate(effect.lead)),
-        harmonics=tuple(
-            replace(term, amplitude=amplitude, phase=phases[:, k])
-            for k, (term, amplitude) in enumerate(zip(effect.harmonics, amplitudes, strict=True))
-        ),
-    )
-
-
-def _roller_play(draws: _Draws) -> RollerPlay:
-    effect = _given(draws.plant.roller_play)
-    return replace(effect, clearance=draws.scaled((effect.clearance,), "roller_clearance")[0])
-
-
-def _backlash(draws: _Draws) -> Backlash:
-    effect = _given(draws.plant.backlash)
-    return replace(effect, width=draws.scaled(effect.width, "backlash"))
-
-
-def _stick_band(draws: _Draws) -> StickBand:
-    effect = _given(draws.plant.stick_band)
-    n = len(effect.forward)
-    forward, backward = draws.scaled(effect.forward, "friction"), draws.scaled(effect.backward, "friction", n)
-    return replace(effect, forward=forward, backward=backward)
-
-
-def _thermal_growth(draws: _Draws) -> ThermalGrowth:
-    effect = _given(draws.plant.thermal_growth)
-    low, high = draws.tolerances.temperature_rise
-    return replace(
-        effect,
-        final_rise=low + (high - low) * draws.even["temperature_rise"][:, 0],
-        time_constant=draws.scaled((effect.time_constant,), "warm_up_time")[0],
-    )
-
-
-def _base_tilt(draws: _Draws) -> BaseTilt:
-    effect = _given(draws.plant.base_tilt)
-    about_x, about_y = draws.scaled(effect.stiffness, "ground_stiffness")
-    creep, settlement = draws.scaled((effect.creep, effect.settlement), "sinkage")
-    return replace(effect, stiffness=(about_x, about_y), creep=creep, settlement=settlement)
-
-
-def _settling(draws: _Draws) -> Settling:
-    effect = _given(draws.plant.settling)
-    damping = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in draws.scaled(effect.damping, "damping"))
-    return replace(effect, frequency=draws.scaled(effect.frequency, "frequency"), damping=damping)
-
-
-def _given(effect: Effect | None) -> Effect:
-    assert effect is not None, "only effects that are on are drawn"
-    return effect
-
-
-EFFECT_DRAWS: Mapping[str, Callable[[_Draws], Any]] = {
-    "joint_compliance": _joint_compliance,
-    "boom_bending": _boom_bending,
-    "transmission_error": _transmission_error,
-    "roller_play": _roller_play,
-    "backlash": _backlash,
-    "stick_band": _stick_band,
-    "thermal_growth": _thermal_growth,
-    "base_tilt": _base_tilt,
-    "settling": _settling,
+SIZES: Mapping[str, Mapping[str, str]] = {
+    "joint_compliance": {"stiffness": "joint_stiffness"},
+    "boom_bending": {"flexural_rigidity": "flexural_rigidity"},
+    "transmission_error": {},
+    "roller_play": {"clearance": "roller_clearance"},
+    "backlash": {"width": "backlash"},
+    "stick_band": {"forward": "friction", "backward": "friction"},
+    "thermal_growth": {"time_constant": "warm_up_time"},
+    "base_tilt": {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"},
+    "settling": {"frequency": "frequency", "damping": "damping"},
 }
-"""What is drawn for each effect; encoders and servos are alike in all arms."""
+"""Which of `SPREADS` each size of an effect has; encoders and servos are alike in all arms."""
+
+
+def _drawn(draws: _Draws, effect: str) -> Any:
+    """An effect of the plant with its sizes drawn about the plant's own."""
+    own = getattr(draws.plant, effect)
+    found: dict[str, Any] = {}
+    used: Counter[str] = Counter()
+    for name, spread in SIZES[effect].items():  # sizes of one spread take its columns one after another
+        value = getattr(own, name)
+        values = value if isinstance(value, tuple) else (value,)
+        sizes = draws.scaled(values, spread, used[spread])
+        used[spread] += len(values)
+        found[name] = sizes if isinstance(value, tuple) else sizes[0]
+    if effect == "thermal_growth":
+        low, high = draws.tolerances.temperature_rise
+        found["final_rise"] = low + (high - low) * draws.even["temperature_rise"][:, 0]
+    elif effect == "settling":
+        found["damping"] = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in found["damping"])
+    elif effect == "transmission_error":  # amplitudes and leads spread, phases are anything: no two gears are alike
+        amplitudes = draws.scaled(tuple(term.amplitude for term in own.harmonics), effect)
+        phases = 2.0 * math.pi * draws.even["phase"]
+        factors = draws.factors("lead", effect)
+        found["lead"] = tuple(lead * factors[:, i] for i, lead in enumerate(own.lead))
+        found["harmonics"] = tuple(
+            replace(term, amplitude=amplitude, phase=phases[:, k])
+            for k, (term, amplitude) in enumerate(zip(own.harmonics, amplitudes, strict=True))
+        )
+    return replace(own, **found)

@@ -5,38 +5,58 @@ Leading axis: machines. Every machine draws from a generator of its own. Units: 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import Annotated
 
 import numpy as np
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.envs.shared.task import check_number
+from pickenv.arm import Array
+from pickenv.arm.plant.tree import leaves
+from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate, check_number
 from pickenv.errors import InputError
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import Machine, load_machine
 from pickenv.harvester.pick_point import pick_point
-from pickenv.harvester.picking import Picking, in_the_way, load_picking
+from pickenv.harvester.picking import Picking, attempt, draw_luck, load_picking, pushes
+from pickenv.harvester.trees import SHIPPED, Orchard, lab_zone, load_orchard
 from pickenv.harvester.true_machine import TrueMachine, load_true_machine
-from pickenv.orchard import load_canopy, load_fruit_size
-
-PERIOD = 0.1
-"""Control period, s."""
-ZONE = (0.7, 0.4, 0.55)
-"""Width, depth and height of the zone, m: as in Li's lab."""
-SENSOR = 0.015
-"""Height within which the position sensor finds a fruit fully in the cup, m."""
-REARM = 0.05
-"""A cup that tried a fruit tries again only after going this far away from it, m."""
-SPAN = 2.0
-"""Largest offset that an observation shows, m."""
+from pickenv.orchard import fruit_masses, sample_diameters, swing
+from pickenv.toml_tables import MM, NUMBER, read, toml_table
 
 HANGING, COLLECTED, LOST = 0, 1, 2
 
 Flags = NDArray[np.bool_]
-Compensate = Callable[[Array], Array]
+
+
+@toml_table
+class Rules:
+    """When a cup tries a fruit, what is shown, and what costs; see [task] of picking.toml.
+
+    Attributes:
+        sensor: Height within which the position sensor finds a fruit in the cup, m.
+        rearm: A cup that tried a fruit tries again only after going this far away from it, m.
+        shown: Largest offset that an observation shows, m.
+        guard_cost: Reward lost for each arm that the guard holds.
+        period_cost: Reward lost in each period.
+        motion_cost: Reward lost in a period in which all joints move as fast as they can.
+    """
+
+    sensor: Annotated[float, MM.positive]
+    rearm: Annotated[float, MM.positive]
+    shown: Annotated[float, MM.positive]
+    guard_cost: Annotated[float, NUMBER.not_negative]
+    period_cost: Annotated[float, NUMBER.not_negative]
+    motion_cost: Annotated[float, NUMBER.not_negative]
+
+
+@lru_cache(maxsize=1)
+def load_rules() -> Rules:
+    """Read the rules of the task."""
+    return read(Rules, SHIPPED, section="task")
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,38 +67,49 @@ class HarvestTask:
         machine: The machine as drawn.
         true: The machine as built.
         model: What becomes of attempts.
+        rules: When a cup tries a fruit, what is shown, and what costs.
+        orchard: Where fruit hangs and how big it is.
         fruit: Fruit in a zone.
     """
 
     machine: Machine
     true: TrueMachine
     model: Picking
+    rules: Rules
+    orchard: Orchard
     fruit: int
 
     @cached_property
     def increment(self) -> Array:
         """Largest increment of each joint in one period."""
-        return self.machine.speed * PERIOD
+        return self.machine.speed * CONTROL_PERIOD
 
     @cached_property
     def lead(self) -> int:
         """Periods that sensing and cutting take."""
-        return int(np.ceil((self.machine.cycle.sense + self.machine.cycle.cut) / PERIOD - 1e-9))
+        return int(np.ceil((self.machine.cycle.sense + self.machine.cycle.cut) / CONTROL_PERIOD - 1e-9))
 
-    @property
-    def observation_size(self) -> int:
-        """Length of an observation."""
-        return self.machine.joints + self.machine.arms + 4 * self.fruit
+    @cached_property
+    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Smallest and largest observation."""
+        box = spaces(self)[0]
+        return box.low, box.high
 
 
-def make_task(
-    slaves: int | None = None, spacing_mm: float | None = None, fruit: int = 8, ideal: bool = False
+def make_harvest_task(
+    slaves: int | None = None,
+    spacing_mm: float | None = None,
+    fruit: int = 8,
+    ideal: bool = False,
+    render_mode: str | None = None,
 ) -> HarvestTask:
     """Check the arguments of an environment and read its files.
 
     Raises:
         InputError: If one of them is impossible.
     """
+    if render_mode is not None:
+        raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
     if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
     if spacing_mm is not None:
@@ -87,7 +118,7 @@ def make_task(
     true = load_true_machine(machine)
     if ideal:
         true = true.ideal()
-    return HarvestTask(machine, true, load_picking(), fruit)
+    return HarvestTask(machine, true, load_picking(), load_rules(), load_orchard(), fruit)
 
 
 @dataclass(eq=False)
@@ -96,8 +127,13 @@ class HarvestState:
 
     Attributes:
         joints: Nominal joint targets, (machines, joints).
-        fruit: True fruit, (machines, fruit, 3).
-        believed: Fruit as the camera saw it.
+        fruit: True fruit where it hung at first, (machines, fruit, 3).
+        shift: How far pushes have moved it for good, m.
+        swing: How far it swings from there, m.
+        velocity: How fast, m/s.
+        diameters: m, (machines, fruit).
+        masses: kg.
+        believed: Fruit as the camera saw it, (machines, fruit, 3).
         reachable: Fruit that some arm reaches from the pick point.
         status: `HANGING`, `COLLECTED` or `LOST`.
         busy: Periods that each arm still senses and cuts, (machines, arms).
@@ -110,6 +146,11 @@ class HarvestState:
 
     joints: Array
     fruit: Array
+    shift: Array
+    swing: Array
+    velocity: Array
+    diameters: Array
+    masses: Array
     believed: Array
     reachable: Flags
     status: NDArray[np.int64]
@@ -120,30 +161,42 @@ class HarvestState:
     closest: Array
     attempts: NDArray[np.int64]
 
+    @property
+    def moved(self) -> Array:
+        """How far pushes have moved the fruit, (machines, fruit, 3)."""
+        return self.shift + self.swing
+
     def put(self, rows: NDArray[np.intp], other: HarvestState) -> None:
         """Overwrite some machines."""
-        for name in self.__dataclass_fields__:
-            getattr(self, name)[rows] = getattr(other, name)
+        for mine, theirs in zip(leaves(self), leaves(other), strict=True):
+            mine[rows] = theirs
 
 
-def begin(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestState:
+def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestState:
     """Draw a zone for each generator; the master stands at its pick point, the slaves rest."""
-    machine, n = task.machine, len(rngs)
-    canopy, wanted = load_canopy("li2016"), task.fruit
+    machine, n, wanted = task.machine, len(rngs), task.fruit
+    canopy, size = task.orchard.canopy, task.orchard.size
+    zone = lab_zone(canopy)
     low = canopy.bottom - machine.base_height
-    high = canopy.top - machine.base_height - ZONE[2]
-    fruit, believed = np.empty((2, n, wanted, 3))
-    joints = np.empty((n, machine.joints))
+    high = canopy.top - machine.base_height - zone[2]
+    fruit, believed, still = np.zeros((3, n, wanted, 3))
+    diameters, joints = np.empty((n, wanted)), np.empty((n, machine.joints))
     for i, rng in enumerate(rngs):
-        x = rng.uniform(-0.5, 0.5) * (canopy.width - ZONE[0])
-        corner = np.array([x - ZONE[0] / 2, -canopy.standoff - canopy.depth, rng.uniform(low, high)])
-        fruit[i] = corner + np.array(ZONE) * rng.random((wanted, 3))
+        x = rng.uniform(-0.5, 0.5) * (canopy.width - zone[0])
+        corner = np.array([x - zone[0] / 2, -canopy.standoff - canopy.depth, rng.uniform(low, high)])
+        fruit[i] = corner + zone * rng.random((wanted, 3))
         believed[i] = fruit[i] + rng.normal(size=(wanted, 3)) * np.array(task.model.localisation)
+        diameters[i] = sample_diameters(size, wanted, rng)
         master = pick_point(machine, believed[i]).master
         joints[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
     return HarvestState(
         joints=joints,
         fruit=fruit,
+        shift=still,
+        swing=still.copy(),
+        velocity=still.copy(),
+        diameters=diameters,
+        masses=fruit_masses(size, diameters),
         believed=believed,
         reachable=np.asarray(machine.reach(joints[:, :3], believed).any(axis=1)),
         status=np.zeros((n, wanted), dtype=np.int64),
@@ -151,15 +204,16 @@ def begin(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestStat
         tried=np.full((n, machine.arms), -1),
         periods=np.zeros(n, dtype=np.int64),
         held=np.zeros(n, dtype=np.int64),
-        closest=distances(machine, joints),
+        closest=distances(task, joints),
         attempts=np.zeros(n, dtype=np.int64),
     )
 
 
-def distances(machine: Machine, joints: Array) -> Array:
-    """Least distance between the centre lines of two arms, (machines,); one arm alone is 2 m clear."""
+def distances(task: HarvestTask, joints: Array) -> Array:
+    """Least distance between the centre lines of two arms, (machines,); one arm alone is as clear as can be shown."""
+    machine = task.machine
     if machine.arms < 2:
-        return np.full(len(joints), SPAN)
+        return np.full(len(joints), task.rules.shown)
     return np.asarray(arm_distances(machine, joints[:, 3:].reshape(len(joints), machine.arms, 3)).min(axis=-1))
 
 
@@ -176,11 +230,11 @@ def step(
         task: What stays the same.
         state: Changed in place.
         actions: Joint increments as shares of the largest, (machines, joints).
-        rngs: One per machine; a machine draws five numbers for each of its attempts.
+        rngs: One per machine; a machine draws six numbers for each of its attempts.
         compensator: Maps nominal joints of whole machines to commands.
     """
     machine = task.machine
-    before = _work_left(task, state)
+    before = work_left(task, state)
     wanted = np.clip(actions, -1.0, 1.0) * task.increment
     arms_free = (state.busy == 0).repeat(3, axis=1)
     wanted[:, 3:] *= arms_free
@@ -189,14 +243,17 @@ def step(
     state.held = _guard(machine, state.joints, target)
     state.joints = target
     state.busy = np.maximum(state.busy - 1, 0)
-    state.closest = np.minimum(state.closest, distances(machine, target))
+    state.closest = np.minimum(state.closest, distances(task, target))
     state.periods = state.periods + 1
     commands = target if compensator is None else compensator(target)
     tips = task.true.tips(commands[:, :3], commands[:, 3:].reshape(len(target), machine.arms, 3))
-    collected, lost = _attempts(task, state, tips, rngs)
-    progress = before - _work_left(task, state)
+    branch, rules = task.model.branch, task.rules
+    state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
+    collected, lost = attempts(task, state, tips, rngs)
+    progress = before - work_left(task, state)
     effort = np.abs(np.clip(actions, -1.0, 1.0)).mean(axis=1)
-    return np.asarray(collected - lost + progress - 0.05 * state.held - 0.005 - 0.005 * effort)
+    cost = rules.guard_cost * state.held + rules.period_cost + rules.motion_cost * effort
+    return np.asarray(collected - lost + progress - cost)
 
 
 def _guard(machine: Machine, start: Array, target: Array) -> NDArray[np.int64]:
@@ -222,52 +279,59 @@ def _guard(machine: Machine, start: Array, target: Array) -> NDArray[np.int64]:
     return np.asarray(held.sum(axis=1))
 
 
-def _attempts(
+def attempts(
     task: HarvestTask, state: HarvestState, tips: Array, rngs: Sequence[np.random.Generator]
 ) -> tuple[Array, Array]:
-    """Cups whose sensor finds a fruit close their blade; counts fruit collected and lost by each machine."""
-    model = task.model
-    offset = state.fruit[:, None] - tips[:, :, None]  # (machines, arms, fruit, 3)
+    """Cups whose sensor finds a fruit close their blade; counts fruit collected and lost by each machine.
+
+    Args:
+        task: What stays the same.
+        state: Changed in place.
+        tips: True cups, (machines, arms, 3).
+        rngs: One per machine.
+    """
+    model, rules = task.model, task.rules
+    offset = (state.fruit + state.moved)[:, None] - tips[:, :, None]  # (machines, arms, fruit, 3)
     lateral = np.hypot(offset[..., 0], offset[..., 1])
     last = np.maximum(state.tried, 0)
     away = np.linalg.norm(np.take_along_axis(offset, last[:, :, None, None], axis=2)[:, :, 0], axis=-1)
-    state.tried = np.where(away > REARM, -1, state.tried)
+    state.tried = np.where(away > rules.rearm, -1, state.tried)
     free = (state.busy == 0) & (state.tried < 0)
-    inside = (lateral < model.outer) & (np.abs(offset[..., 2]) < SENSOR)
+    inside = (lateral < model.outer) & (np.abs(offset[..., 2]) < rules.sensor)
     inside &= (state.status == HANGING)[:, None, :] & free[:, :, None]
     collected, lost = np.zeros((2, len(tips)))
-    for machine, arm in np.argwhere(inside.any(axis=-1)).tolist():
-        hanging = state.status[machine] == HANGING
-        near = np.where(inside[machine, arm] & hanging, lateral[machine, arm], np.inf)
-        fruit = int(near.argmin())
-        if not np.isfinite(near[fruit]):
-            continue  # another arm has just taken it
-        draws = rngs[machine].random(5)
-        rest = hanging & (np.arange(task.fruit) != fruit)
-        diameter = load_fruit_size("li2016").mean
-        crowded = in_the_way(model, state.fruit[machine, fruit], diameter, state.fruit[machine, rest]).any()
-        clearance = (model.cup.opening - diameter) / 2
-        taken = np.clip(1.0 - (near[fruit] - clearance) / model.gather, 0.0, 1.0)
-        taken *= model.cluster_success if crowded else 1.0
-        state.attempts[machine] += 1
-        state.tried[machine, arm] = fruit
-        state.busy[machine, arm] = task.lead
-        if draws[0] < taken * model.cut_success:
-            whole = draws[1] < model.undamaged
-            state.status[machine, fruit] = COLLECTED if whole else LOST
-            collected[machine] += whole
-            lost[machine] += not whole
-        turn = 2 * np.pi * draws[2]
-        push = model.lasting * model.push * np.exp(model.push_spread * (2 * draws[3] - 1))
-        distance = np.linalg.norm(state.fruit[machine] - state.fruit[machine, fruit], axis=-1)
-        share = np.exp(-distance / model.branch.coupling) * (state.status[machine] == HANGING)
-        shift = push * share[:, None] * np.array([np.cos(turn), np.sin(turn), 0.0])
-        state.fruit[machine] = state.fruit[machine] + shift
-        state.believed[machine, fruit] = state.fruit[machine, fruit]  # an empty cup looks again
+    for machine in np.flatnonzero(inside.any(axis=(1, 2))).tolist():
+        arms, some = _nearest(np.where(inside[machine], lateral[machine], np.inf))
+        fruit, moved, diameters = state.fruit[machine], state.moved[machine, some], state.diameters[machine, some]
+        others = state.status[machine] == HANGING
+        others[some] = False
+        luck = draw_luck(rngs[machine], len(some))
+        outcome = attempt(model, tips[machine, arms], fruit[some], moved, diameters, fruit[others], luck)
+        became = np.where(outcome.collected, COLLECTED, np.where(outcome.detached, LOST, HANGING))
+        state.attempts[machine] += len(some)
+        state.tried[machine, arms], state.busy[machine, arms] = some, task.lead
+        state.status[machine, some] = became
+        collected[machine], lost[machine] = (became == COLLECTED).sum(), (became == LOST).sum()
+        push = pushes(model, fruit[some], fruit, luck).sum(axis=0) * (state.status[machine] == HANGING)[:, None]
+        state.shift[machine] += model.lasting * push
+        state.swing[machine] += (1 - model.lasting) * push
+        state.believed[machine, some] = fruit[some] + state.shift[machine, some]  # an empty cup looks again
     return collected, lost
 
 
-def _work_left(task: HarvestTask, state: HarvestState) -> Array:
+def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Cups and the fruit that each tries, (picks,): the nearest, but no two the same; (arms, fruit) gives distances."""
+    lateral, pairs = lateral.copy(), []
+    for arm in range(len(lateral)):
+        fruit = int(lateral[arm].argmin())
+        if np.isfinite(lateral[arm, fruit]):
+            pairs.append((arm, fruit))
+            lateral[:, fruit] = np.inf
+    arms, some = np.array(pairs, dtype=np.intp).T
+    return arms, some
+
+
+def work_left(task: HarvestTask, state: HarvestState) -> Array:
     """Mean distance from reachable hanging fruit to the nearest believed cup, m; what shaping is made of."""
     tips = task.machine.tips(state.joints[:, :3], state.joints[:, 3:].reshape(len(state.joints), -1, 3))
     distance = np.linalg.norm(state.believed[:, None] - tips[:, :, None], axis=-1).min(axis=1)
@@ -296,24 +360,23 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
     shown = pickable(state)[..., None]
     local = np.stack([right, ahead, away[..., 2]], axis=-1) * shown
     parts = [scaled, state.busy / task.lead, np.concatenate([local, shown], axis=-1).reshape(len(scaled), -1)]
-    low, high = bounds(task)
-    return np.asarray(np.clip(np.concatenate(parts, axis=1), low, high), dtype=np.float32)
+    return np.asarray(np.clip(np.concatenate(parts, axis=1), *task.bounds), dtype=np.float32)
 
 
-def bounds(task: HarvestTask) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Smallest and largest observation."""
-    joints, arms = task.machine.joints, task.machine.arms
-    slot = [SPAN, SPAN, SPAN, 1.0]
-    high = np.array([1.0] * joints + [1.0] * arms + slot * task.fruit, dtype=np.float32)
-    low = np.array([-1.0] * joints + [0.0] * arms + [-SPAN, -SPAN, -SPAN, 0.0] * task.fruit, dtype=np.float32)
-    return low, high
+def spaces(task: HarvestTask, extra: int = 0) -> tuple[Box, Box]:
+    """Observation space, with room for some numbers from 0 to 1 at its end, and action space."""
+    joints, arms, most = task.machine.joints, task.machine.arms, task.rules.shown
+    high = [1.0] * (joints + arms) + [most, most, most, 1.0] * task.fruit + [1.0] * extra
+    low = [-1.0] * joints + [0.0] * arms + [-most, -most, -most, 0.0] * task.fruit + [0.0] * extra
+    observations = Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
+    return observations, Box(-1.0, 1.0, (joints,), np.float32)
 
 
 def information(state: HarvestState) -> dict[str, NDArray[np.generic]]:
     """The truth about each machine; the same keys always."""
     collected = (state.status == COLLECTED).sum(axis=1)
     done = (state.status == COLLECTED) | ~state.reachable
-    hours = np.maximum(state.periods, 1) * PERIOD / 3600
+    hours = np.maximum(state.periods, 1) * CONTROL_PERIOD / 3600
     return {
         "collected": collected,
         "lost": (state.status == LOST).sum(axis=1),

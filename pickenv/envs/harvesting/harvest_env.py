@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
 from pickenv.envs.shared.spaces import given_options
-from pickenv.envs.shared.task import MOST_ACTION, as_numbers
+from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers
 from pickenv.errors import InputError
 
 Information = dict[str, Any]
@@ -27,7 +27,9 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     A master arm (turn, lift, reach) carries one to six slave arms (lift, swing, stretch), each with a cup that takes a
     fruit from below, cuts its stalk and keeps it. One policy moves all joints. What moves is the machine as built,
     whose cups are 6 to 9 mm off while they forgive 5 to 11 mm; a cup that goes in pushes its neighbours' fruit away.
-    Arms never collide: a guard holds those that would come nearer than two arm radii and a margin.
+    Arms never collide: a guard holds those that would come nearer than two arm radii and a margin. What becomes of an
+    attempt is what `pickenv.harvester.picking` says, as in the reproduction of Li's experiment: how far off the cup is,
+    fruit in its way, blade and damage; pushed fruit swings on its branch, and a part of the push stays.
 
     ## Action Space
 
@@ -93,7 +95,8 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Version History
 
-    * v0: First version.
+    * v0: First version. Before its first release, attempts came to be judged as in the reproduction of Li's experiment:
+      pushes are log-normal and fruit swings. Returns from before cannot be compared.
     """
 
     metadata = {"render_modes": [], "render_fps": 10}  # noqa: RUF012
@@ -108,14 +111,10 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_mode: str | None = None,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        if render_mode is not None:
-            raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
-        self.task: HarvestTask = batch.make_task(slaves, spacing_mm, fruit, ideal)
-        self.render_mode = render_mode
+        self.task: HarvestTask = batch.make_harvest_task(slaves, spacing_mm, fruit, ideal, render_mode)
+        self.render_mode = None
         self.compensator: Compensate | None = None
-        low, high = batch.bounds(self.task)
-        self.observation_space = gym.spaces.Box(low, high, dtype=np.float32)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.task.machine.joints,), np.float32)
+        self.observation_space, self.action_space = batch.spaces(self.task)
         self.state: HarvestState | None = None
 
     def reset(
@@ -124,7 +123,7 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """Start with another zone; there are no options."""
         super().reset(seed=seed)
         given_options(options, ())
-        self.state = batch.begin(self.task, [self.np_random])
+        self.state = batch.begin_zones(self.task, [self.np_random])
         return batch.observe(self.task, self.state)[0], self._information()
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:

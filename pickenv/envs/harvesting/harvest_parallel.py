@@ -6,6 +6,7 @@ is, and shares the team's reward.
 
 from __future__ import annotations
 
+from copy import deepcopy
 from functools import cache
 from typing import Any
 
@@ -15,8 +16,9 @@ import pettingzoo  # type: ignore[import-untyped,import-not-found,unused-ignore]
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
 from pickenv.envs.harvesting.harvest_env import LONGEST, checked_actions
+from pickenv.envs.shared.task import Compensate
 from pickenv.errors import InputError
 
 ID = "pickenv/Harvest-v0"
@@ -36,17 +38,13 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
 
     def __init__(self, *, max_cycles: int = LONGEST, render_mode: str | None = None, **arguments: Any) -> None:
         """See the class."""
-        if render_mode is not None:
-            raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
-        self.task: HarvestTask = batch.make_task(**arguments)
+        self.task: HarvestTask = batch.make_harvest_task(**arguments, render_mode=render_mode)
         self.max_cycles, self.render_mode = max_cycles, render_mode
         self.possible_agents = ["master", *(f"slave_{i}" for i in range(self.task.machine.arms))]
         self.agents: list[str] = []
         self.compensator: Compensate | None = None
-        low, high = batch.bounds(self.task)
-        count = len(self.possible_agents)
-        low, high = np.append(low, np.zeros(count, np.float32)), np.append(high, np.ones(count, np.float32))
-        self._observations = {name: gym.spaces.Box(low, high, dtype=np.float32) for name in self.possible_agents}
+        observations = batch.spaces(self.task, extra=len(self.possible_agents))[0]
+        self._observations = {name: deepcopy(observations) for name in self.possible_agents}
         self._actions = {name: gym.spaces.Box(-1.0, 1.0, (3,), np.float32) for name in self.possible_agents}
         self._rng = np.random.default_rng()
         self._state: HarvestState | None = None
@@ -66,7 +64,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         if seed is not None:
             self._rng = np.random.default_rng(seed)
         self.agents = list(self.possible_agents)
-        self._state = batch.begin(self.task, [self._rng])
+        self._state = batch.begin_zones(self.task, [self._rng])
         return self._seen(), self._told()
 
     def step(

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import Compensate, HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
 from pickenv.envs.harvesting.harvest_env import LONGEST, checked_actions
-from pickenv.envs.shared.spaces import given_options
+from pickenv.envs.shared.spaces import final_rows, given_mask, given_options, given_seeds
+from pickenv.envs.shared.task import Compensate
 from pickenv.errors import InputError
 
 Information = dict[str, Any]
@@ -43,17 +44,13 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         **arguments: Any,
     ) -> None:
         """See the class."""
-        if render_mode is not None:
-            raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
         if num_envs < 1:
             raise InputError(f"{num_envs} environments are impossible; give 1 or more")
-        self.task: HarvestTask = batch.make_task(**arguments)
+        self.task: HarvestTask = batch.make_harvest_task(**arguments, render_mode=render_mode)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.max_episode_steps, self.render_mode = num_envs, max_episode_steps, None
-        low, high = batch.bounds(self.task)
-        self.single_observation_space = gym.spaces.Box(low, high, dtype=np.float32)
-        self.single_action_space = gym.spaces.Box(-1.0, 1.0, (self.task.machine.joints,), np.float32)
+        self.single_observation_space, self.single_action_space = batch.spaces(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.compensator: Compensate | None = None
@@ -66,14 +63,9 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     ) -> tuple[NDArray[np.float32], Information]:
         """Start all episodes anew, or those in ``options["reset_mask"]``."""
         options = given_options(options, ("reset_mask",))
-        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)))
-        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
-            raise InputError(f"reset_mask must be {self.num_envs} truth values, one of them true")
+        mask = given_mask(options.get("reset_mask"), self.num_envs)
         self._seed(seed)
-        rows = np.flatnonzero(mask)
-        if self.state is None:
-            rows = np.arange(self.num_envs)
-        self._restart(rows)
+        self._restart(np.arange(self.num_envs) if self.state is None else np.flatnonzero(mask))
         return self._observation(), self._information()
 
     def step(
@@ -93,7 +85,7 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         rewards = np.zeros(self.num_envs)
         going = np.flatnonzero(~again)
         if going.size:
-            some = HarvestState(**{k: getattr(self.state, k)[going] for k in HarvestState.__dataclass_fields__})
+            some: HarvestState = tree_map(lambda values: values[going], self.state)
             rngs = [self._rngs[i] for i in going]
             rewards[going] = batch.step(self.task, some, values[going], rngs, self.compensator)
             self.state.put(going, some)
@@ -111,17 +103,11 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         if seed is None and self._rngs:
             return
-        if seed is None:
-            given: list[int | None] = [None] * self.num_envs
-        else:
-            given = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else list(seed)
-        if len(given) != self.num_envs:
-            raise InputError(f"{len(given)} seeds were given for {self.num_envs} environments; give one each")
-        old = self._rngs
+        given, old = given_seeds(seed, self.num_envs), self._rngs
         self._rngs = [old[i] if old and value is None else seeding.np_random(value)[0] for i, value in enumerate(given)]
 
     def _restart(self, rows: Rows) -> None:
-        fresh = batch.begin(self.task, [self._rngs[i] for i in rows])
+        fresh = batch.begin_zones(self.task, [self._rngs[i] for i in rows])
         if self.state is None:
             self.state = fresh
         else:
@@ -141,10 +127,7 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """Observations and information of the episodes that have just ended."""
         assert self.state is not None
         over = self._over.copy()
-        observations = np.full(self.num_envs, None, dtype=object)
-        shown = self._observation()
-        for i in np.flatnonzero(over):
-            observations[i] = shown[i].copy()
+        observations = final_rows(self._observation(), np.flatnonzero(over), self.num_envs)
         known: Information = {k: np.where(over, v, 0) for k, v in batch.information(self.state).items()}
         known |= {f"_{key}": over.copy() for key in known}
         return {"final_obs": observations, "_final_obs": over, "final_info": known, "_final_info": over.copy()}

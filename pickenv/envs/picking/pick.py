@@ -3,39 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.forward import Frame
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm import Array, Frame, PlantState, plant_at
 from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_scene import Orchard, PickScene, draw_scene, make_orchard, upright_turn
-from pickenv.envs.reaching.reach import RENDER_MODES
-from pickenv.envs.shared.arms import population_size
+from pickenv.envs.picking.pick_scene import PickScene, PickSetting, draw_scene, make_setting, upright_turn
+from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS
-from pickenv.envs.shared.simulation import move, nominal_frames
+from pickenv.envs.shared.simulation import move, nominal_frames, nominal_readings, scaled
 from pickenv.envs.shared.spaces import box, given_options
-from pickenv.envs.shared.task import (
-    CONTROL_PERIOD,
-    MOST_ACTION,
-    Task,
-    as_numbers,
-    check_choice,
-    check_count,
-    check_number,
-    make_task,
-)
+from pickenv.envs.shared.task import CONTROL_PERIOD, MOST_ACTION, as_numbers, check_count, check_number, make_task
 from pickenv.errors import InputError
-
-Compensate = Callable[[Array], Array]
-Information = dict[str, Any]
 
 LONGEST = 400
 """Steps of an episode where the environment was not made by `gymnasium.make`."""
@@ -45,7 +28,7 @@ MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
 
-class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class PickEnv(ArmEnv):
     """Pick the fruit in front of the arm: come from below, settle, grasp, twist, retreat, and on to the next.
 
     ## Description
@@ -185,8 +168,6 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     * v0: First version.
     """
 
-    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
-
     def __init__(
         self,
         *,
@@ -206,23 +187,12 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_mode: str | None = None,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        if render_mode is not None:
-            check_choice("render_mode", render_mode, RENDER_MODES)
         check_number("fruit", fruit, positive=True)
         check_count("looks", looks)
-        self.task: Task = make_task(
-            plant=plant,
-            without=without,
-            arms=arms,
-            tolerances=tolerances,
-            population=population,
-            population_seed=population_seed,
-        )
-        self.plant: Plant = self.task.plant if arms == "fixed" else plant_at(self.task.plant, 0)
-        self.orchard: Orchard = make_orchard(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks)
-        self.render_mode = render_mode
-        self.compensator: Compensate | None = None
-        self._reach = reach_of(self.plant.arm.nominal)
+        drawn = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
+        super().__init__(make_task(plant, without, arms=arms, **drawn), render_mode)
+        self.orchard: PickSetting = make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks)
+        self._reach = reach_of(self.plant.arm.nominal, self.orchard.station.approach)
         bounds = box([1.0] * self.task.joints + [self.task.reach] * 6 + [2 * self.task.reach] * 3 + [math.pi] * 3)
         self._low = np.concatenate([bounds.low, np.zeros(5, np.float32)])
         self._high = np.concatenate([bounds.high, np.ones(5, np.float32)])
@@ -236,12 +206,6 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._state = PlantState()
         self._tool: Frame = ()
         self._arm: int | None = None
-        self._window: Any = None
-
-    @property
-    def increment(self) -> Array:
-        """Largest increment of each joint in one action, rad or m."""
-        return np.array(self.task.increment)
 
     @property
     def joint_target(self) -> Array:
@@ -313,41 +277,22 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             self.render()
         return self._observation(shown, believed), reward, terminated, False, self._information(command)
 
-    def render(self) -> Any:
-        """Draw the nominal ghost, the true arm and the canopy: an RGB array, or a window for "human"."""
-        if self.render_mode is None:
-            gym.logger.warn(
-                "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
-            )
-            return None
-        from pickenv.envs.picking.pick_drawing import pick_pixels
-        from pickenv.envs.shared.drawing import Window
+    def _picture(self) -> NDArray[np.uint8] | None:
+        from pickenv.envs.picking.pick_drawing import draw_pick
+        from pickenv.envs.shared.drawing import pixels
 
         if self.scene is None:
-            raise InputError("render was called before reset; call reset first")
+            return None
         command, tool = np.array(self._command()), np.array(self._tool[9:12])
-        picture = pick_pixels(self.plant, self.joint_target, command, tool, self.scene, self._number)
-        if self.render_mode == "rgb_array":
-            return picture
-        self._window = self._window or Window(self.metadata["render_fps"])
-        self._window.show(picture)
-        return None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
+        return pixels(draw_pick(self.plant, self.joint_target, command, tool, self.scene, self._number))
 
     def _take_arm(self, asked: int | None, *, again: bool) -> None:
         """Choose the true arm: anew in every episode, or once per environment and seed."""
         task = self.task
-        if task.arms == "fixed":
-            if asked is not None:
-                raise InputError("option arm needs a population; make the environment with arms='per_episode'")
+        if task.arms == "fixed" and asked is None:
             return
         if again or self._arm is None or task.arms == "per_episode":
-            self._arm = int(self.np_random.integers(population_size(task)))
+            self._arm = int(self.np_random.integers(task.population))
         if asked is not None:
             self._arm = task.given_arm(asked)
         self.plant = plant_at(task.plant, self._arm)
@@ -366,18 +311,15 @@ class PickEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         return command
 
     def _shown(self, command: Sequence[float]) -> list[float]:
-        """Joint readings, mapped back to nominal joints: a compensator stays invisible to the policy."""
-        readings = self.plant.readings(math, self._state, command)
-        return [q + (reading - sent) for q, reading, sent in zip(self._target, readings, command, strict=True)]
+        return nominal_readings(FLOATS, self.plant, self._state, self._target, command)
 
     def _observation(self, shown: Sequence[float], believed: Frame) -> NDArray[np.float32]:
-        scene, task = self.scene, self.task
+        scene = self.scene
         assert scene is not None
-        lower, upper = np.array(task.lower), np.array(task.upper)
         seen, tool = scene.seen[self._number], np.array(believed[9:12])
         held = scene.held is not None
         parts = [
-            ((2.0 * np.array(shown) - (lower + upper)) / (upper - lower)).clip(-1.0, 1.0),
+            scaled(FLOATS, self.task, shown),
             tool,
             seen,
             seen - tool,

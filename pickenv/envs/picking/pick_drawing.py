@@ -5,21 +5,12 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
+from pickenv.arm import Array, Plant
 from pickenv.envs.picking.pick_scene import PickScene
-from pickenv.envs.shared.drawing import DPI, FRUIT, SIZE, TRUE, draw_arm, pixels
+from pickenv.envs.shared.drawing import DPI, FRUIT, SIZE, TRUE, draw_arm
 
 LEFT_OUT, MISSED, COLLECTED = "#d5d8dc", "#e59866", "#27ae60"
-
-
-def pick_pixels(
-    plant: Plant, target: Array, command: Array, tool: Array, scene: PickScene, number: int
-) -> NDArray[np.uint8]:
-    """The picture of a canopy as an RGB array ``(360, 720, 3)``; see `draw_pick`."""
-    return pixels(draw_pick(plant, target, command, tool, scene, number))
 
 
 def draw_pick(plant: Plant, target: Array, command: Array, tool: Array, scene: PickScene, number: int) -> Figure:

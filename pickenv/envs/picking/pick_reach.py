@@ -9,13 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from pickenv.arm.kinematics.forward import forward
-from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
-from pickenv.arm.kinematics.inverse import inverse
+from pickenv.arm import Array, Geometry, Pose, forward, inverse
 from pickenv.errors import InputError
-
-APPROACH = 0.10
-"""Length of the straight way from below to a fruit, m; a fruit in reach can be reached at both ends."""
 
 ITERATIONS = 8
 """Steps of the inverse that tells whether a point is in reach; 15 answer no other of 4000 points differently."""
@@ -27,11 +22,11 @@ Flags = NDArray[np.bool_]
 
 
 class Reach:
-    """Which points the nominal arm reaches with its tool upright, from `APPROACH` below up to the point itself."""
+    """Which points the nominal arm reaches with its tool upright, from ``approach`` m below up to the point."""
 
-    def __init__(self, geometry: Geometry) -> None:
+    def __init__(self, geometry: Geometry, approach: float) -> None:
         """Sample the arm's upright poses once; each question then starts from the nearest one."""
-        self.geometry = geometry
+        self.geometry, self.approach = geometry, approach
         spread = qmc.Halton(geometry.joints, scramble=False).random(2**14)
         joints = geometry.lower + (geometry.upper - geometry.lower) * spread
         poses = forward(geometry, joints)
@@ -44,7 +39,7 @@ class Reach:
 
     def __call__(self, positions: Array) -> Flags:
         """One flag per position (n, 3), m."""
-        points = np.concatenate([positions, positions - APPROACH * UP])
+        points = np.concatenate([positions, positions - self.approach * UP])
         _, nearest = self.tree.query(points)
         solution = inverse(
             self.geometry,
@@ -60,9 +55,9 @@ class Reach:
 
 
 @lru_cache(maxsize=4)
-def reach_of(geometry: Geometry) -> Reach:
+def reach_of(geometry: Geometry, approach: float) -> Reach:
     """`Reach`, sampled once per arm."""
-    return Reach(geometry)
+    return Reach(geometry, approach)
 
 
 def _upright(rotation: Array) -> Array:

@@ -15,40 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv import orchard as trees
-from pickenv.arm.kinematics.forward import Frame
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.envs.picking.pick_reach import APPROACH, UP, Flags, Reach
+from pickenv.arm import Array, Frame
+from pickenv.envs.picking.pick_reach import UP, Flags, Reach
 from pickenv.envs.shared.task import as_numbers
 from pickenv.errors import InputError
-
-MIDDLE, FACE, MOUNT = 0.6, -0.53, 0.15
-"""Base frame: x of the section's middle, y of the canopy's face, z of its lowest fruit, m."""
-
-WIDTH, HEIGHT, DEPTH = 0.9, 0.8, 0.4
-"""Section of the canopy before the arm, m: what its joints can serve."""
-
-TOOL_RADIUS, TOOL_LENGTH = 0.0375, 0.30
-"""Outer size of the gripper, m: a cup of 70 mm opening with a wall of 2.5 mm."""
-
-BLOCKED = 0.02
-"""Fruit nearer than this to the axis of the way from below blocks it; fruit further out is pushed aside, m (ours)."""
-
-BRUISE_SPEED = 0.4
-"""A tool that hits a fruit faster than this bruises it, m/s; slides move at up to 0.5 m/s. On the safe side: bruises of
-apples are measured for drops of 10 mm, 0.44 m/s, and more (Slupska et al. 2022, Materials 15:139); Komarnicki and Stopa
-(2013) found none up to 30 mm, 0.77 m/s."""
-
-KNOCK, MOST_PUSH = 0.02, 0.15
-"""How far a failed grasp pushes its fruit, and how far any fruit can be pushed, m."""
-
-TWIST = 0.5
-"""Twist of the gripper at full command, N m: about twice what takes 95 % of the fruit off."""
-
-COLLECTED_BELOW = 0.08
-"""A detached fruit is collected once the tool has gone down by this, m."""
-
-NEAR = 0.06
-"""The gripper closes only where the controller believes its fruit to be nearer than this, m."""
+from pickenv.orchard.camera import DRAWS
 
 CLOSE, OPEN = 0.5, -0.5
 """Commands beyond which the gripper closes and opens."""
@@ -58,7 +29,7 @@ ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
 
 
 @dataclass(frozen=True, eq=False)
-class Orchard:
+class PickSetting:
     """What kind of fruit hangs before the arm, what sees it and what takes it."""
 
     canopy: trees.Canopy
@@ -68,21 +39,23 @@ class Orchard:
     gripper: trees.Gripper
     branch: trees.Branch
     detachment: trees.Detachment
+    station: trees.Station
     looks: int
 
 
-def make_orchard(
+def make_setting(
     canopy: str, fruit_map: str, fruit_size: str, camera: str, gripper: str, fruit: float, looks: int
-) -> Orchard:
+) -> PickSetting:
     """Read the presets; ``fruit`` is the mean number of fruit in the section before the arm."""
     whole, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
+    station = trees.load_station("qiao2026")
     section = replace(
         whole,
-        width=min(WIDTH, whole.width),
-        depth=min(DEPTH, whole.depth),
-        top=min(whole.bottom + HEIGHT, whole.top),
+        width=min(station.width, whole.width),
+        depth=min(station.depth, whole.depth),
+        top=min(whole.bottom + station.height, whole.top),
     )
-    return Orchard(
+    return PickSetting(
         canopy=section,
         fruit_map=crop.scaled(fruit / section.width),
         size=trees.load_fruit_size(fruit_size),
@@ -90,18 +63,24 @@ def make_orchard(
         gripper=trees.load_gripper(gripper),
         branch=trees.load_branch("apple"),
         detachment=trees.load_detachment("apple"),
+        station=station,
         looks=looks,
     )
 
 
-def to_base(canopy: trees.Canopy, positions: Array) -> Array:
-    """Positions (..., 3) of the orchard frame in the base frame; it is its own inverse up to the signs."""
-    return np.array([MIDDLE, FACE, MOUNT - canopy.bottom]) + positions * [-1.0, -1.0, 1.0]
+def to_base(orchard: PickSetting, positions: Array) -> Array:
+    """Positions (..., 3) of the orchard frame in the base frame."""
+    return _origin(orchard) + positions * [-1.0, -1.0, 1.0]
 
 
-def to_orchard(canopy: trees.Canopy, positions: Array) -> Array:
+def to_orchard(orchard: PickSetting, positions: Array) -> Array:
     """Positions (..., 3) of the base frame in the orchard frame."""
-    return np.asarray((positions - np.array([MIDDLE, FACE, MOUNT - canopy.bottom])) * [-1.0, -1.0, 1.0])
+    return np.asarray((positions - _origin(orchard)) * [-1.0, -1.0, 1.0])
+
+
+def _origin(orchard: PickSetting) -> Array:
+    station = orchard.station
+    return np.array([station.middle, station.face, station.mount - orchard.canopy.bottom])
 
 
 def upright_turn(axis: Array) -> Array:
@@ -136,7 +115,7 @@ class PickScene:
         detached_at: Height of the believed tool when the fruit in it came off, m.
     """
 
-    orchard: Orchard
+    orchard: PickSetting
     rest: Array
     diameters: Array
     masses: Array
@@ -212,17 +191,19 @@ class PickScene:
         along = away @ axis
         across = away - along[:, None] * axis
         gap = np.linalg.norm(across, axis=-1)
-        radius = self.diameters / 2
+        radius, station = self.diameters / 2, self.orchard.station
         wide = np.sqrt(np.maximum(radius**2 - np.maximum(along, 0.0) ** 2, 0.0))
-        touched = (gap < TOOL_RADIUS + wide) & (along > -TOOL_LENGTH) & (along < radius) & ~self.detached
+        touched = (
+            (gap < station.tool_radius + wide) & (along > -station.tool_length) & (along < radius) & ~self.detached
+        )
         if self.held is not None:
             touched[self.held] = False
         if target is not None:  # what stands above the opening goes in
-            touched[target] &= gap[target] > TOOL_RADIUS
+            touched[target] &= gap[target] > station.tool_radius
         speed = np.linalg.norm(moved) / dt if dt else 0.0
         for i in np.flatnonzero(touched):
-            self._push(self.positions[i], across[i] / max(gap[i], 1e-9) * (TOOL_RADIUS + wide[i] - gap[i]))
-            self.damaged[i] |= speed > BRUISE_SPEED
+            self._push(self.positions[i], across[i] / max(gap[i], 1e-9) * (station.tool_radius + wide[i] - gap[i]))
+            self.damaged[i] |= speed > station.bruise_speed
 
     def work_gripper(self, share: float, number: int, believed: Frame, tool: Frame) -> None:
         """Close the gripper on fruit ``number``, twist, open or empty it.
@@ -234,13 +215,13 @@ class PickScene:
             tool: Frame of the true one: what counts.
         """
         if self.held is None:
-            near = math.dist(self.seen[number].tolist(), believed[9:12]) <= NEAR
+            near = math.dist(self.seen[number].tolist(), believed[9:12]) <= self.orchard.station.near
             if share > CLOSE and near and self.waiting[number]:
                 self.grasp(number, tool)
         elif share < OPEN:
             self.let_go()
         elif self.holds_detached:
-            if believed[11] <= self.detached_at - COLLECTED_BELOW:
+            if believed[11] <= self.detached_at - self.orchard.station.collected_below:
                 self.collect()
         else:
             self.twist(share)
@@ -260,16 +241,16 @@ class PickScene:
             self.held, self.grip = i, self.displacement[i] - point
             return
         away = self.positions[i] - point
-        self._push(self.positions[i], KNOCK * away / max(float(np.linalg.norm(away)), 1e-9))
+        self._push(self.positions[i], self.orchard.station.knock * away / max(float(np.linalg.norm(away)), 1e-9))
 
     def twist(self, share: float) -> None:
-        """Twist the fruit in the gripper, by a share of `TWIST`; what is pulled or twisted enough comes off."""
+        """Twist the fruit by a share of the gripper's largest torque; what is pulled or twisted enough comes off."""
         i, branch = self.held, self.orchard.branch
         if i is None or self.detached[i]:
             return
         spring = np.array([branch.stiffness_sideways] * 2 + [branch.stiffness_upright])
         pull = float(np.linalg.norm(spring * self.displacement[i]))
-        torque = TWIST * max(share, 0.0)
+        torque = self.orchard.station.twist * max(share, 0.0)
         turned, torn = torque >= float(self.strength.twist[i]), pull >= float(self.strength.pull[i])
         self.detached[i] = turned or torn
         self.damaged[i] |= torn and not turned
@@ -290,10 +271,10 @@ class PickScene:
         """Displace the fruit around ``contact``; fruit in or past the gripper stays."""
         moved = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
         far = np.linalg.norm(moved, axis=-1, keepdims=True)
-        self.displacement = moved * np.minimum(1.0, MOST_PUSH / np.maximum(far, 1e-9))
+        self.displacement = moved * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
 
 
-def draw_scene(orchard: Orchard, reach: Reach, rng: np.random.Generator, given: Any = None) -> PickScene:
+def draw_scene(orchard: PickSetting, reach: Reach, rng: np.random.Generator, given: Any = None) -> PickScene:
     """The fruit of an episode, at least one of it in reach.
 
     Args:
@@ -314,7 +295,7 @@ def draw_scene(orchard: Orchard, reach: Reach, rng: np.random.Generator, given: 
             drawn = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
             positions, diameters = drawn.positions, drawn.diameters
         else:
-            positions = to_orchard(orchard.canopy, centres)
+            positions = to_orchard(orchard, centres)
             diameters = trees.sample_diameters(orchard.size, len(centres), rng)
         if len(positions):
             scene = _seen_scene(orchard, reach, rng, positions, diameters)
@@ -325,14 +306,14 @@ def draw_scene(orchard: Orchard, reach: Reach, rng: np.random.Generator, given: 
 
 
 def _seen_scene(
-    orchard: Orchard, reach: Reach, rng: np.random.Generator, positions: Array, diameters: Array
+    orchard: PickSetting, reach: Reach, rng: np.random.Generator, positions: Array, diameters: Array
 ) -> PickScene:
     """Look at fruit in the orchard frame, and say which of it the arm can try."""
     canopy, camera, count = orchard.canopy, orchard.camera, len(positions)
     viewpoint = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2])
     hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
     found = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=-1), hidden.visible)
-    draws = rng.normal(size=(count, trees.DRAWS))
+    draws = rng.normal(size=(count, DRAWS))
     draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
     believed = trees.measured_positions(
         camera,
@@ -344,11 +325,11 @@ def _seen_scene(
         visible_side=hidden.visible_side,
     )
     visible = (rng.random(count) < found) & trees.in_image(camera, positions, viewpoint, [0.0, 1.0, 0.0])
-    seen = to_base(canopy, believed)
-    clear = trees.approach_clear(positions, diameters, UP, BLOCKED, APPROACH)
+    seen = to_base(orchard, believed)
+    clear = trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
     return PickScene(
         orchard=orchard,
-        rest=to_base(canopy, positions),
+        rest=to_base(orchard, positions),
         diameters=diameters,
         masses=trees.fruit_masses(orchard.size, diameters),
         strength=trees.sample_strength(orchard.detachment, count, rng),

@@ -1,47 +1,31 @@
-"""Many reach tasks side by side on NumPy: their state, and what their arms do with an action each.
+"""Many reach tasks side by side: their state, component by component, and how an episode begins, on any executor.
 
-Rows of one table hold the components, columns the environments. Work goes through it in blocks that stay in the cache,
-so that the cost per step does not grow with the number of environments.
+`numpy_batch` and `torch_batch` say where the numbers live and how a step goes through them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.plant import Plant
-from pickenv.envs.reaching.reach_goal import goal_reward
-from pickenv.envs.shared.arms import changed_plant, choose_arm, numbers_of, population_size
-from pickenv.envs.shared.backends import NUMPY, Executor, Scalar
-from pickenv.envs.shared.exact import exact_plant
-from pickenv.envs.shared.simulation import (
-    Components,
-    Look,
-    ReachState,
-    begin,
-    flat_observation,
-    goal_attempt,
-    goal_observation,
-    look,
-    move,
-    nominal_frames,
-    true_reward,
-)
+from pickenv.arm import Array, Plant, PlantState, plants_on
+from pickenv.arm.plant.plant_batch import arrays_of
+from pickenv.arm.plant.tree import leaves, tree_map
+from pickenv.envs.shared.backends import Executor, Scalar
+from pickenv.envs.shared.simulation import ReachState, View, begin, drawn_arm, goal_attempt, look
 from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
-from pickenv.envs.shared.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, Task, as_numbers
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, MOST_ACTION, Compensate, Task
 from pickenv.errors import InputError
 
-BLOCK = 2048
-"""Environments per block: a component of 16 KiB, of which a few fit into a core's first cache."""
-
+Flags = NDArray[np.bool_]
 Words = NDArray[np.uint64]
 Rows = NDArray[np.intp]
-Compensate = Callable[[Array], Array]
+Columns = list[Scalar]
 
 
 class Start(NamedTuple):
@@ -62,294 +46,244 @@ class Start(NamedTuple):
     arm: NDArray[np.intp] | None = None
 
 
-class Outcome(NamedTuple):
-    """What many environments show, component by component, one column per environment; see `simulation.Look`.
+class Views(NamedTuple):
+    """What many environments show, component by component, one column per environment; see `simulation.View`.
 
     Attributes:
         observation: One array ``(k, count)`` per part of the observation, float32.
         reward: ``(count,)``.
         success: ``(count,)``.
-        numbers: Distance (mm), angle (deg), its lost and its kept part (deg): ``(4, count)``.
-        vectors: Pose error, joint command, true tool and fruit position: ``(12 + n, count)``; nothing without poses.
+        numbers: What `simulation.NUMBER_KEYS` names, four rows ``(count,)``.
+        vectors: `View.vectors`, ``(12 + n, count)``; nothing without poses.
     """
 
-    observation: tuple[Any, ...]
-    reward: Any
-    success: Any
-    numbers: Any
-    vectors: Any
+    observation: tuple[Scalar, ...]
+    reward: Scalar
+    success: Scalar
+    numbers: Scalar
+    vectors: Scalar
 
 
-class Batch:
-    """The state of N reach tasks.
+class Batch(ABC):
+    """The state of N reach tasks; where their numbers live is for `numbers` to `copy`: in NumPy, unless overridden.
 
     Attributes:
+        x: The executor.
+        block: Environments that begin an episode together.
         task: What all have in common.
+        count: N.
         goal_dict: Whether observations are goal dictionaries, and rewards made of them.
         poses: Whether pose errors, commands and positions are given.
-        count: N.
         arm: Number of each one's true arm.
+        plant: Their true arms.
+        population: What true arms are taken from.
     """
+
+    x: Executor
+    block: int
+    plant: Plant
+    population: Plant
 
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
         self.task, self.count, self.goal_dict, self.poses = task, count, goal_dict, poses
-        self.x: Executor = NUMPY
-        n = task.joints
-        rest = begin(NUMPY, task, changed_plant(task.plant, _first), *_example(task))
-        self._memory = [len(part) for part in rest.plant]
-        self._table = np.zeros((n + 15 + sum(self._memory), count))
-        self._keys = np.zeros(count, dtype=np.uint64)
         self.arm: NDArray[np.intp] = np.zeros(count, dtype=np.intp)
-        self.plant: Plant = task.plant
-        if task.arms != "fixed":
-            self.plant = changed_plant(task.plant, lambda values: values[self.arm])
-        self.plant = exact_plant(self.plant)
-        self._blocks = [(a, min(a + BLOCK, count)) for a in range(0, count, BLOCK)]
-        self._plants = [changed_plant(self.plant, lambda values, a=a, b=b: values[a:b]) for a, b in self._blocks]  # type: ignore[misc]
+        self.keys: Scalar = self.words(np.zeros(count, dtype=np.uint64))
+        self.columns: Columns = []
+        self._memory: list[int] = []
 
-    def restart(self, rows: Rows, how: Start, compensate: Compensate | None) -> None:
-        """Begin an episode in the environments ``rows``."""
-        x, task, n = self.x, self.task, self.task.joints
-        keys = self._keys[rows] = episode_key(x, how.seeds, how.episodes)
-        if task.arms != "fixed":
-            self._take_arms(rows, how, keys)
-        for a, b in _blocks(len(rows)):
-            some, key = rows[a:b], keys[a:b]
-            start = _columns(how.start[a:b]) if how.start is not None else [np.full(b - a, v) for v in task.middle]
-            joints = _columns(how.goal[a:b]) if how.goal is not None else list(self._draw_goals(key))
-            goal = tuple(np.broadcast_to(v, b - a) for v in nominal_frames(x, task, joints)[1])
-            plant = self._plant_of(some)
-            state = begin(x, task, plant, key, start, goal, _commands(compensate, start))
-            self._table[: n + 15, some] = [*state.target, *state.goal, *state.seen]
-            self._remember(some, state.plant)
+    def remember(self) -> None:
+        """Make room for the state: joint target (n), goal (12), fruit as seen (3), and what the plant remembers."""
+        middle = list(self.numbers(np.array([self.task.middle]).T))
+        self._memory = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
+        self.columns = list(self.numbers(np.zeros((self.task.joints + 15 + sum(self._memory), self.count))))
 
-    def advance(
-        self, actions: Array, moments: Words, live: NDArray[np.bool_] | None, compensate: Compensate | None
-    ) -> Outcome:
+    def numbers(self, values: Array) -> Scalar:
+        """NumPy's numbers where the executor computes, one component ``(count,)`` per row."""
+        return np.ascontiguousarray(values)
+
+    def words(self, words: Words) -> Scalar:
+        """64-bit words where the executor computes."""
+        return words
+
+    def indices(self, rows: Rows) -> Scalar:
+        """Numbers of environments, or arms, as the executor indexes with them."""
+        return rows
+
+    def flags(self, flags: Flags) -> Scalar:
+        """Truth values where the executor computes."""
+        return flags
+
+    def host(self, values: Scalar) -> NDArray[Any]:
+        """The executor's numbers as a NumPy array."""
+        return np.asarray(values)
+
+    def put(self, column: Scalar, where: Any, values: Scalar) -> None:
+        """Write into some environments of a column."""
+        column[where] = values
+
+    def copy(self, values: Scalar) -> Scalar:
+        """An array in memory of its own."""
+        return np.copy(values)
+
+    def copied(self, out: Views) -> Views:
+        """The same, in memory of its own."""
+        return cast(Views, tree_map(self.copy, out))
+
+    @abstractmethod
+    def given(self, actions: ArrayLike) -> Scalar:
+        """Actions as the executor's array, as they come."""
+
+    @abstractmethod
+    def components(self, actions: Scalar) -> tuple[Scalar, float, float]:
+        """Actions ``(N, n)`` as components ``(n, N)``, their least and their largest number."""
+
+    @abstractmethod
+    def show(self, rows: Rows, compensate: Compensate | None) -> Views:
+        """What the environments ``rows`` show at the beginning of their episodes."""
+
+    @abstractmethod
+    def advance(self, actions: Scalar, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
         """Act in all environments.
 
         Args:
             actions: Component by component, ``(n, N)``.
             moments: Number of the step in each one's episode.
-            live: Where it is False an episode has just begun: no time passes, and the action is ignored. None: nowhere.
+            live: Where time passes; None: everywhere. Elsewhere an episode has just begun: the action is ignored and
+                the reward is zero.
             compensate: Turns joint targets into joint commands, or None.
         """
-        out, n = self._empty(self.count), self.task.joints
-        rested = np.empty(0, dtype=np.intp)
-        if live is not None:
-            actions = actions * live
-            rested = np.flatnonzero(~live) if self.plant.has_state else rested
-        before = self._table[:, rested]
-        for (a, b), plant in zip(self._blocks, self._plants, strict=True):
-            columns = slice(a, b)
-            target = move(self.x, self.task, list(self._table[:n, columns]), list(actions[:, columns]))
-            self._table[:n, columns] = target
-            self._show(out, columns, columns, plant, compensate, moments[columns], CONTROL_PERIOD)
-        if len(rested):  # a plant with memory must not live through a step that never was
-            self._table[:, rested] = before
-            self._scatter(out, rested, self.show(rested, compensate))
-        return out
 
-    def show(self, rows: Rows, compensate: Compensate | None) -> Outcome:
-        """What the environments ``rows`` show at the beginning of their episodes."""
-        out = self._empty(len(rows))
-        for a, b in _blocks(len(rows)):
-            some = rows[a:b]
-            self._show(out, slice(a, b), some, self._plant_of(some), compensate, np.zeros(b - a, dtype=np.uint64), 0.0)
-        return out
+    @abstractmethod
+    def final_observations(self, observations: Any, rows: Rows) -> Any:
+        """The last observations of ``rows`` as infos give them."""
+
+    def restart(self, rows: Rows, how: Start, compensate: Compensate | None) -> None:
+        """Begin an episode in the environments ``rows``."""
+        x, task, n, where = self.x, self.task, self.task.joints, self.indices(rows)
+        keys = episode_key(x, self.words(how.seeds), self.words(how.episodes))
+        self.keys[where] = keys
+        if task.arms != "fixed":
+            self._take_arms(rows, how, keys)
+        middle = np.broadcast_to(np.array(task.middle), (len(rows), n))
+        for a, b in self.blocks(len(rows)):
+            some, key = where[a:b], keys[a:b]
+            start = list(self.numbers((middle if how.start is None else how.start)[a:b].T))
+            goal = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
+            state = begin(x, task, self.plant_of(some), key, start, goal, self.commands(compensate, start))
+            self.write(self.columns, some, (*state.target, *state.goal, *state.seen))
+            self.write(self.columns[n + 15 :], some, list(chain.from_iterable(state.plant)))
+
+    def scene(self, row: int, compensate: Compensate | None) -> tuple[Array, View]:
+        """Joint target and everything that can be seen of one environment, on floats; no time passes."""
+        where = self.indices(np.array([row]))
+        state = self.state_of([column[where] for column in self.columns])
+        command, key = self.commands(compensate, list(state.target)), self.keys[where]
+        _, scene = look(self.x, self.task, self.plant_of(where), state, command, key, key * 0, 0.0)
+        plain = (tuple(map(self._float, part)) if isinstance(part, tuple) else self._float(part) for part in scene)
+        return np.array([self._float(value) for value in state.target]), View(*plain)  # type: ignore[arg-type]
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on."""
-        return {"table": self._table, "keys": self._keys, "arm": self.arm}
+        table = np.array([self.host(column) for column in self.columns])
+        return {"table": table, "keys": self.host(self.keys).view(np.uint64), "arm": self.arm}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state_arrays`."""
-        self._table[:], self._keys[:], self.arm[:] = state["table"], state["keys"], state["arm"]
+        self.write(self.columns, slice(None), self.numbers(state["table"]))
+        self.keys[:], self.arm[:] = self.words(state["keys"]), state["arm"]
         if self.task.arms != "fixed":
-            for mine, all_ in zip(numbers_of(self.plant), numbers_of(self.task.plant), strict=True):
-                mine[:] = all_[self.arm]
+            self._exchange_arms(np.arange(self.count))
 
-    def scene(self, row: int, compensate: Compensate | None) -> tuple[Array, list[Any]]:
-        """Joint target and everything that can be seen of one environment, on floats; no time passes."""
-        where, n = np.array([row]), self.task.joints
-        table = self._table[:, where]
-        command = _commands(compensate, list(table[:n]))
-        plant, moment = self._plant_of(where), np.zeros(1, dtype=np.uint64)
-        _, scene = look(self.x, self.task, plant, self._state_of(table), command, self._keys[where], moment, 0.0)
-        parts = [[float(np.ravel(v)[0]) for v in part] if isinstance(part, tuple) else float(part[0]) for part in scene]
-        return table[:n, 0], parts
-
-    def numbers_of_actions(self, actions: ArrayLike) -> Array:
-        """Actions component by component ``(n, N)``, checked.
+    def numbers_of_actions(self, actions: ArrayLike) -> Scalar:
+        """Actions component by component ``(n, N)``, checked; on a device their size is not.
 
         Raises:
             InputError: If they have another shape, or numbers beyond -1 to 1.
         """
-        ready = isinstance(actions, np.ndarray) and actions.dtype.kind == "f"  # nothing to convert, no copy
-        values: Any = actions if ready else as_numbers("actions", actions)
-        shape = (self.count, self.task.joints)
-        if values.shape != shape:
-            raise InputError(f"actions have shape {values.shape}; give {shape}, numbers between -1 and 1")
-        numbers: Array = values.T.astype(np.float64, order="C")
-        if not (numbers.max() <= MOST_ACTION and numbers.min() >= -MOST_ACTION):
-            row = int(np.argmin((np.abs(numbers) <= MOST_ACTION).all(axis=0)))
+        values, shape = self.given(actions), (self.count, self.task.joints)
+        if tuple(values.shape) != shape:
+            raise InputError(f"actions have shape {tuple(values.shape)}; give {shape}, numbers between -1 and 1")
+        numbers, low, high = self.components(values)
+        if not (high <= MOST_ACTION and low >= -MOST_ACTION):
+            each = self.host(values)
+            row = int(np.argmin((np.abs(each) <= MOST_ACTION).all(axis=1)))
             raise InputError(
-                f"the action of environment {row} is {numbers[:, row]}; give finite numbers between -1 and 1"
+                f"the action of environment {row} is {each[row].tolist()}; give finite numbers between -1 and 1"
             )
         return numbers
 
-    @staticmethod
-    def on_host(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Truth values as a NumPy array."""
-        return flags
-
-    @staticmethod
-    def on_device(flags: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Truth values where the executor wants them."""
-        return flags
-
-    @staticmethod
-    def masked_rewards(rewards: Array, live: NDArray[np.bool_]) -> Array:
-        """Rewards, zero where an episode has just begun."""
-        return np.where(live, rewards, 0.0)
-
-    @staticmethod
-    def copied(out: Outcome) -> Outcome:
-        """The same, in memory of its own."""
-        return Outcome(tuple(part.copy() for part in out.observation), *(part.copy() for part in out[1:]))
-
-    @classmethod
-    def merged(cls, out: Outcome, rows: Rows, some: Outcome) -> Outcome:
+    def merged(self, out: Views, rows: Rows, some: Views) -> Views:
         """What all show, with the environments ``rows`` replaced; in memory of its own."""
-        out = cls.copied(out)
-        cls._scatter(out, rows, some)
+        out = self.copied(out)
+        self.scatter(out, rows, some)
         return out
 
-    @staticmethod
-    def final_observations(observations: Any, rows: Rows) -> NDArray[np.object_]:
-        """The observations of ``rows`` in an object array of all, as `SyncVectorEnv` gives them."""
-        count = len(next(iter(observations.values()))) if isinstance(observations, dict) else len(observations)
-        final = np.full(count, None, dtype=object)
-        for row in rows:
-            if isinstance(observations, dict):
-                final[row] = {key: value[row].copy() for key, value in observations.items()}
-            else:
-                final[row] = observations[row].copy()
-        return final
-
-    def _show(
-        self,
-        out: Outcome,
-        place: slice,
-        where: Any,
-        plant: Plant,
-        compensate: Compensate | None,
-        moments: Words,
-        dt: float,
-    ) -> None:
-        """Let ``dt`` pass for the environments ``where``, and put what they show into ``out`` at ``place``."""
-        table = self._table[:, where]
-        state = self._state_of(table)
-        command = _commands(compensate, state.target)
-        memory, scene = look(self.x, self.task, plant, state, command, self._keys[where], moments, dt)
-        self._remember(where, memory)
-        for array, part in zip(out.observation, self._observation(scene), strict=True):
-            for j, component in enumerate(part):
-                array[j, place] = component
-        if self.goal_dict:
-            _, achieved, desired = out.observation
-            out.reward[place] = goal_reward(self.task, achieved[:, place].T, desired[:, place].T)
-        else:
-            out.reward[place] = true_reward(self.x, self.task, scene)
-        out.success[place] = scene.success
-        numbers = (scene.distance_mm, scene.angle_deg, scene.lost_deg, scene.kept_deg)
-        for row, value in zip(out.numbers, numbers, strict=True):
-            row[place] = value
-        if self.poses:
-            for row, value in zip(out.vectors, (*scene.error, *scene.command, *scene.tool, *scene.fruit), strict=True):
-                row[place] = value
-
-    def _observation(self, scene: Look) -> tuple[Components, ...]:
-        return goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
-
-    def _empty(self, count: int) -> Outcome:
-        n = self.task.joints
-        widths = (n + 6, 3, 3) if self.goal_dict else (n + 12 + 3 * self.task.camera,)
-        return Outcome(
-            observation=tuple(np.empty((width, count), dtype=np.float32) for width in widths),
-            reward=np.empty(count),
-            success=np.empty(count, dtype=np.bool_),
-            numbers=np.empty((4, count)),
-            vectors=np.empty((12 + n if self.poses else 0, count)),
-        )
-
-    @staticmethod
-    def _scatter(out: Outcome, rows: Rows, some: Outcome) -> None:
+    def scatter(self, out: Views, rows: Rows, some: Views) -> None:
         """Put what the environments ``rows`` show into what all show."""
-        for all_, few in zip(out.observation, some.observation, strict=True):
-            all_[:, rows] = few
-        out.reward[rows], out.success[rows] = some.reward, some.success
-        out.numbers[:, rows], out.vectors[:, rows] = some.numbers, some.vectors
+        where = self.indices(rows)
+        for all_, few in zip(leaves(out), leaves(some), strict=True):
+            all_[..., where] = few
 
-    def _draw_goals(self, keys: Words) -> Array:
-        """Joints ``(n, count)`` of the first pose of each stream whose tool points upwards."""
+    def plant_of(self, where: Any) -> Plant:
+        """The true arms of some environments."""
+        return plants_on(self.plant, lambda values: values[where])
+
+    def state_of(self, columns: Columns) -> ReachState:
+        """The state that columns hold."""
+        n = self.task.joints
+        parts, first = [], n + 15
+        for width in self._memory:
+            parts.append(tuple(columns[first : first + width]))
+            first += width
+        target, goal, seen = tuple(columns[:n]), tuple(columns[n : n + 12]), tuple(columns[n + 12 : n + 15])
+        return ReachState(target, goal, seen, PlantState(*parts))
+
+    def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
+        """What the drives get for joint targets; a compensator works on NumPy."""
+        if compensate is None:
+            return targets
+        given = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")
+        return list(self.numbers(np.asarray(compensate(given)).T))
+
+    def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
+        """Write the first columns in some environments."""
+        for column, new in zip(columns, values, strict=False):
+            self.put(column, where, new)
+
+    def widths(self) -> tuple[int, ...]:
+        """Numbers in each part of the observation."""
+        n = self.task.joints
+        return (n + 6, 3, 3) if self.goal_dict else (n + 12 + 3 * self.task.camera,)
+
+    def blocks(self, count: int) -> Iterator[tuple[int, int]]:
+        """First and last environment of each block."""
+        return ((a, min(a + self.block, count)) for a in range(0, count, self.block))
+
+    def _draw_goals(self, keys: Scalar) -> Columns:
+        """Joints of the first pose of each stream whose tool points upwards."""
         task, streams = self.task, stream_key(self.x, keys, GOAL)
-        joints, open_ = np.empty((task.joints, len(keys))), np.arange(len(keys))
+        joints = list(self.numbers(np.zeros((task.joints, len(keys)))))
+        open_ = self.indices(np.arange(len(keys)))
         for attempt in range(GOAL_ATTEMPTS):
             tried, upright = goal_attempt(self.x, task, streams[open_], attempt)
-            joints[:, open_] = tried
-            open_ = open_[~upright]
-            if not open_.size:
+            self.write(joints, open_, tried)
+            open_ = open_[~(upright & (open_ >= 0))]
+            if not len(open_):
                 return joints
         raise task.no_goal()
 
-    def _take_arms(self, rows: Rows, how: Start, keys: Words) -> None:
+    def _take_arms(self, rows: Rows, how: Start, keys: Scalar) -> None:
         """Give the environments ``rows`` the true arms of their episodes."""
-        task, size = self.task, population_size(self.task)
-        if how.arm is not None:
-            self.arm[rows] = how.arm
-        else:
-            chosen = episode_key(self.x, how.seeds, np.zeros_like(how.episodes)) if task.arms == "per_env" else keys
-            self.arm[rows] = (choose_arm(self.x, chosen) * size).astype(np.intp)
-        for mine, all_ in zip(numbers_of(self.plant), numbers_of(task.plant), strict=True):
-            mine[rows] = all_[self.arm[rows]]
+        arms = how.arm
+        if arms is None:
+            arms = self.host(drawn_arm(self.x, self.task, self.words(how.seeds), keys)).astype(np.intp)
+        self.arm[rows] = arms
+        self._exchange_arms(rows)
 
-    def _plant_of(self, rows: Rows) -> Plant:
-        return changed_plant(self.plant, lambda values: values[rows])
+    def _exchange_arms(self, rows: Rows) -> None:
+        where, arms = self.indices(rows), self.indices(self.arm[rows])
+        for mine, all_ in zip(arrays_of(self.plant), arrays_of(self.population), strict=True):
+            mine[where] = all_[arms]
 
-    def _state_of(self, table: Array) -> ReachState:
-        n, parts, first = self.task.joints, [], self.task.joints + 15
-        for length in self._memory:
-            parts.append(tuple(table[first : first + length]))
-            first += length
-        target, goal, seen = tuple(table[:n]), tuple(table[n : n + 12]), tuple(table[n + 12 : n + 15])
-        return ReachState(target, goal, seen, PlantState(*parts))
-
-    def _remember(self, where: Any, memory: PlantState) -> None:
-        rows = [component for part in memory for component in part]
-        for row, component in enumerate(rows, start=self.task.joints + 15):
-            self._table[row, where] = component
-
-
-def _blocks(count: int) -> Iterator[tuple[int, int]]:
-    return ((a, min(a + BLOCK, count)) for a in range(0, count, BLOCK))
-
-
-def _columns(rows: Array) -> list[Array]:
-    return [np.ascontiguousarray(column) for column in rows.T]
-
-
-def _commands(compensate: Compensate | None, target: Sequence[Scalar]) -> Sequence[Scalar]:
-    """What the drives get for joint targets."""
-    return target if compensate is None else _columns(compensate(np.stack(target, axis=-1)))
-
-
-def _first(values: Array) -> Array:
-    return values[:1]
-
-
-def _example(task: Task) -> tuple[Any, ...]:
-    """Arguments of `begin` for one environment at mid-range: what a state consists of."""
-    middle = [np.array([value]) for value in task.middle]
-    goal = tuple(np.broadcast_to(v, 1) for v in nominal_frames(NUMPY, task, middle)[1])
-    return np.zeros(1, dtype=np.uint64), middle, goal, middle
+    def _float(self, value: Scalar) -> float:
+        return float(np.ravel(self.host(value))[0])

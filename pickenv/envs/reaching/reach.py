@@ -2,53 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.forward import Frame
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.envs.shared.arms import changed_plant, choose_arm, population_size
+from pickenv.arm import Array, plant_at, plants_on
+from pickenv.envs.shared import simulation
+from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant
-from pickenv.envs.shared.simulation import (
-    Look,
-    ReachState,
-    begin,
-    flat_observation,
-    goal_attempt,
-    look,
-    move,
-    nominal_frames,
-    true_reward,
-)
 from pickenv.envs.shared.spaces import action_space, flat_space, given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
-from pickenv.envs.shared.task import (
-    CONTROL_PERIOD,
-    GOAL_ATTEMPTS,
-    MOST_ACTION,
-    Task,
-    as_numbers,
-    check_choice,
-    make_task,
-)
+from pickenv.envs.shared.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, as_numbers, check_choice, make_task
 from pickenv.errors import InputError
 
 EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
-RENDER_MODES = ("human", "rgb_array")
-
-Compensate = Callable[[Array], Array]
-Information = dict[str, Any]
 
 
-class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
+class ReachEnv(ArmEnv):
     """Bring the tool to a fruit, in the attitude asked for, with an arm that is not what its controller believes.
 
     ## Description
@@ -170,17 +144,10 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
     * v0: First version.
     """
 
-    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
-
     def __init__(self, *, executor: str = "floats", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         check_choice("executor", executor, tuple(EXECUTORS))
-        if render_mode is not None:
-            check_choice("render_mode", render_mode, RENDER_MODES)
-        self.task: Task = make_task(**arguments)
-        self.plant: Plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, 0)
-        self.render_mode = render_mode
-        self.compensator: Compensate | None = None
+        super().__init__(make_task(**arguments), render_mode)
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)
         self._x: Executor = EXECUTORS[executor]
@@ -191,9 +158,8 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         self._step = 0
         self._key: Scalar = 0
         self._arm = 0
-        self._state: ReachState | None = None
-        self._scene: Look | None = None
-        self._window: Any = None
+        self._state: simulation.ReachState | None = None
+        self._scene: simulation.View | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Information]:
         """Start an episode; see the class for `options`."""
@@ -210,8 +176,8 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         self._take_arm(options.get("arm"))
         start = self._given(options, "start_joints") or self._numbers(task.middle)
         goal = self._given(options, "goal_joints")
-        frame = nominal_frames(x, task, goal)[1] if goal is not None else self._draw_goal()
-        self._state = begin(x, task, self.plant, self._key, start, frame, self._command(start))
+        goal = self._draw_goal() if goal is None else goal
+        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
         self._step = 0
         observation, _, information = self._look(0.0)
         if self.render_mode == "human":
@@ -229,7 +195,7 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
             raise InputError(f"action {values} is not {self.task.joints} finite numbers between -1 and 1")
         if self._state is None:
             raise InputError("step was called before reset; call reset first")
-        target = move(self._x, self.task, self._state.target, self._numbers(values.tolist()))
+        target = simulation.move(self._x, self.task, self._state.target, self._numbers(values.tolist()))
         self._state = self._state._replace(target=target)
         self._step += 1
         observation, reward, information = self._look(CONTROL_PERIOD)
@@ -237,52 +203,30 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
             self.render()
         return observation, reward, self.task.end_on_success and information["is_success"], False, information
 
-    def render(self) -> Any:
-        """Draw the nominal ghost, the true arm and the fruit: an RGB array, or a window for "human"."""
-        if self.render_mode is None:
-            gym.logger.warn(
-                "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
-            )
-            return None
-        from pickenv.envs.shared.drawing import Window, reach_pixels
-
-        if self._scene is None:
-            raise InputError("render was called before reset; call reset first")
-        plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
-        parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
-        scene = Look(*parts)  # type: ignore[arg-type]
-        picture = reach_pixels(plant, self.joint_target, scene, self.task.tolerance_mm)
-        if self.render_mode == "rgb_array":
-            return picture
-        self._window = self._window or Window(self.metadata["render_fps"])
-        self._window.show(picture)
-        return None
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
-
     @property
     def joint_target(self) -> Array:
         """The nominal joint target that the actions have built up, rad or m."""
         return np.array([] if self._state is None else self._plain(self._state.target))
 
     @property
-    def increment(self) -> Array:
-        """Largest increment of each joint in one action, rad or m."""
-        return np.array(self.task.increment)
-
-    @property
     def arm(self) -> int:
         """Number of the true arm in its population; 0 for a fixed one."""
         return self._arm
 
-    def _observe(self, scene: Look) -> tuple[Any, float]:
+    def _picture(self) -> NDArray[np.uint8] | None:
+        from pickenv.envs.shared.drawing import draw_reach, pixels
+
+        if self._scene is None:
+            return None
+        plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
+        parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
+        scene = simulation.View(*parts)  # type: ignore[arg-type]
+        return pixels(draw_reach(plant, self.joint_target, scene, self.task.tolerance_mm))
+
+    def _observe(self, scene: simulation.View) -> tuple[Any, float]:
         """Observation and reward; variants with other observations override it."""
-        reward: Scalar = true_reward(self._x, self.task, scene)
-        return np.array(self._plain(flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
+        reward: Scalar = simulation.true_reward(self._x, self.task, scene)
+        return np.array(self._plain(simulation.flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
 
     def _look(self, dt: float) -> tuple[Any, float, Information]:
         """Let time pass at the present joint target, then observation, reward and information."""
@@ -290,15 +234,11 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
         assert state is not None
         command = self._command(state.target)
         moment = self._word(self._step)
-        plant, scene = look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
+        plant, scene = simulation.look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
         self._state, self._scene = state._replace(plant=plant), scene
         observation, reward = self._observe(scene)
-        distance, angle, lost, kept = plain((scene.distance_mm, scene.angle_deg, scene.lost_deg, scene.kept_deg))
-        information = {
-            "position_error_mm": distance,
-            "attitude_error_deg": angle,
-            "noncompensable_deg": lost,
-            "compensable_deg": kept,
+        information: Information = dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True))
+        information |= {
             "is_success": bool(scene.success),
             "pose_error": np.array(plain(scene.error)),
             "joint_command": np.array(plain(scene.command)),
@@ -317,30 +257,25 @@ class ReachEnv(gym.Env[Any, NDArray[np.float32]]):
     def _take_arm(self, asked: int | None) -> None:
         """Choose the true arm of this episode."""
         x, task = self._x, self.task
-        if task.arms == "fixed":
-            if asked is not None:
-                raise InputError("option arm needs a population; make the environment with arms='per_episode'")
+        if task.arms == "fixed" and asked is None:
             return
         if asked is None:
             assert self._stream is not None
-            key = self._key
-            if task.arms == "per_env":
-                key = episode_key(x, self._word(self._stream), self._word(0))
-            asked = int(self._plain((choose_arm(x, key),))[0] * population_size(task))
+            asked = int(self._plain((simulation.drawn_arm(x, task, self._word(self._stream), self._key),))[0])
         self._arm = number = task.given_arm(asked)
         if x is FLOATS:
             self.plant = plant_at(task.plant, number)
         else:
-            self.plant = exact_plant(changed_plant(task.plant, lambda values: values[number : number + 1]))
+            self.plant = exact_plant(plants_on(task.plant, lambda values: values[number : number + 1]))
 
-    def _draw_goal(self) -> Frame:
-        """Frame of the first pose drawn whose tool points upwards."""
+    def _draw_goal(self) -> list[Scalar]:
+        """Joints of the first pose drawn whose tool points upwards."""
         x, task = self._x, self.task
         stream = stream_key(x, self._key, GOAL)
         for attempt in range(GOAL_ATTEMPTS):
-            joints, upright = goal_attempt(x, task, stream, attempt)
+            joints, upright = simulation.goal_attempt(x, task, stream, attempt)
             if upright:
-                return nominal_frames(x, task, joints)[1]
+                return joints
         raise task.no_goal()
 
     def _given(self, options: dict[str, Any], key: str) -> Sequence[Scalar] | None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pickenv.envs.reaching.reach import ReachEnv
-from pickenv.envs.shared.simulation import Look, goal_observation
+from pickenv.envs.shared.backends import NUMPY
+from pickenv.envs.shared.simulation import View, goal_observation, goal_reward
 from pickenv.envs.shared.spaces import goal_space
 from pickenv.envs.shared.task import Task
 
@@ -99,18 +100,18 @@ class ReachGoalEnv(ReachEnv):
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
         """Reward of achieved against desired goals, ``(3,)`` or ``(N, 3)``; a number, or an array ``(N,)``."""
-        reward = goal_reward(self.task, np.asarray(achieved_goal), np.asarray(desired_goal))
-        return reward if reward.ndim else float(reward)
+        return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
-    def _observe(self, scene: Look) -> tuple[Any, float]:
+    def _observe(self, scene: View) -> tuple[Any, float]:
         parts = (np.array(self._plain(part), dtype=np.float32) for part in goal_observation(scene))
         observation = dict(zip(GOAL_KEYS, parts, strict=True))
         return observation, self.compute_reward(observation["achieved_goal"], observation["desired_goal"], {})
 
 
-def goal_reward(task: Task, achieved: NDArray[Any], desired: NDArray[Any]) -> NDArray[np.float64]:
-    """Reward of goals ``(..., 3)`` as they were returned, in float64; every batch gives each row the same bits."""
-    step = (achieved.astype(np.float64) - desired.astype(np.float64)).reshape(-1, 3).T.copy()
-    distance_mm = 1e3 * np.sqrt(step[0] * step[0] + step[1] * step[1] + step[2] * step[2])
-    reward = np.where(distance_mm <= task.tolerance_mm, 0.0, -1.0) if task.sparse else -np.log10(1.0 + distance_mm)
-    return np.asarray(reward.reshape(np.broadcast_shapes(achieved.shape, desired.shape)[:-1]))
+def rewards_of_goals(task: Task, achieved: ArrayLike, desired: ArrayLike) -> Any:
+    """Rewards of goals ``(..., 3)`` as they were returned, in float64; every batch gives each row the same bits."""
+    one, other = np.asarray(achieved, dtype=np.float64), np.asarray(desired, dtype=np.float64)
+    shape = np.broadcast_shapes(one.shape, other.shape)
+    have, want = (np.broadcast_to(goals, shape).reshape(-1, 3).T.copy() for goals in (one, other))
+    reward = goal_reward(NUMPY, task, list(have), list(want)).reshape(shape[:-1])
+    return reward if reward.ndim else float(reward)

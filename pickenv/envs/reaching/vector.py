@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,20 +10,26 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.envs.reaching.batch import Batch, Outcome, Start
-from pickenv.envs.reaching.reach_goal import GOAL_KEYS, goal_reward
-from pickenv.envs.shared.simulation import Look
-from pickenv.envs.shared.spaces import OPTIONS, action_space, flat_space, given_options, goal_space
+from pickenv.arm import Array, Plant, plant_at
+from pickenv.envs.reaching.batch import Batch, Flags, Start, Views
+from pickenv.envs.reaching.numpy_batch import NumpyBatch
+from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
+from pickenv.envs.shared.simulation import NUMBER_KEYS
+from pickenv.envs.shared.spaces import (
+    OPTIONS,
+    action_space,
+    flat_space,
+    given_mask,
+    given_options,
+    given_seeds,
+    goal_space,
+)
 from pickenv.envs.shared.streams import fresh_seed, seed_word
-from pickenv.envs.shared.task import IDEAL, Task, check_choice, check_count, make_task
+from pickenv.envs.shared.task import IDEAL, Compensate, Task, check_choice, check_count, make_task
 from pickenv.errors import InputError
 
 EXECUTORS = ("numpy", "torch")
-NUMBER_KEYS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
-
-Mask = NDArray[np.bool_]
+STATE = ("seeds", "episodes", "elapsed", "seeded", "ended")
 
 
 class ReachVectorEnv(VectorEnv[Any, Any, Any]):
@@ -108,10 +114,10 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._poses = bool(pose_infos)
-        self.compensator: Callable[[Array], Array] | None = None
-        self.batch: Any
+        self.compensator: Compensate | None = None
+        self.batch: Batch
         if executor == "numpy":
-            self.batch = Batch(self.task, self.num_envs, self.goal_dict, pose_infos)
+            self.batch = NumpyBatch(self.task, self.num_envs, self.goal_dict, pose_infos)
         else:
             from pickenv.envs.reaching.torch_batch import TorchBatch
 
@@ -121,10 +127,10 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self._elapsed = np.zeros(self.num_envs, dtype=np.uint64)
         self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
-        self._last: Outcome | None = None
+        self._last: Views | None = None
 
     @property
-    def plant(self) -> Any:
+    def plant(self) -> Plant:
         """The true arm, or arms."""
         return self.batch.plant
 
@@ -144,7 +150,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         """
         super().reset(seed=int(seed) if isinstance(seed, int | np.integer) else None)
         options = given_options(options, (*OPTIONS, "reset_mask"))
-        mask = self._mask(options.pop("reset_mask", None))
+        mask = given_mask(options.pop("reset_mask", None), self.num_envs)
         self._take_seeds(seed, mask)
         rows = np.flatnonzero(mask)
         self._begin(rows, self._chosen(options, rows))
@@ -168,7 +174,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             raise InputError("step was called before reset; call reset first")
         numbers = self.batch.numbers_of_actions(actions)
         mode = self.autoreset_mode
-        live: Mask | None = None  # where time passes; None: everywhere
+        live: Flags | None = None  # where time passes; None: everywhere
         if self._ended.any():
             live = ~self._ended
             if mode is not AutoresetMode.NEXT_STEP:
@@ -180,12 +186,12 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         else:
             self._elapsed += np.uint64(1)
         out = self.batch.advance(numbers, self._elapsed, live, self.compensator)
-        rewards = out.reward if live is None else self.batch.masked_rewards(out.reward, live)
+        rewards = out.reward
         truncations, terminations = (np.zeros(self.num_envs, dtype=np.bool_) for _ in range(2))
         if self.max_episode_steps is not None:
             truncations = self._elapsed >= self.max_episode_steps
         if self.task.end_on_success:
-            terminations = self.batch.on_host(out.success)
+            terminations = self.batch.host(out.success)
         if live is not None:
             truncations, terminations = truncations & live, terminations & live
         ended = terminations | truncations
@@ -201,14 +207,14 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         if mode is AutoresetMode.DISABLED:
             self._last = self.batch.copied(out)
         infos = final | self._infos(out, np.ones(self.num_envs, dtype=np.bool_))
-        flags = (self.batch.on_device(flag) for flag in (terminations, truncations))
+        flags = (self.batch.flags(flag) for flag in (terminations, truncations))
         return self._observations(out), rewards, *flags, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One picture per environment, as in `pickenv/Reach-v0`."""
         if self.render_mode is None:
             return None
-        from pickenv.envs.shared.drawing import reach_pixels
+        from pickenv.envs.shared.drawing import draw_reach, pixels
 
         if not self._seeded.all():
             raise InputError("render was called before reset; call reset first")
@@ -216,45 +222,27 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         for i in range(self.num_envs):
             plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, int(self.batch.arm[i]))
             target, scene = self.batch.scene(i, self.compensator)
-            pictures.append(reach_pixels(plant, target, Look(*scene), self.task.tolerance_mm))
+            pictures.append(pixels(draw_reach(plant, target, scene, self.task.tolerance_mm)))
         return tuple(pictures)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint; on NumPy and not in mode "Disabled"."""
-        own: dict[str, NDArray[Any]] = {"seeds": self._seeds, "episodes": self._episodes, "elapsed": self._elapsed}
-        own |= {"seeded": self._seeded, "ended": self._ended}
+        own: dict[str, NDArray[Any]] = {key: getattr(self, f"_{key}") for key in STATE}
         return {key: np.array(value) for key, value in (own | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state_arrays`, in an environment made with the same arguments."""
-        self._seeds, self._episodes, self._elapsed = (state[key].copy() for key in ("seeds", "episodes", "elapsed"))
-        self._seeded, self._ended = state["seeded"].copy(), state["ended"].copy()
+        for key in STATE:
+            setattr(self, f"_{key}", state[key].copy())
         self.batch.take_state_arrays(state)
 
     def _begin(self, rows: NDArray[np.intp], chosen: dict[str, Any]) -> None:
         self._elapsed[rows], self._ended[rows] = 0, False
         self.batch.restart(rows, Start(self._seeds[rows], self._episodes[rows], **chosen), self.compensator)
 
-    def _mask(self, mask: Any) -> Mask:
-        """Which environments `reset` is about."""
-        if mask is None:
-            return np.ones(self.num_envs, dtype=np.bool_)
-        mask = np.asarray(mask)
-        if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
-            raise InputError(
-                f"reset_mask has shape {mask.shape} and type {mask.dtype}; give {self.num_envs} truth values, at least "
-                "one of them True"
-            )
-        return np.array(mask)
-
-    def _take_seeds(self, seed: int | Sequence[int | None] | None, mask: Mask) -> None:
+    def _take_seeds(self, seed: int | Sequence[int | None] | None, mask: Flags) -> None:
         """New seeds where they are given, the next episode elsewhere."""
-        if seed is None or isinstance(seed, int | np.integer):
-            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-            if len(seeds) != self.num_envs:
-                raise InputError(f"{len(seeds)} seeds were given for {self.num_envs} environments; give one for each")
+        seeds = given_seeds(seed, self.num_envs)
         if seed is None and self._seeded.all():
             self._episodes[mask] += np.uint64(1)
             return
@@ -275,8 +263,6 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             if options.get(key) is not None:
                 chosen[key.split("_")[0]] = self.task.given_joints(key, options[key], self.num_envs)[rows]
         if options.get("arm") is not None:
-            if self.task.arms == "fixed":
-                raise InputError("option arm needs a population; make the environment with arms='per_episode'")
             arms = np.asarray(options["arm"])
             if arms.shape not in ((), (self.num_envs,)):
                 raise InputError(f"option arm has shape {arms.shape}; give one number, or {self.num_envs}")
@@ -284,15 +270,15 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             chosen["arm"] = np.array([self.task.given_arm(arm) for arm in each.tolist()], dtype=np.intp)
         return chosen
 
-    def _observations(self, out: Outcome) -> Any:
+    def _observations(self, out: Views) -> Any:
         parts = [part.T for part in out.observation]
         return dict(zip(GOAL_KEYS, parts, strict=True)) if self.goal_dict else parts[0]
 
-    def _infos(self, out: Outcome, mask: Mask) -> dict[str, Any]:
+    def _infos(self, out: Views, mask: Flags) -> dict[str, Any]:
         """Infos as a dict of arrays with masks; what is outside the mask is zero."""
         n = self.task.joints
         numbers, vectors, success = out.numbers, out.vectors, out.success
-        given = self.batch.on_device(mask)
+        given = self.batch.flags(mask)
         if not mask.all():
             numbers, success = [row * given for row in numbers], success & given
             vectors = vectors * given if self._poses else vectors
@@ -303,11 +289,11 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             infos[key] = vectors[a:b].T
         return infos | {f"_{key}": given for key in infos}
 
-    def _final(self, out: Outcome, rows: NDArray[np.intp], ended: Mask) -> dict[str, Any]:
+    def _final(self, out: Views, rows: NDArray[np.intp], ended: Flags) -> dict[str, Any]:
         """Last observation and info of the episodes that ended, before they are overwritten."""
         last = self.batch.copied(out)
         infos = self._infos(last, ended)
-        mask = self.batch.on_device(ended)
+        mask = self.batch.flags(ended)
         return {
             "final_obs": self.batch.final_observations(self._observations(last), rows),
             "_final_obs": mask,
@@ -326,8 +312,7 @@ class ReachGoalVectorEnv(ReachVectorEnv):
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
         """Reward of achieved against desired goals, as in `pickenv/ReachGoal-v0`."""
-        reward = goal_reward(self.task, np.asarray(achieved_goal), np.asarray(desired_goal))
-        return reward if reward.ndim else float(reward)
+        return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
 
 class ReachIdealVectorEnv(ReachVectorEnv):

@@ -17,10 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
+from pickenv.arm import Array, Plant
 from pickenv.arm.kinematics.forward import chain_of, frames
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
-from pickenv.envs.shared.simulation import Look
+from pickenv.envs.shared.simulation import View
 from pickenv.errors import InputError
 
 GHOST, TRUE, FRUIT = "#9aa5b1", "#1f4e79", "#c0392b"
@@ -29,19 +28,14 @@ DPI = 80
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
-def reach_pixels(plant: Plant, target: Array, scene: Look, tolerance_mm: float) -> NDArray[np.uint8]:
-    """The picture of a reach as an RGB array ``(360, 720, 3)``."""
-    return pixels(draw_reach(plant, target, scene, tolerance_mm))
-
-
 def pixels(figure: Figure) -> NDArray[np.uint8]:
-    """A figure as an RGB array."""
+    """A figure as an RGB array ``(360, 720, 3)``."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3].copy()
 
 
-def draw_reach(plant: Plant, target: Array, scene: Look, tolerance_mm: float) -> Figure:
+def draw_reach(plant: Plant, target: Array, scene: View, tolerance_mm: float) -> Figure:
     """Draw the arm on the left and the surroundings of the fruit on the right.
 
     Args:

@@ -9,10 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar
-from pickenv.arm.plant.plant import Plant
+from pickenv.arm import Frame, Plant
+from pickenv.arm.kinematics.forward import Chain, Scalar
+from pickenv.arm.plant.plant import Ready
 
 ROUNDING = 1e-15
+FACTORS = ("cos_alpha", "sin_alpha", "a", "d", "cos_theta", "sin_theta")
 
 
 class Exact:
@@ -56,17 +58,7 @@ def exact(value: float) -> Any:
 
 def exact_chain(chain: Chain) -> Chain:
     """A chain of plain numbers with its zeros and ones made `Exact`; joint angles at zero stay numbers."""
-    links = tuple(
-        link._replace(
-            cos_alpha=exact(link.cos_alpha),
-            sin_alpha=exact(link.sin_alpha),
-            a=exact(link.a),
-            d=exact(link.d),
-            cos_theta=exact(link.cos_theta),
-            sin_theta=exact(link.sin_theta),
-        )
-        for link in chain.links
-    )
+    links = tuple(link._replace(**{name: exact(getattr(link, name)) for name in FACTORS}) for link in chain.links)
     tool = None if chain.tool is None else tuple(exact(value) for value in chain.tool)
     return Chain(tuple(exact(value) for value in chain.base), links, tool)
 
@@ -77,10 +69,8 @@ def exact_plant(plant: Plant) -> Plant:
     if load is not None and isinstance(load.payload, float):
         centre = tuple(tuple(exact(value) for value in point) for point in load.centre)
         load = replace(load, centre=centre, payload=exact(load.payload))
-    changed = replace(plant, load=load)
-    # Where its cached property keeps it; a batch of arms keeps the arrays that it had.
-    vars(changed)["chain"] = plant.chain._replace(base=tuple(exact(value) for value in plant.chain.base))
-    return changed
+    chain = plant.chain._replace(base=tuple(exact(value) for value in plant.chain.base))
+    return replace(plant, load=load, ready=Ready(plant.geometry, chain))
 
 
 def inexact(frame: Frame) -> tuple[Scalar, ...]:

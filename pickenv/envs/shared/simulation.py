@@ -10,18 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from pickenv.arm import Frame, Plant, PlantState
 from pickenv.arm.kinematics.backend import chosen, clipped
-from pickenv.arm.kinematics.forward import Frame, Scalar, attach, frames
+from pickenv.arm.kinematics.forward import Scalar, attach, frames
 from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.plant import Plant
 from pickenv.envs.shared.backends import Executor
 from pickenv.envs.shared.exact import inexact
-from pickenv.envs.shared.streams import CAMERA, FRUIT, normal, stream_key, uniform
+from pickenv.envs.shared.streams import ARM, CAMERA, FRUIT, episode_key, normal, stream_key, uniform
 from pickenv.envs.shared.task import GOAL_MARGIN, Task
 
 DEGREES = 57.29577951308232
 """Degrees in one radian."""
+
+NUMBER_KEYS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
 
 Components = tuple[Scalar, ...]
 
@@ -42,7 +43,7 @@ class ReachState(NamedTuple):
     plant: PlantState
 
 
-class Look(NamedTuple):
+class View(NamedTuple):
     """All that can be seen, from outside, of a moment: the observation takes a part of it, the information another.
 
     Attributes:
@@ -57,8 +58,8 @@ class Look(NamedTuple):
         error: True tool against fruit: m and rotation vector, 6.
         distance_mm: Its length.
         angle_deg: Its angle.
-        lost_deg: The part of the angle that no joint motion removes.
-        kept_deg: The rest of it.
+        noncompensable_deg: The part of the angle that no joint motion removes.
+        compensable_deg: The rest of it.
         success: Whether the fruit is inside the capture region.
     """
 
@@ -73,9 +74,19 @@ class Look(NamedTuple):
     error: Components
     distance_mm: Scalar
     angle_deg: Scalar
-    lost_deg: Scalar
-    kept_deg: Scalar
+    noncompensable_deg: Scalar
+    compensable_deg: Scalar
     success: Scalar
+
+    @property
+    def numbers(self) -> Components:
+        """What `NUMBER_KEYS` names."""
+        return self.distance_mm, self.angle_deg, self.noncompensable_deg, self.compensable_deg
+
+    @property
+    def vectors(self) -> Components:
+        """Pose error, joint command, true tool position and fruit position, 12 + n."""
+        return (*self.error, *self.command, *self.tool, *self.fruit)
 
 
 def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[Frame], Frame]:
@@ -103,8 +114,28 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
     return joints, nominal_frames(x, task, joints)[1][8] >= task.min_upright
 
 
+def drawn_arm(x: Executor, task: Task, seed: Scalar, key: Scalar) -> Scalar:
+    """Number of an episode's true arm, before its fraction is cut off.
+
+    Args:
+        x: The executor.
+        task: The task, whose arms are a population.
+        seed: Seed of the environment's stream; with one arm per environment it alone decides.
+        key: Key of the episode.
+    """
+    if task.arms == "per_env":
+        key = episode_key(x, seed, x.times(seed, 0))
+    return uniform(x, stream_key(x, key, ARM), 0) * task.population
+
+
 def begin(
-    x: Executor, task: Task, plant: Plant, key: Scalar, start: Sequence[Scalar], goal: Frame, command: Sequence[Scalar]
+    x: Executor,
+    task: Task,
+    plant: Plant,
+    key: Scalar,
+    start: Sequence[Scalar],
+    goal: Sequence[Scalar],
+    command: Sequence[Scalar],
 ) -> ReachState:
     """State at the start of an episode.
 
@@ -114,22 +145,22 @@ def begin(
         plant: The true arm, or arms.
         key: Key of the episode.
         start: Joint target to start from.
-        goal: Frame of the fruit with the wanted attitude.
+        goal: Joints that bring the nominal tool to the fruit with the wanted attitude.
         command: What the drives get for ``start``.
     """
-    seen = goal[9:12]
+    wanted = nominal_frames(x, task, goal)[1]
+    seen = wanted[9:12]
     if task.fruit_noise:
         fruit = stream_key(x, key, FRUIT)
         seen = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(seen))
-    return ReachState(tuple(start), goal, seen, plant.initial_state(x.m, command))
+    return ReachState(tuple(start), wanted, seen, plant.initial_state(x.m, command))
 
 
 def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> Components:
     """The nominal joint target after an action: clipped shares of the largest increments, kept in the joint limits."""
-    return tuple(
-        clipped(x.m, value + clipped(x.m, share, -1.0, 1.0) * most, low, high)
-        for value, share, most, low, high in zip(target, action, task.increment, task.lower, task.upper, strict=True)
-    )
+    m, limits = x.m, zip(target, action, task.increment, task.lower, task.upper, strict=True)
+    moved = [clipped(m, q + clipped(m, share, -1.0, 1.0) * most, low, high) for q, share, most, low, high in limits]
+    return tuple(moved)
 
 
 def look(
@@ -141,7 +172,7 @@ def look(
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
-) -> tuple[PlantState, Look]:
+) -> tuple[PlantState, View]:
     """Hold the joint command for ``dt`` seconds and see where the true tool is.
 
     Args:
@@ -161,19 +192,17 @@ def look(
     shown: Sequence[Scalar] = target
     if plant.has_state or plant.encoder is not None:
         plant_state, true = plant.advance(m, state.plant, command, dt)
-        # Readings are mapped back to nominal joints, so that a compensator stays invisible to the policy.
-        readings = plant.readings(m, plant_state, command)
-        shown = [q + (reading - sent) for q, reading, sent in zip(target, readings, command, strict=True)]
+        shown = nominal_readings(x, plant, plant_state, target, command)
     else:
         plant_state, true = state.plant, plant.tool_frame(m, command)
     true = inexact(true) if x.spares_constants else true
     links, believed = nominal_frames(x, task, shown)
     lag = rotation_between(m, believed, goal)
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
-    distance_mm = 1e3 * m.sqrt(dx * dx + dy * dy + dz * dz)
-    angle_deg = DEGREES * m.sqrt(turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2])
-    lost_deg = DEGREES * _lost_angle(x, task, links, turn)
-    rest = angle_deg * angle_deg - lost_deg * lost_deg
+    distance_mm = 1e3 * length(x, (dx, dy, dz))
+    angle_deg = DEGREES * length(x, turn)
+    noncompensable_deg = DEGREES * _lost_angle(x, task, links, turn)
+    rest = angle_deg * angle_deg - noncompensable_deg * noncompensable_deg
     camera: Components = ()
     if task.camera:
         camera = (-dx, -dy, -dz)
@@ -182,11 +211,8 @@ def look(
             first = x.times(moment, 3)
             noise = (normal(x, stream, x.plus(first, x.word(i))) for i in range(3))
             camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
-    return plant_state, Look(
-        readings=tuple(
-            clipped(x.m, (2.0 * q - (low + high)) / (high - low), -1.0, 1.0)
-            for q, low, high in zip(shown, task.lower, task.upper, strict=True)
-        ),
+    return plant_state, View(
+        readings=scaled(x, task, shown),
         believed=believed[9:12],
         seen=seen,
         offset=(seen[0] - believed[9], seen[1] - believed[10], seen[2] - believed[11], *lag),
@@ -197,10 +223,35 @@ def look(
         error=error,
         distance_mm=distance_mm,
         angle_deg=angle_deg,
-        lost_deg=lost_deg,
-        kept_deg=m.sqrt(chosen(m, rest > 0.0, rest, 0.0 * rest)),
-        success=(distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg),
+        noncompensable_deg=noncompensable_deg,
+        compensable_deg=m.sqrt(chosen(m, rest > 0.0, rest, 0.0 * rest)),
+        success=in_capture_region(task, distance_mm, angle_deg),
     )
+
+
+def nominal_readings(
+    x: Executor, plant: Plant, state: PlantState, target: Sequence[Scalar], command: Sequence[Scalar]
+) -> list[Scalar]:
+    """Joint readings mapped back to nominal joints, so that a compensator stays invisible to the policy."""
+    readings = plant.readings(x.m, state, command)
+    return [q + (reading - sent) for q, reading, sent in zip(target, readings, command, strict=True)]
+
+
+def scaled(x: Executor, task: Task, joints: Sequence[Scalar]) -> Components:
+    """Joints scaled to their limits, -1 to 1."""
+    m, limits = x.m, zip(joints, task.lower, task.upper, strict=True)
+    return tuple([clipped(m, (2.0 * q - (low + high)) / (high - low), -1.0, 1.0) for q, low, high in limits])
+
+
+def length(x: Executor, vector: Sequence[Scalar]) -> Scalar:
+    """Length of a vector of three components."""
+    along_x, along_y, along_z = vector
+    return x.m.sqrt(along_x * along_x + along_y * along_y + along_z * along_z)
+
+
+def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:
+    """Whether a tool this far from the fruit has it inside the capture region."""
+    return (distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg)
 
 
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[Scalar]) -> Scalar:
@@ -214,12 +265,12 @@ def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[
     return x.m.sqrt(along * along / (nx * nx + ny * ny + nz * nz + 1e-30))
 
 
-def flat_observation(scene: Look) -> Components:
+def flat_observation(scene: View) -> Components:
     """The numbers of the flat observation."""
     return (*scene.readings, *scene.believed, *scene.seen, *scene.offset, *scene.camera)
 
 
-def goal_observation(scene: Look) -> tuple[Components, Components, Components]:
+def goal_observation(scene: View) -> tuple[Components, Components, Components]:
     """The numbers of observation, achieved goal and desired goal.
 
     The achieved goal is the tool as the chosen feedback measures it: the believed one, or the fruit as seen less the
@@ -231,8 +282,20 @@ def goal_observation(scene: Look) -> tuple[Components, Components, Components]:
     return (*scene.readings, *scene.believed, *scene.offset[3:]), achieved, scene.seen
 
 
-def true_reward(x: Executor, task: Task, scene: Look) -> Scalar:
+def true_reward(x: Executor, task: Task, scene: View) -> Scalar:
     """Reward from the truth: see `pickenv/Reach-v0`."""
     if task.sparse:
-        return chosen(x.m, scene.success, 0.0, scene.distance_mm * 0.0 - 1.0)
+        return _sparse(x, scene.success, scene.distance_mm)
     return -x.m.log10(1.0 + scene.distance_mm) - 0.5 * x.m.log10(1.0 + scene.angle_deg)
+
+
+def goal_reward(x: Executor, task: Task, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> Scalar:
+    """Reward of an achieved against a desired goal, 3 components each: see `pickenv/ReachGoal-v0`."""
+    distance_mm = 1e3 * length(x, tuple(a - b for a, b in zip(achieved, desired, strict=True)))
+    if task.sparse:
+        return _sparse(x, distance_mm <= task.tolerance_mm, distance_mm)
+    return -x.m.log10(1.0 + distance_mm)
+
+
+def _sparse(x: Executor, success: Scalar, distance_mm: Scalar) -> Scalar:
+    return chosen(x.m, success, 0.0, distance_mm * 0.0 - 1.0)

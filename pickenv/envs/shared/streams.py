@@ -7,11 +7,8 @@ Stafford's constants), applied to a Weyl sequence; uniform numbers are equal to 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.envs.shared.backends import MASK, Executor
@@ -21,8 +18,6 @@ GOLDEN = 0x9E3779B97F4A7C15
 
 GOAL, FRUIT, CAMERA, ARM = range(1, 5)
 """Streams of one episode: the wanted pose, the fruit as the camera saw it, the camera in each step, the true arm."""
-
-TWO_PI = 6.283185307179586
 
 
 def mixed(x: Executor, word: Scalar) -> Scalar:
@@ -54,7 +49,7 @@ def normal(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
     first = 2 * draw if isinstance(draw, int) else x.times(draw, 2)
     second = first + 1 if isinstance(draw, int) else x.plus(first, x.word(1))
     radius = x.m.sqrt(-2.0 * x.m.log(1.0 - uniform(x, key, first)))
-    return radius * x.m.cos(TWO_PI * uniform(x, key, second))
+    return radius * x.m.cos(math.tau * uniform(x, key, second))
 
 
 def seed_word(seed: int) -> int:
@@ -65,11 +60,6 @@ def seed_word(seed: int) -> int:
         seed >>= 64
         if not seed:
             return word
-
-
-def seed_words(seeds: Iterable[int]) -> NDArray[np.uint64]:
-    """`seed_word` of many seeds."""
-    return np.array([seed_word(seed) for seed in seeds], dtype=np.uint64)
 
 
 def fresh_seed(generator: Any) -> int:

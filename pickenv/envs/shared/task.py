@@ -6,7 +6,7 @@ SI units, except where a name says otherwise.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
@@ -15,13 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import load_arm, load_plant
-from pickenv.arm.files.arm_file import Arm
+from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, load_arm, load_plant, load_tolerances
 from pickenv.arm.kinematics.forward import Chain, chain_of, frames
-from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_count
-from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.envs.shared.exact import exact_chain
 from pickenv.errors import InputError
 from pickenv.limits import check_limit, shown
@@ -48,6 +44,9 @@ GOAL_MARGIN = 0.05
 """Goals keep this share of each joint's range away from its limits."""
 
 GOAL_ATTEMPTS = 10_000
+
+Compensate = Callable[[Array], Array]
+"""Turns joint targets into joint commands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +110,11 @@ class Task:
         lengths = np.abs(g.a).sum() + np.abs(g.d).sum() + slides.sum()
         return float(lengths + np.linalg.norm(g.base.position) + np.linalg.norm(g.tool.position) + 1.0)
 
+    @property
+    def population(self) -> int:
+        """Number of arms that environments choose from."""
+        return plant_count(self.plant) or 1
+
     def given_joints(self, name: str, joints: Sequence[float] | Array, count: int | None = None) -> Array:
         """Joints that a reset option asks for, ``(n,)`` or, where ``count`` is given, ``(count, n)``.
 
@@ -130,11 +134,12 @@ class Task:
         """Number of an arm of the population.
 
         Raises:
-            InputError: If there is no such arm.
+            InputError: If there is no such arm, or no population.
         """
-        size = plant_count(self.plant) or 1
-        if not isinstance(number, int | np.integer) or not 0 <= number < size:
-            raise InputError(f"arm is {number!r}; the population has arms 0 to {size - 1}")
+        if self.arms == "fixed":
+            raise InputError("option arm needs a population; make the environment with arms='per_episode'")
+        if not isinstance(number, int | np.integer) or not 0 <= number < self.population:
+            raise InputError(f"arm is {number!r}; the population has arms 0 to {self.population - 1}")
         return int(number)
 
     def no_goal(self) -> InputError:
@@ -182,7 +187,7 @@ def make_task(
     if arms != "fixed":
         check_count("population", population)
         check_limit("population", int(population), "population")
-        check_seed("population_seed", population_seed)
+        check_count("population_seed", population_seed, least=0)
         check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
         design = load_tolerances(tolerances)
         true_arm = draw_plants(true_arm, design, population, np.random.default_rng(population_seed))
@@ -235,16 +240,10 @@ def check_number(name: str, value: float, *, positive: bool = False) -> None:
         )
 
 
-def check_count(name: str, value: int) -> None:
-    """Refuse what is not a whole number of at least 1."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise InputError(f"{name} is {value!r}; give a whole number of at least 1")
-
-
-def check_seed(name: str, value: int) -> None:
-    """Refuse what is no whole number, or negative."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise InputError(f"{name} is {value!r}; give a whole number not below zero")
+def check_count(name: str, value: int, least: int = 1) -> None:
+    """Refuse what is not a whole number of at least ``least``."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise InputError(f"{name} is {value!r}; give a whole number of at least {least}")
 
 
 def check_name(name: str, value: str | Path, wanted: str) -> None:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pickenv.harvester.joint_motion import dense_workspace
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, Verdict
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.reports.report_words import estimated, percent
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_harvest
-
-LI2016_DENSE = ((-1.5, 1.5), (-1.7, -0.5), (0.4, 2.6))
-"""Where Li 2016, Fig. 8, finds the cloud dense: ranges of x, y and z, m."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -41,12 +39,12 @@ def drawings(run: Run) -> Drawings:
         Drawing(
             "workspace",
             "Where the cups get to, at joints drawn evenly within the limits.",
-            lambda: plot_harvest.workspace_cloud(trace.cloud, (LI2016_DENSE,)),
+            lambda: plot_harvest.workspace_cloud(trace.cloud, (dense_workspace(),)),
         ),
         Drawing(
             "joint_curves",
             "How the joints move from the start to a pick point and on to three fruit.",
-            lambda: plot_harvest.joint_curves(trace.curves),
+            lambda: plot_harvest.joint_displacements(trace.curves),
         ),
     ]
 
@@ -56,7 +54,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     trace = load_harvest(run)
     names = list(trace.measures)
     before, after = (trace.measures[name] for name in (names[0], names[-1]))
-    verdict = Verdict(
+    verdict = PageVerdict(
         "note",
         f"From {names[0]} to {names[-1]}: {100 * before['harvested'].value:.0f} to "
         f"{100 * after['harvested'].value:.0f} % of the fruit",

@@ -7,22 +7,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from pickenv.arm.files.arm_file import read_toml, refuse_unknown
 from pickenv.arm.files.content import content_sha256
-from pickenv.arm.files.tables import Table
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_file import load_plant
-from pickenv.arm.plant.tolerances import GRADES, Tolerances, load_tolerances
+from pickenv.arm.plant.tolerances import GRADE, Tolerances, load_tolerances
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
 from pickenv.calibration.residuals.residual_models import FITTERS
 from pickenv.errors import InputError
-from pickenv.limits import LIMITS, check_limit
+from pickenv.limits import LIMITS
+from pickenv.toml_tables import ONCE, SHARE, WHOLE, Check, Key, Unit, made, toml_of, toml_table
 
 VERSION = 1
 """Raised whenever the same configuration gives other rows, so that old results are not mixed with new ones."""
@@ -32,11 +30,7 @@ METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in FITTERS))
 """No calibration; least squares; least squares and a learnt residual of that kind."""
 
 
-QUANTITIES = {"residual_poses": "poses"}
-"""Keys whose limits stand in `pickenv.limits` under another name."""
-
-
-@dataclass(frozen=True)
+@toml_table
 class Noise:
     """Standard deviation of the tracker, per axis.
 
@@ -45,8 +39,8 @@ class Noise:
         attitude_deg: Of an attitude, deg.
     """
 
-    position_mm: float
-    attitude_deg: float
+    position_mm: Annotated[float, Unit("mm").within(*LIMITS["position_mm"]), Key("position_mm")]
+    attitude_deg: Annotated[float, Unit("deg").within(*LIMITS["attitude_deg"]), Key("attitude_deg")]
 
 
 DEFAULT_NOISE = Noise(POSITION_STD * 1e3, math.degrees(ATTITUDE_STD))
@@ -76,7 +70,15 @@ class Setting:
     payload_kg: float
 
 
-@dataclass(frozen=True)
+POSES = WHOLE.within(*LIMITS["poses"])
+METHOD = Check(METHODS.__contains__, f"one of {', '.join(METHODS)}")
+TRACKERS = Check(lambda value: isinstance(value, list), "a list of tables with position_mm and attitude_deg")
+PLANT = Check(lambda value: isinstance(value, str), "the name of a plant preset or a path to a plant file (.toml)")
+IN_PICKING, IN_CALIBRATION = Key(section="picking"), Key(section="calibration")
+PAYLOAD, RADIUS = Unit("kg").within(*LIMITS["payload_kg"]), Unit("mm").within(*LIMITS["radius_mm"]).positive
+
+
+@toml_table
 class StudyConfig:
     """A study; `load_study` reads it.
 
@@ -97,20 +99,21 @@ class StudyConfig:
         residual_poses: Further poses for a learnt residual.
     """
 
-    plant: str
-    seed: int
-    arms: int
-    chunk: int
-    fruit: int
-    payload_kg: tuple[float, ...]
-    radius_mm: float
-    share: float
-    tolerances: tuple[str, ...]
-    it_grades: tuple[int, ...] | None
-    methods: tuple[str, ...]
-    poses: tuple[int, ...]
-    noise: tuple[Noise, ...]
-    residual_poses: int
+    _: KW_ONLY
+    plant: Annotated[str, PLANT]
+    seed: Annotated[int, WHOLE.within(*LIMITS["seed"])] = 0
+    arms: Annotated[int, WHOLE.within(*LIMITS["arms"])]
+    chunk: Annotated[int, WHOLE.within(*LIMITS["chunk"])] = 250
+    fruit: Annotated[int, WHOLE.within(*LIMITS["fruit"]), IN_PICKING] = 100
+    payload_kg: Annotated[tuple[float, ...], PAYLOAD, ONCE, Key("payload_kg", "picking")] = (0.0,)
+    radius_mm: Annotated[float, RADIUS, Key("radius_mm", "specification")]
+    share: Annotated[float, SHARE.positive, Key(section="specification")]
+    tolerances: Annotated[tuple[str, ...], ONCE, Key("classes", "tolerances")]
+    it_grades: Annotated[tuple[int, ...], GRADE, ONCE, Key(section="tolerances")] | None = None
+    methods: Annotated[tuple[Annotated[str, METHOD], ...], ONCE, IN_CALIBRATION] = (LS,)
+    poses: Annotated[tuple[int, ...], POSES, ONCE, IN_CALIBRATION] = (30,)
+    noise: Annotated[tuple[Noise, ...], TRACKERS, ONCE, IN_CALIBRATION] = (DEFAULT_NOISE,)
+    residual_poses: Annotated[int, POSES, IN_CALIBRATION] = 100
 
     def settings(self) -> tuple[Setting, ...]:
         """All cells: populations first, payloads last; an arm without calibration has neither poses nor tracker."""
@@ -193,100 +196,10 @@ def load_study(path: str | Path) -> StudyConfig:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"study {path} does not exist; give a path to a TOML file")
-    content, where = read_toml(path), str(path)
-    tables = ("picking", "specification", "tolerances", "calibration")
-    top = ("plant", "seed", "arms", "chunk", "sha256", "arithmetic")  # the last two stand in results folders
-    refuse_unknown(content, (*top, *tables), where, "a study")
-    study = Table({key: content[key] for key in top if key in content}, "study", where, top)
-    picking = Table(content.get("picking", {}), "picking", where, ("fruit", "payload_kg"))
-    specification = Table(content.get("specification", {}), "specification", where, ("radius_mm", "share"))
-    tolerances = Table(content.get("tolerances", {}), "tolerances", where, ("classes", "it_grades"))
-    calibration = Table(
-        content.get("calibration", {}), "calibration", where, ("methods", "poses", "noise", "residual_poses")
-    )
-    share = specification.number("share", positive=True)
-    if share > 1.0:
-        raise specification.fail("share", "a share of the fruit, above 0 and at most 1")
-    plant = content.get("plant")
-    if not isinstance(plant, str):
-        raise study.fail("plant", "the name of a plant preset or a path to a plant file (.toml)")
-    least, most = min(GRADES), max(GRADES)
-    (_, heaviest, why), most_poses = LIMITS["payload_kg"], int(LIMITS["poses"][1])
-    config = StudyConfig(
-        plant=plant,
-        seed=_whole(study, "seed", 0),
-        arms=_whole(study, "arms"),
-        chunk=_whole(study, "chunk", 250),
-        fruit=_whole(picking, "fruit", 100),
-        payload_kg=_several(
-            picking, "payload_kg", _is_payload, f"masses from 0 to {heaviest:g} kg: {why}", [0.0], float
-        ),
-        radius_mm=_limited(specification, "radius_mm", positive=True),
-        share=share,
-        tolerances=_several(tolerances, "classes", lambda value: isinstance(value, str), "names of tolerance classes"),
-        it_grades=_several(tolerances, "it_grades", _between(least, most), f"whole numbers from {least} to {most}")
-        if "it_grades" in tolerances.table
-        else None,
-        methods=_several(calibration, "methods", METHODS.__contains__, f"some of {', '.join(METHODS)}", [LS]),
-        poses=_several(calibration, "poses", _between(1, most_poses), f"whole numbers from 1 to {most_poses}", [30]),
-        noise=_noise(calibration),
-        residual_poses=_whole(calibration, "residual_poses", 100),
-    )
+    content, text = toml_of(path)
+    for recorded in ("sha256", "arithmetic"):  # in results folders
+        content.pop(recorded, None)
+    config = made(StudyConfig, content, str(path), text=text)
     config.load_tolerances()  # what is unknown is refused now, not an hour later
     config.load_plant()
     return config
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _between(low: int, high: int) -> Callable[[Any], bool]:
-    return lambda value: _is_whole(value) and low <= value <= high
-
-
-def _is_payload(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= LIMITS["payload_kg"][1]
-
-
-def _whole(table: Table, key: str, default: int | None = None) -> int:
-    least, most, why = LIMITS[QUANTITIES.get(key, key)]
-    value = table.table.get(key, default)
-    if not _is_whole(value) or not least <= value <= most:
-        raise table.fail(key, f"a whole number from {least:.0f} to {most:.0f}: {why}")
-    return int(value)
-
-
-def _limited(table: Table, key: str, *, positive: bool = False) -> float:
-    """A number within the limits of what its key names."""
-    value = table.number(key, positive=positive)
-    check_limit(f"{table.where}: {key} of [{table.name}]", value, key)
-    return value
-
-
-def _several(
-    table: Table,
-    key: str,
-    valid: Callable[[Any], bool],
-    wanted: str,
-    default: list[Any] | None = None,
-    convert: Callable[[Any], Any] = lambda value: value,
-) -> tuple[Any, ...]:
-    """The list under ``key``: not empty, every entry valid, none twice."""
-    values = table.table.get(key, default)
-    if not isinstance(values, list) or not values or not all(valid(value) for value in values):
-        raise table.fail(key, f"a list of {wanted}")
-    if len(set(values)) < len(values):
-        raise table.fail(key, "each entry once")
-    return tuple(convert(value) for value in values)
-
-
-def _noise(table: Table) -> tuple[Noise, ...]:
-    """The trackers; a laser tracker with a reflector triad when left out."""
-    if "noise" not in table.table:
-        return (DEFAULT_NOISE,)
-    entries = table.entries("noise", ("position_mm", "attitude_deg"))
-    found = tuple(Noise(_limited(entry, "position_mm"), _limited(entry, "attitude_deg")) for entry in entries)
-    if not found or len(set(found)) < len(found):
-        raise table.fail("noise", "a list of tables with position_mm and attitude_deg, each tracker once")
-    return found

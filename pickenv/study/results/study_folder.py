@@ -16,12 +16,12 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.dataset as ds
 
-from pickenv.arm.files.arm_file import read_toml
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.sealed import parquet_is_sealed
 from pickenv.study.design.config import StudyConfig, load_study
 from pickenv.study.results.row_table import Study, chunk_path, column_bytes, read_chunk
+from pickenv.toml_tables import toml_of
 
 SUMMARY, SOBOL = "summary.json", "sobol.json"
 SOBOL_AGAIN = "run `pickenv study` with --sobol again"
@@ -65,7 +65,7 @@ def study_at(folder: str | Path) -> Study:
         InputError: If the folder holds no study, or another one than its hash says.
     """
     path = Path(folder) / "study.toml"
-    config, content = load_study(path), read_toml(path)
+    config, (content, _) = load_study(path), toml_of(path)
     study, said = Study(config, str(content.get("arithmetic"))), str(content.get("sha256", ""))
     if not said:
         raise InputError(f"{path} is not the record of a results folder; give another folder")

@@ -21,8 +21,9 @@ from torch import Tensor
 from pickenv.arm.kinematics.forward import Frame, chain_of, tool_frame
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import frame_error
-from pickenv.arm.plant.plant import Plant, placed_chain
+from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plants_on
+from pickenv.arm.plant.tree import tree_map
 from pickenv.calibration.compensation.compensator import Compensator, corrected
 from pickenv.errors import InputError
 from pickenv.study.design.config import RAW, Setting
@@ -131,7 +132,7 @@ def _commands(
         return _Commands(targets, none, none, np.ones(count, dtype=bool))
     assert noise is not None, "a calibrated setting has poses"
     found = identify_batch(protocol, setting, plants, noise[:, : setting.poses], place)
-    chain = placed_chain(chain_of(found.geometry, np), place)
+    chain = tree_map(place, chain_of(found.geometry, np))
     chains = (chain_of(protocol.nominal), chain)
     joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)
     gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], wanted[9:], strict=True)]

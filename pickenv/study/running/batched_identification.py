@@ -8,8 +8,7 @@ all, and so is the first Jacobian. Only undamped steps are taken: an arm that ne
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -20,7 +19,9 @@ from pickenv.arm.kinematics.forward import Chain, Frame, attach, chain_of, frame
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.kinematics.jacobians import link_column
 from pickenv.arm.kinematics.pose_error import displaced_frame, frame_error
-from pickenv.arm.plant.plant import Plant, placed_chain
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant_batch import with_links
+from pickenv.arm.plant.tree import tree_map
 from pickenv.calibration.identification.least_squares import identify, judged_step
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.study.design.config import Setting
@@ -91,7 +92,7 @@ def identify_batch(
     for _ in range(STEPS):
         step, sound = _solve(matrix, weighted)
         moved = _displaced_links(geometry, tracker.model, step.cpu().numpy() * tracker.model.tolerance)
-        links, tool = _links(placed_chain(chain_of(moved, np), place), tracker)
+        links, tool = _links(tree_map(place, chain_of(moved, np)), tracker)
         moved_weighted = _residual(tracker, tool, measured)
         rms = _rms(moved_weighted)
         # From here on as in `least_squares`, arm by arm; what it would shorten is left to it.
@@ -99,7 +100,8 @@ def identify_batch(
         accepted = running & sound & better
         converged |= running & sound & torch.where(better, finished, negligible)
         steps += accepted
-        geometry = _chosen(accepted.cpu().numpy(), moved, geometry)
+        chosen = accepted.cpu().numpy()[:, None]
+        geometry = with_links(moved, lambda yes, no, chosen=chosen: np.where(chosen, yes, no), geometry)
         history = torch.where(accepted, rms, history)
         running = accepted & ~finished
         if not running.any():
@@ -162,16 +164,8 @@ def _rms(weighted: Tensor) -> Tensor:
 def _displaced_links(geometry: Geometry, model: ErrorModel, change: Array) -> Geometry:
     """Geometries ``(N, n)`` with ``change`` ``(N, K)`` added to the model's link parameters."""
     shape = (len(change), geometry.joints)
-    values: dict[str, Any] = {name: np.broadcast_to(getattr(geometry, name), shape).copy() for name in LINK_PARAMETERS}
+    moved = with_links(geometry, lambda values: np.broadcast_to(values, shape).copy())
     for k, column in enumerate(model.columns.tolist()):
         kind, joint = divmod(column, geometry.joints)
-        values[LINK_PARAMETERS[kind]][:, joint] += change[:, k]
-    return replace(geometry, **values)
-
-
-def _chosen(condition: NDArray[np.bool_], yes: Geometry, no: Geometry) -> Geometry:
-    """The arms of ``yes`` where the condition holds, else those of ``no``."""
-    values: dict[str, Any] = {
-        name: np.where(condition[:, None], getattr(yes, name), getattr(no, name)) for name in LINK_PARAMETERS
-    }
-    return replace(no, **values)
+        getattr(moved, LINK_PARAMETERS[kind])[:, joint] += change[:, k]
+    return moved

@@ -30,6 +30,14 @@ def joint(number):
     return "[[joints]]" + SHIPPED.split("[[joints]]")[number]
 
 
+def following(number, leader):
+    """The same where the joint has no limits of its own, but follows another."""
+    lines = joint(number).splitlines(keepends=True)
+    return (
+        "".join(line for line in lines if not line.startswith(("lower", "upper", "speed"))) + f"follows = {leader}\n\n"
+    )
+
+
 def test_shipped_arms_load_under_their_own_names():
     assert [load_arm(name).name for name in shipped_arms()] == shipped_arms()
     assert {"qiao2026", "ur5", "wam"} <= set(shipped_arms())
@@ -118,14 +126,14 @@ MISTAKES = {
     "a speed of light": ("speed_deg_per_s = 180.0", "speed_deg_per_s = 1e9", ["speed_deg_per_s of joint 6", "36000"]),
     "a name that is a list": ('name = "qiao2026"', 'name = ["a"]', ["name is ['a']", "text of one line"]),
     "a name of two lines": ('name = "qiao2026"', 'name = "a\\nb"', ["name is 'a\\nb'", "text of one line"]),
-    "a joint's name that is a number": ('number = 2\nname = "', 'number = 2\nname = 3 # "', ["name is 3"]),
+    "a joint's name that is a number": ('number = 2\nname = "', 'number = 2\nname = 3 # "', ["name of joint 2 is 3"]),
     "400 digits": ("a_mm = 138.0", f"a_mm = {'7' * 400}", ["a_mm is an integer of more than 64 bits"]),
     "5000 digits": ("a_mm = 138.0", f"a_mm = {'7' * 5000}", ["not valid TOML", "digits"]),
     "a date that is none": ("a_mm = 138.0", "a_mm = 2024-13-45", ["not valid TOML"]),
     "a date": ("a_mm = 138.0", "a_mm = 2024-12-24", ["a_mm of joint 2 is datetime.date(2024, 12, 24)"]),
     "depth": ("joint_count = 6", f"joint_count = {'[' * 5000}{']' * 5000}", ["nested too deeply"]),
-    "a joint that follows none": ('type = "P"', 'type = "P"\nfollows = 9', ["joint 2 follows 9"]),
-    "a joint that follows itself": ('type = "P"', 'type = "P"\nfollows = 2', ["joint 2 follows 2"]),
+    "a joint that follows none": (joint(2), following(2, 9), ["joint 2 follows 9"]),
+    "a joint that follows itself": (joint(2), following(2, 2), ["joint 2 follows 2"]),
     "a joint that follows and has limits": (
         'type = "P"',
         'type = "P"\nfollows = 1',
@@ -181,7 +189,7 @@ def test_a_plant_of_a_coupled_arm_is_refused(write, tmp_path):
 def test_no_joints_at_all(tmp_path):
     path = tmp_path / "arm.toml"
     path.write_text("joint_count = 2\n")
-    with pytest.raises(InputError, match=r"no \[\[joints\]\] tables"):
+    with pytest.raises(InputError, match=r"joints is missing; give one \[\[joints\]\] table per joint"):
         load_arm(path)
 
 

@@ -17,7 +17,7 @@ def test_forward_of_one_pose_on_floats(benchmark, qiao, draw):
 def test_plant_with_all_effects_for_one_pose_on_floats(benchmark, draw):
     plant = load_plant("qiao2026")
     q = draw(plant.geometry).tolist()
-    frame = benchmark(plant.tool_frame_floats, q)
+    frame = benchmark(plant.tool_frame, math, q)
     assert frame[9:] == pytest.approx(plant.tool_pose(q).position)
 
 

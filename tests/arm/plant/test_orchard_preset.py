@@ -115,7 +115,7 @@ def test_three_executors_walk_the_same_way(orchard, draw):
     settled = orchard.tool_pose(ways[0])
     torched = pose_of(orchard.tool_frame(torch, torch.from_numpy(ways[0]).unbind(-1)), torch)
     np.testing.assert_allclose(torched.position.numpy(), settled.position, rtol=0, atol=1e-12)
-    floats = [orchard.tool_frame_floats(q)[9:] for q in ways[0].tolist()]
+    floats = [orchard.tool_frame(math, q)[9:] for q in ways[0].tolist()]
     np.testing.assert_allclose(floats, settled.position, rtol=0, atol=1e-12)
 
 
@@ -207,12 +207,20 @@ MISTAKES = {
     "negative clearance": ("clearance_mm = 0.1", "clearance_mm = -0.1", ["clearance_mm", "[roller_play]"]),
     "rollers on a revolute joint": ("joint = 3\nlength_mm = 400.0\nclear", "joint = 1\nclear", ["revolute"]),
     "negative backlash": ("width_arcmin = 2.0", "width_arcmin = -2.0", ["width_arcmin", "[backlash.joints]"]),
-    "backlash in the wrong unit": ("width_mm = 0.10", "width_arcmin = 0.10", ["width_mm", "missing"]),
+    "backlash in the wrong unit": (
+        "width_mm = 0.10",
+        "width_arcmin = 0.10",
+        ["perhaps width_mm is meant"],
+    ),
     "preload missing": (", preload_N_m = 4.0", "", ["preload_N_m", "missing"]),
     "joint named twice": ("joint = 2, width_mm", "joint = 3, width_mm", ["joint", "each joint once"]),
     "negative scatter": ("scatter = 0.2", "scatter = -0.2", ["scatter", "[stick_band]"]),
     "negative friction": ("forward_mm = 0.06", "forward_mm = -0.06", ["forward_mm", "[stick_band.joints]"]),
-    "five expansions": ("[23.0, 23.0, 23.0, 23.0, 23.0, 23.0]", "[23.0]", ["expansion_um_per_m_K", "6 numbers"]),
+    "five expansions": (
+        "[23.0, 23.0, 23.0, 23.0, 23.0, 23.0]",
+        "[23.0]",
+        ["expansion_um_per_m_K", "6 entries, one per joint"],
+    ),
     "no warm-up time": ("time_constant_h = 1.2", "time_constant_h = 0", ["time_constant_h", "[thermal_growth]"]),
     "rise not finite": ("final_rise_K = 20.0", "final_rise_K = nan", ["final_rise_K", "finite"]),
     "ground of no stiffness": ("[3.0e4, 3.0e4]", "[0.0, 3.0e4]", ["stiffness_N_m_per_rad", "above zero"]),
@@ -223,7 +231,7 @@ MISTAKES = {
     "no rise time": ("rise_time_ms = 50.0", "rise_time_ms = 0.0", ["rise_time_ms", "above zero"]),
     "a joint without encoder": ("  { joint = 6, resolution_arcsec = 6.3 },\n", "", ["[encoder]", "joint 6"]),
     "counts of no size": ("resolution_um = 10.0", "resolution_um = 0.0", ["resolution_um", "above zero"]),
-    "encoders not a list": (ENCODERS, "[encoder]\njoints = 3\n\n", ["joints", "list of tables"]),
+    "encoders not a list": (ENCODERS, "[encoder]\njoints = 3\n\n", ["joints", "give a list"]),
     "servo too fast": ("time_constant_ms = [20.0", "time_constant_ms = [0.0", ["time_constant_ms", "above zero"]),
     "effect misspelt": ("[servo]", "[servos]", ["'servos'", "servo"]),
     "load missing": (SOUND[SOUND.index("[load]") : SOUND.index("[roller_play]")], "", ["base_tilt", "[load]"]),

@@ -6,10 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, load_plant, pose_error, rotation_matrix, shipped_plants
+from pickenv.arm import (
+    draw_plants,
+    forward,
+    load_plant,
+    load_tolerances,
+    plant_at,
+    plants_on,
+    pose_error,
+    rotation_matrix,
+    shipped_plants,
+)
 from pickenv.arm.effects.structure import BoomBending, JointCompliance, Load, driven_joints
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
-from pickenv.arm.plant.plant import EFFECTS, placed_chain
+from pickenv.arm.plant.plant import EFFECTS
+from pickenv.arm.plant.plant_batch import arrays_of, with_links
+from pickenv.arm.plant.tree import tree_map
 
 MOVING = ["joint_compliance", "boom_bending", "transmission_error"]
 
@@ -130,13 +142,25 @@ def test_drive_errors_come_before_everything_else(name):
     np.testing.assert_allclose(rough.tool_frame(math, q), smooth.tool_frame(math, driven), rtol=0, atol=1e-14)
 
 
-def test_every_number_of_a_chain_is_placed_and_nothing_else():
-    geometry = load_plant("geometry_only").geometry
+def test_every_number_of_a_chain_is_changed_and_nothing_else():
+    geometry = with_links(load_plant("geometry_only").geometry, lambda values: values[None])
     for beta in (0.0, 0.3):
-        chain = chain_of(replace(geometry, beta=np.full(6, beta)), np)
-        placed = placed_chain(chain, lambda value: ("placed", float(value)))
-        for link, moved in zip(chain.links, placed.links, strict=True):
+        chain = chain_of(replace(geometry, beta=np.full((1, 6), beta)), np)
+        changed = tree_map(lambda values: ("changed", float(values[0])), chain)
+        assert (changed.base, changed.tool, changed.coupling) == (chain.base, chain.tool, chain.coupling)
+        for link, moved in zip(chain.links, changed.links, strict=True):
             assert moved.prismatic == link.prismatic
-            assert moved.beta == (None if beta == 0.0 else (("placed", np.cos(beta)), ("placed", np.sin(beta))))
+            assert moved.beta == (None if beta == 0.0 else (("changed", np.cos(beta)), ("changed", np.sin(beta))))
             for name in ("cos_alpha", "sin_alpha", "a", "theta", "d", "cos_theta", "sin_theta"):
-                assert getattr(moved, name) == ("placed", float(getattr(link, name)))
+                assert getattr(moved, name) == ("changed", float(getattr(link, name)[0]))
+
+
+def test_a_batch_of_arms_moved_elsewhere_gives_all_its_arrays_and_a_new_geometry_its_own_chain():
+    arms = draw_plants(load_plant("orchard"), load_tolerances("medium"), 3, np.random.default_rng(0))
+    doubled = plants_on(arms, lambda values: 2.0 * values)
+    assert len(arrays_of(arms)) > 80 and arrays_of(plant_at(arms, 0)) == []
+    for mine, other in zip(arrays_of(arms), arrays_of(doubled), strict=True):
+        np.testing.assert_array_equal(other, 2.0 * mine)
+    assert replace(doubled, load=None).chain is doubled.chain
+    back = replace(doubled, geometry=arms.geometry)  # the chain that was made ready is of another geometry
+    np.testing.assert_array_equal(back.chain.links[2].a, arms.chain.links[2].a)

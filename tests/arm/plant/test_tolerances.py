@@ -149,7 +149,7 @@ def test_many_arms_at_once_are_the_arms_one_by_one(draw):
     np.testing.assert_allclose(torched_pose.position.numpy(), settled.position, rtol=0, atol=1e-12)
     for i, one in enumerate(ones):
         np.testing.assert_allclose(one.tool_pose(ways[0, i]).position, settled.position[i], rtol=0, atol=1e-12)
-        assert one.tool_frame_floats(ways[0, i].tolist())[9:] == pytest.approx(settled.position[i], abs=1e-12)
+        assert one.tool_frame(math, ways[0, i].tolist())[9:] == pytest.approx(settled.position[i], abs=1e-12)
 
 
 def test_several_poses_of_each_arm(draw):
@@ -212,7 +212,7 @@ MISTAKES = {
     "grade between": ("it_grade = 12", "it_grade = 12.5", ["it_grade", "whole number"]),
     "grade unknown": ("it_grade = 12", "it_grade = 3", ["it_grade", "5 to 17"]),
     "length zero": ("least_length_mm = 50.0", "least_length_mm = 0", ["least_length_mm", "above zero"]),
-    "distribution unknown": ('"uniform"', '"gauss"', ["distribution", "uniform, normal"]),
+    "distribution unknown": ('"uniform"', '"gauss"', ["distribution", "'uniform' or 'normal'"]),
     "negative angle": ("half_width_deg = 0.03", "half_width_deg = -1", ["half_width_deg", "[angles]"]),
     "negative spread": ("joint_stiffness = 0.15", "joint_stiffness = -0.1", ["joint_stiffness", "[spread]"]),
     "spread misspelt": ("joint_stiffness", "joint_stifness", ["'joint_stifness'", "joint_stiffness"]),

@@ -226,7 +226,10 @@ BAD = {
         'reflectors = { columns = ["a", "b", "c", "d", "e"], unit = "mm" }\n',
         r"\[reflectors\] needs three columns per reflector",
     ),
-    "unknown mark": (REFLECTORS + 'reflectors.lost = "minus one"\n', r"lost is \['minus one'\]"),
+    "unknown mark": (
+        REFLECTORS + 'reflectors.lost = "minus one"\n',
+        r"lost of \[reflectors\] is 'minus one'; give how",
+    ),
     "attitudes of a wire": (
         'distance = { columns = ["L"], unit = "mm" }\nrotation.columns = ["a"]\n',
         r"belongs to \[pos",
@@ -237,9 +240,12 @@ BAD = {
     ),
     "temperature in Fahrenheit": (
         'distance = { columns = ["L"], unit = "mm" }\nconditions.temperature = { column = "T", unit = "degF" }\n',
-        r"unit of \[conditions.temperature\] is unknown: 'degF'",
+        r"unit of \[conditions.temperature\] is 'degF'; give one of degC, K",
     ),
-    "negative spacing": ("[sockets]\nspacing_mm = -50.0\n", r"spacing_mm is -50"),
+    "negative spacing": (
+        "[sockets]\nspacing_mm = -50.0\n",
+        r"spacing_mm of \[sockets\] is -50; give a number above zero",
+    ),
 }
 
 

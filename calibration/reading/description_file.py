@@ -1,0 +1,208 @@
+"""What a column description's file holds, table by table; `description` says what it means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import KW_ONLY
+from typing import Annotated, Any
+
+from pickenv.calibration.model.measurements import ATTITUDE_STD
+from pickenv.calibration.reading.conventions import CONVENTIONS
+from pickenv.errors import InputError
+from pickenv.texts import shortened
+from pickenv.toml_tables import DEG, MM, NUMBER, Check, Key, Then, fault, toml_table
+
+LENGTHS, ANGLES = ("mm", "m"), ("deg", "rad")
+KINDS = ("position", "reflectors", "distance", "sockets")
+LOST = ("zeros", "empty")
+MASSES = {"kg": 1.0, "g": 1e-3}
+TORQUES = {"N*m": 1.0, "N": 1.0, "N*mm": 1e-3, "kN": 1e3}
+
+
+def _one_of(names: Iterable[str]) -> Check:
+    allowed = tuple(names)
+    return Check(allowed.__contains__, f"one of {', '.join(allowed)}")
+
+
+COLUMN = Check(lambda value: isinstance(value, str), "the name of a column or an expression")
+COLUMNS = Check(
+    lambda value: isinstance(value, list) and all(isinstance(item, str) for item in value),
+    "a list of column names or expressions",
+)
+COUNTS: dict[str, tuple[Callable[[int], bool], str]] = {
+    "position": (lambda n: n == 3, "three columns, x, y and z"),
+    "reflectors": (lambda n: n > 0 and n % 3 == 0, "three columns per reflector, x, y and z of each in turn"),
+    "distance": (lambda n: n == 1, "one column, the length"),
+    "sockets": (lambda n: n <= 1, "the column that numbers the sockets"),
+}
+"""How many columns each kind of section needs."""
+JOINT_UNIT = _one_of(LENGTHS + ANGLES)
+
+
+def _separates(value: Any) -> bool:
+    fit = isinstance(value, str) and len(value) == 1 and (value == "\t" or value.isprintable())
+    return fit and value not in '"+-.' and not value.isalnum()
+
+
+def _lost(found: Any, _context: Any) -> tuple[str, ...]:
+    marks = [found] if isinstance(found, str) else found
+    if not isinstance(marks, list) or any(mark not in LOST for mark in marks):
+        raise fault(f"how lost reflectors are marked, of {', '.join(LOST)}")
+    return tuple(marks)
+
+
+@toml_table
+class JointsTable:
+    """[joints]: one unit for all, or one each."""
+
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Annotated[str, JOINT_UNIT] | None = None
+    units: Annotated[tuple[Annotated[str, JOINT_UNIT], ...], COLUMNS] | None = None
+
+    def __post_init__(self) -> None:
+        if self.units is None and self.unit is None:
+            raise InputError(f"unit of [joints] is missing; give {JOINT_UNIT.wanted}")
+        if len(self.each) != len(self.columns):
+            counts = f"{len(self.columns)} columns but {len(self.each)} units"
+            raise InputError(f"[joints] has {counts}; give one per joint")
+
+    @property
+    def each(self) -> tuple[str, ...]:
+        """The unit of each column."""
+        return (str(self.unit),) * len(self.columns) if self.units is None else self.units
+
+
+@toml_table
+class LengthsTable:
+    """[position] or [distance]; fields are called as in `pickenv.calibration.reading.description.ColumnDescription`."""
+
+    _: KW_ONLY
+    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
+    position_unit: Annotated[str, _one_of(LENGTHS), Key("unit")]
+    position_std: Annotated[float, MM.positive, Key("std_mm")] | None = None
+    position_std_columns: Annotated[tuple[str, ...], COLUMNS, Key("std_columns")] = ()
+
+
+@toml_table
+class ReflectorsTable(LengthsTable):
+    """[reflectors]."""
+
+    lost: Annotated[tuple[str, ...], Then(_lost, Any)] = ()
+
+
+@toml_table
+class SocketsTable:
+    """[sockets]."""
+
+    position: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN]), Key("column")] = ()
+    position_std: Annotated[float, MM.positive, Key("std_mm")] = 1e-4
+    spacing: Annotated[float, MM.positive] | None = None
+    spacing_std: Annotated[float, MM.positive] = 5e-5
+
+
+@toml_table
+class RotationTable:
+    """[rotation]; a convention that is not named stays None, and is asked for when the file is read."""
+
+    rotation: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
+    rotation_unit: Annotated[Any, Key("unit")] = None
+    convention: Annotated[str, _one_of(CONVENTIONS)] | None = None
+    attitude_std: Annotated[float, DEG.positive, Key("std_deg")] = ATTITUDE_STD
+
+    def unit(self) -> str:
+        """The unit of angles, rad for a quaternion; columns that are no attitude, and a missing unit, are refused."""
+        count = len(self.rotation)
+        if self.convention is None and count not in (3, 4):
+            raise InputError(f"[rotation] has {count} columns; give three angles or four of a quaternion")
+        if not (count == 3 if self.convention is None else CONVENTIONS[self.convention][0] == "angle"):
+            return "rad"
+        if self.rotation_unit not in ANGLES:
+            given = "missing" if self.rotation_unit is None else shortened(repr(self.rotation_unit))
+            raise InputError(f"unit of [rotation] is {given}; give {_one_of(ANGLES).wanted}")
+        return str(self.rotation_unit)
+
+
+@toml_table
+class TemperatureTable:
+    """[conditions.temperature]."""
+
+    column: Annotated[str, COLUMN]
+    unit: Annotated[str, _one_of(("degC", "K"))]
+    reference: Annotated[float, NUMBER] | None = None
+
+
+@toml_table
+class PayloadTable:
+    """[conditions.payload]."""
+
+    column: Annotated[str, COLUMN]
+    unit: Annotated[str, _one_of(MASSES)]
+    reference: Annotated[float, NUMBER] = 0.0
+
+
+@toml_table
+class TorquesTable:
+    """[conditions.torques]: N*m for joints that turn and N for those that slide where no units are given."""
+
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    units: Annotated[tuple[Annotated[str, _one_of(TORQUES)], ...], COLUMNS] | None = None
+
+
+@toml_table
+class ConditionsTable:
+    """[conditions]."""
+
+    temperature: TemperatureTable | None = None
+    payload: PayloadTable | None = None
+    torques: TorquesTable | None = None
+
+
+@toml_table
+class DescriptionFile:
+    """What a column description holds: exactly one of the sections of `KINDS`."""
+
+    joints: JointsTable
+    description: str = ""
+    separator: Annotated[str, Check(_separates, "one character, such as ',' or ';' or '\\t'")] = ","
+    decimal: Annotated[str, _one_of((".", ","))] = "."
+    names: Annotated[tuple[str, ...], COLUMNS] | None = None
+    position: LengthsTable | None = None
+    reflectors: ReflectorsTable | None = None
+    distance: LengthsTable | None = None
+    sockets: SocketsTable | None = None
+    rotation: RotationTable | None = None
+    conditions: ConditionsTable = ConditionsTable()
+
+    def __post_init__(self) -> None:
+        if self.decimal == self.separator:
+            raise InputError(f"decimal is {self.decimal!r}; give '.' or ',', and not the separator")
+        kinds = [kind for kind in KINDS if getattr(self, kind) is not None]
+        if len(kinds) > 1:
+            raise InputError(f"sections [{kinds[0]}] and [{kinds[1]}] are both given; one file holds one kind")
+        if not kinds:
+            raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(KINDS))
+        fits, wanted = COUNTS[kinds[0]]
+        if not fits(len(self.measured.position)):
+            raise InputError(f"[{kinds[0]}] needs {wanted}")
+        stds = len(getattr(self.measured, "position_std_columns", ()))
+        if stds and stds != len(self.measured.position):
+            counts = f"{len(self.measured.position)} columns but {stds} std_columns"
+            raise InputError(f"[{kinds[0]}] has {counts}; give one each")
+        if self.rotation is not None:
+            if self.position is None:
+                raise InputError(f"[rotation] belongs to [position], not to [{kinds[0]}]")
+            self.rotation.unit()
+        torques, n = self.conditions.torques, len(self.joints.columns)
+        if torques is not None and (len(torques.columns), len(torques.units or torques.columns)) != (n, n):
+            raise InputError("[conditions.torques] needs one column, and one unit, per joint")
+
+    @property
+    def kind(self) -> str:
+        """What was measured, one of `KINDS`."""
+        return next(kind for kind in KINDS if getattr(self, kind) is not None)
+
+    @property
+    def measured(self) -> LengthsTable | SocketsTable:
+        """The section of that kind."""
+        section: LengthsTable | SocketsTable = getattr(self, self.kind)
+        return section

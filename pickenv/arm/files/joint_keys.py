@@ -1,0 +1,85 @@
+"""How plant files speak of joints: by number from 1, one number per joint in lists, sizes in the unit of the joint.
+
+What is checked against the arm finds it in the context that a plant file is read with: a mapping with ``arm``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import make_dataclass
+from typing import Annotated, Any, cast
+
+from pickenv.arm.files.arm import Arm
+from pickenv.toml_tables import WHOLE, Kinds, Then, Unit, fault, toml_table
+
+
+def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
+    """The arm of the plant file that is being read; None outside of one, and where the file names none."""
+    return (context or {}).get("arm")
+
+
+def _per_joint(values: Any, context: Any) -> Any:
+    arm = arm_in(context)
+    if arm is not None and len(values) != arm.nominal.joints:
+        raise fault(f"{arm.nominal.joints} entries, one per joint")
+    return values
+
+
+PER_JOINT = Then(_per_joint)
+"""As many entries as the arm has joints."""
+
+
+def joint_index(number: int, context: Any) -> int:
+    """The index from 0 of a joint of the arm."""
+    arm = arm_in(context)
+    if arm is not None and not 1 <= number <= arm.nominal.joints:
+        raise fault(f"a joint number from 1 to {arm.nominal.joints}")
+    return number - 1
+
+
+def _boom(number: int, context: Any) -> int:
+    index, arm = joint_index(number, context), arm_in(context)
+    if arm is not None and not arm.nominal.prismatic[index]:
+        raise fault(f"a prismatic joint: joint {number} of {arm.name} is revolute")
+    return index
+
+
+BOOM = Then(_boom)
+"""The number of a prismatic joint, which becomes its index from 0."""
+
+
+class Entry(dict[str, Any]):
+    """A table of a list that knows whether the joint that it names slides."""
+
+    slides = False
+
+
+class ByJoint:
+    """A list of tables with ``joint`` and sizes, each in a unit for revolute and in another for prismatic joints."""
+
+    def __init__(self, **units: tuple[Unit, Unit]) -> None:
+        self.units = units
+
+    def __get_pydantic_core_schema__(self, _source: Any, handler: Any) -> Any:
+        """A list of two kinds of tables, told apart by the joint, or by their keys where there is no such joint."""
+        from pydantic_core import core_schema as core
+
+        kinds = []
+        for slides, name in enumerate(("Turning", "Sliding")):
+            sizes = [(size, Annotated[float, pair[slides]]) for size, pair in self.units.items()]
+            members = [("joint", Annotated[int, WHOLE, Then(joint_index)]), *sizes]
+            kinds.append(toml_table(make_dataclass(name, members, frozen=True)))
+        sliding = {f"{size}_{slide.name}" for size, (turn, slide) in self.units.items() if turn.name != slide.name}
+
+        def placed(found: Any, info: Any) -> Any:
+            if not isinstance(found, Mapping):
+                return found
+            entry, arm, number = Entry(found), arm_in(info.context), found.get("joint")
+            entry.slides = bool(entry.keys() & sliding)
+            if arm is not None and isinstance(number, int) and 1 <= number <= arm.nominal.joints:
+                entry.slides = arm.nominal.prismatic[number - 1]
+            return entry
+
+        union: Any = cast(Any, kinds[0]) | kinds[1]
+        one = handler.generate_schema(Annotated[union, Kinds(lambda entry: kinds[getattr(entry, "slides", 0)])])
+        return core.tuple_variable_schema(core.with_info_before_validator_function(placed, one))

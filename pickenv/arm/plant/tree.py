@@ -1,0 +1,31 @@
+"""Trees of numbers: tuples, named tuples and dataclasses, nested, whose leaves are arrays of NumPy or torch.
+
+An array with at least one axis is a leaf; numbers, words and None stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+
+def tree_map(change: Callable[[Any], Any], tree: Any) -> Any:
+    """The tree with ``change`` applied to each of its arrays."""
+    if getattr(tree, "ndim", 0):
+        return change(tree)
+    if isinstance(tree, tuple):
+        parts = (tree_map(change, part) for part in tree)
+        return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
+    if is_dataclass(tree) and not isinstance(tree, type):
+        return replace(tree, **{field.name: tree_map(change, getattr(tree, field.name)) for field in fields(tree)})
+    return tree
+
+
+def leaves(tree: Any) -> list[Any]:
+    """All arrays of the tree, in the order of its entries and fields; each is the tree's own, not a copy."""
+    if getattr(tree, "ndim", 0):
+        return [tree]
+    if is_dataclass(tree) and not isinstance(tree, type):
+        tree = tuple(getattr(tree, field.name) for field in fields(tree))
+    return [leaf for part in tree for leaf in leaves(part)] if isinstance(tree, tuple) else []

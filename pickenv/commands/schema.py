@@ -1,0 +1,67 @@
+"""`pickenv schema`: what a TOML file may hold, as a JSON schema that editors complete and check files by."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import make_dataclass
+from typing import Annotated, Any
+
+import typer
+
+from pickenv.errors import InputError
+
+
+def schema(kind: Annotated[str, typer.Argument(help="arm, plant, description, study, …")]) -> None:
+    """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones."""
+    from pickenv.toml_tables import json_schema
+
+    known = kinds()
+    if kind not in known:
+        raise InputError(f"there is no kind of file '{kind}'; give one of {', '.join(known)}")
+    print(json.dumps(json_schema(known[kind]), indent=2))
+
+
+def kinds() -> dict[str, Any]:
+    """The classes of all kinds of files; of orchard presets a file of one's own is meant."""
+    from pickenv import orchard
+    from pickenv.arm.files.arm_file import ArmFile
+    from pickenv.arm.plant.plant_file import PlantFile
+    from pickenv.arm.plant.tolerances import Tolerances
+    from pickenv.calibration.reading.description_file import DescriptionFile
+    from pickenv.envs.harvesting.harvest_batch import Rules
+    from pickenv.harvester.machine import MachineFile
+    from pickenv.harvester.optimiser import Effort
+    from pickenv.harvester.pick_point import Search
+    from pickenv.harvester.picking import Picking
+    from pickenv.harvester.trees import Lab, TreesTable
+    from pickenv.harvester.zones import Grid
+    from pickenv.orchard.camera import CameraFile
+    from pickenv.orchard.gripper import GripperFile
+    from pickenv.orchard.station import Station
+    from pickenv.study.design.config import StudyConfig
+    from pickenv.toml_tables import toml_table
+
+    return {
+        "arm": ArmFile,
+        "plant": PlantFile,
+        "tolerances": Tolerances,
+        "description": DescriptionFile,
+        "study": StudyConfig,
+        "branch": orchard.Branch,
+        "camera": CameraFile,
+        "canopy": orchard.Canopy,
+        "detachment": orchard.Detachment,
+        "fruit": orchard.FruitMap,
+        "fruit_size": orchard.FruitSize,
+        "gripper": GripperFile,
+        "look": orchard.Look,
+        "station": Station,
+        "vision": orchard.StereoCamera,
+        "machine": MachineFile,
+        "strategy": toml_table(
+            make_dataclass("Strategy", [("zones", Grid), ("search", Search), ("optimiser", Effort)])
+        ),
+        "picking": toml_table(
+            make_dataclass("PickingFile", [("pick", Picking), ("task", Rules), ("lab", Lab), ("trees", TreesTable)])
+        ),
+    }

@@ -1,0 +1,118 @@
+"""Many reach tasks side by side on NumPy.
+
+Work goes through the environments in blocks that stay in the cache, so that the cost per step does not grow with their
+number.
+"""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm import Array, Plant, plants_on
+from pickenv.envs.reaching.batch import Batch, Flags, Rows, Views, Words
+from pickenv.envs.shared.backends import NUMPY
+from pickenv.envs.shared.exact import exact_plant
+from pickenv.envs.shared.simulation import flat_observation, goal_observation, goal_reward, look, move, true_reward
+from pickenv.envs.shared.spaces import final_rows
+from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate, Task, as_numbers
+
+
+class NumpyBatch(Batch):
+    """The state of N reach tasks in arrays; arguments as in `pickenv.envs.reaching.batch.Batch`."""
+
+    x = NUMPY
+    block = 2048
+    """A component of 16 KiB, of which a few fit into a core's first cache."""
+
+    def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
+        super().__init__(task, count, goal_dict, poses)
+        self.population: Plant = task.plant
+        self.plant: Plant = task.plant
+        if task.arms != "fixed":
+            self.plant = plants_on(task.plant, lambda values: values[self.arm])
+        self.plant = exact_plant(self.plant)
+        self._blocks = [slice(a, b) for a, b in self.blocks(count)]
+        self._plants = [self.plant_of(block) for block in self._blocks]
+        self.remember()
+
+    def given(self, actions: ArrayLike) -> Array:
+        """Actions as an array; where there is nothing to convert they are not copied."""
+        ready = isinstance(actions, np.ndarray) and actions.dtype.kind == "f"
+        return np.asarray(actions) if ready else as_numbers("actions", actions)
+
+    def components(self, actions: Array) -> tuple[Array, float, float]:
+        """Actions component by component, their least and their largest number."""
+        numbers: Array = actions.T.astype(np.float64, order="C")
+        return numbers, float(numbers.min()), float(numbers.max())
+
+    def advance(self, actions: Array, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
+        """Act in all environments; see `Batch.advance`."""
+        out, n, rested = self._empty(self.count), self.task.joints, np.empty(0, dtype=np.intp)
+        if live is not None:
+            actions = actions * live
+            rested = np.flatnonzero(~live) if self.plant.has_state else rested
+        before = [column[rested] for column in self.columns] if len(rested) else []
+        for block, plant in zip(self._blocks, self._plants, strict=True):
+            target = move(self.x, self.task, [column[block] for column in self.columns[:n]], list(actions[:, block]))
+            self.write(self.columns, block, target)
+            self._show(out, block, block, plant, compensate, moments[block], CONTROL_PERIOD)
+        if len(rested):  # a plant with memory must not live through a step that never was
+            self.write(self.columns, rested, before)
+            self.scatter(out, rested, self.show(rested, compensate))
+        if live is not None:
+            out.reward[~live] = 0.0
+        return out
+
+    def show(self, rows: Rows, compensate: Compensate | None) -> Views:
+        """What the environments ``rows`` show at the beginning of their episodes."""
+        out = self._empty(len(rows))
+        for a, b in self.blocks(len(rows)):
+            some, still = rows[a:b], np.zeros(b - a, dtype=np.uint64)
+            self._show(out, slice(a, b), some, self.plant_of(some), compensate, still, 0.0)
+        return out
+
+    def final_observations(self, observations: Any, rows: Rows) -> NDArray[np.object_]:
+        """The observations of ``rows`` in an object array of all, as `SyncVectorEnv` gives them."""
+        return final_rows(observations, rows, self.count)
+
+    def _show(
+        self,
+        out: Views,
+        place: slice,
+        where: Any,
+        plant: Plant,
+        compensate: Compensate | None,
+        moments: Words,
+        dt: float,
+    ) -> None:
+        """Let ``dt`` pass for the environments ``where``, and put what they show into ``out`` at ``place``."""
+        x, task = self.x, self.task
+        state = self.state_of([column[where] for column in self.columns])
+        command = self.commands(compensate, list(state.target))
+        memory, scene = look(x, task, plant, state, command, self.keys[where], moments, dt)
+        self.write(self.columns[task.joints + 15 :], where, list(chain.from_iterable(memory)))
+        parts = goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
+        for array, part in zip(out.observation, parts, strict=True):
+            self.write(list(array), place, part)
+        if self.goal_dict:  # of goals as they are returned
+            goals = (part[:, place].astype(np.float64) for part in out.observation[1:])
+            out.reward[place] = goal_reward(x, task, *goals)
+        else:
+            out.reward[place] = true_reward(x, task, scene)
+        out.success[place] = scene.success
+        self.write(list(out.numbers), place, scene.numbers)
+        if self.poses:
+            self.write(list(out.vectors), place, scene.vectors)
+
+    def _empty(self, count: int) -> Views:
+        return Views(
+            observation=tuple(np.empty((width, count), dtype=np.float32) for width in self.widths()),
+            reward=np.empty(count),
+            success=np.empty(count, dtype=np.bool_),
+            numbers=np.empty((4, count)),
+            vectors=np.empty((12 + self.task.joints if self.poses else 0, count)),
+        )

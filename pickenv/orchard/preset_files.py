@@ -1,0 +1,59 @@
+"""Presets are TOML tables beside the code, one file per kind of thing, one table per preset, each with its source.
+
+Files give degrees and millimetres and say so in every key; what leaves this module is in radians and metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pickenv.errors import InputError
+from pickenv.texts import is_file, shortened
+from pickenv.toml_tables import made, toml_of
+
+FOLDER = Path(__file__).parent / "presets"
+Thing = TypeVar("Thing")
+
+
+@lru_cache(maxsize=32)
+def _tables(path: Path, _modified: int) -> tuple[dict[str, Any], str]:
+    return toml_of(path)
+
+
+def shipped(kind: str) -> list[str]:
+    """Names of the presets of a kind that come with pickenv."""
+    path = FOLDER / f"{kind}.toml"
+    return sorted(_tables(path, path.stat().st_mtime_ns)[0])
+
+
+def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str, Any]], type[Thing]]) -> Thing:
+    """Read a preset by name, or the one preset of a TOML file given by its path.
+
+    Args:
+        kind: Name of the file beside this module, such as "camera"; also the word in error messages.
+        name: A shipped preset, or a path that ends in .toml whose keys are those of one preset.
+        thing: The class that the table makes (`pickenv.toml_tables.toml_table`), or what tells it from the table.
+
+    Raises:
+        InputError: If the preset is unknown or a number is missing or impossible; names the file and the key.
+    """
+    path = Path(name)
+    if path.suffix == ".toml":
+        if not is_file(path):
+            raise InputError(
+                f"{kind} file {shortened(path, 300)} does not exist; give its path or one of {shipped(kind)}"
+            )
+        (table, text), label = _tables(path, path.stat().st_mtime_ns), path.stem
+    else:
+        path = FOLDER / f"{kind}.toml"
+        tables, text = _tables(path, path.stat().st_mtime_ns)
+        if str(name) not in tables:
+            raise InputError(
+                f"unknown {kind} '{shortened(name)}'; give one of {shipped(kind)} or a path to a {kind} file (.toml)"
+            )
+        table, label = tables[str(name)], str(name)
+    kind_of_thing = thing if isinstance(thing, type) else thing(table)
+    return made(kind_of_thing, table, path.name, name=label, text=text if path == Path(name) else "")

@@ -1,0 +1,192 @@
+"""Referee: single environments, native ones on NumPy and torch, and the study say the same about one table of inputs.
+
+The table: each of a few true arms comes to each of a few fruit, with and without a compensator; cups come to fruit of
+several sizes, ever farther off.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+
+from pickenv.arm import plant_at, pose_error
+from pickenv.arm.kinematics.forward import chain_of
+from pickenv.arm.plant.tree import tree_map
+from pickenv.calibration.compensation.compensator import Compensator, corrected
+from pickenv.envs.harvesting import harvest_batch
+from pickenv.envs.picking.pick import PickEnv
+from pickenv.envs.reaching.reach import ReachEnv
+from pickenv.envs.reaching.reach_goal import ReachGoalEnv
+from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachVectorEnv
+from pickenv.harvester.picking import attempt, draw_luck
+from pickenv.orchard import capture_probability
+from pickenv.study.design.config import RAW, Noise, StudyConfig
+from pickenv.study.design.protocol import prepare
+from pickenv.study.results.outcomes import chunk_table
+from pickenv.study.running.arm_by_arm import evaluate_arm
+from pickenv.study.running.batched import judge_ideally
+
+ARMS, FRUIT = 3, 5
+TOLERANCE_MM, TOLERANCE_DEG = 1.0, 10.0
+POPULATION = {"arms": "per_episode", "population": ARMS, "tolerances": "medium"}
+JUDGED = {"tolerance_mm": TOLERANCE_MM, "angle_tolerance_deg": TOLERANCE_DEG}
+ROWS = [(arm, fruit) for arm in range(ARMS) for fruit in range(FRUIT)]
+KINDS = ["floats", "numpy", "native", "torch"]
+
+
+@pytest.fixture(scope="module")
+def protocol():
+    """A study of arms as they are, each reaching for the table's fruit."""
+    nothing = {"noise": (Noise(0.0, 0.0),), "it_grades": None, "residual_poses": 1, "payload_kg": (0.0,)}
+    judged = {"radius_mm": TOLERANCE_MM, "share": 0.9, "tolerances": ("medium",), "methods": (RAW,)}
+    counts = {"poses": (10,), "seed": 0, "arms": ARMS, "chunk": ARMS, "fruit": FRUIT}
+    return prepare(StudyConfig(plant="qiao2026", **counts, **judged, **nothing))
+
+
+@pytest.fixture(scope="module")
+def plants():
+    return ReachVectorEnv(1, **POPULATION).task.plant
+
+
+@pytest.fixture(scope="module")
+def compensator(plants):
+    """It knows the geometry of arm 0."""
+    return Compensator(plants.arm.nominal, plant_at(plants, 0).geometry)
+
+
+def shown(kind, protocol, compensator=None, goal=False, **arguments):
+    """What an environment says of each row after a step in which nothing moves: numbers by their name, and rewards."""
+    joints = protocol.fruit
+    arguments = {**POPULATION, **JUDGED, **arguments}
+    if kind in ("floats", "numpy"):
+        env = (ReachGoalEnv if goal else ReachEnv)(executor=kind, **arguments)
+        env.compensator = compensator
+        infos, rewards = [], []
+        for arm, fruit in ROWS:
+            env.reset(seed=0, options={"arm": arm, "goal_joints": joints[fruit], "start_joints": joints[fruit]})
+            _, reward, _, _, info = env.step(np.zeros(6))
+            infos.append(info)
+            rewards.append(reward)
+        return {key: np.array([info[key] for info in infos]) for key in infos[0]}, np.array(rewards)
+    executor = {"executor": "torch", "compiled": False} if kind == "torch" else {}
+    envs = (ReachGoalVectorEnv if goal else ReachVectorEnv)(len(ROWS), **executor, **arguments)
+    envs.compensator = compensator
+    arms, fruit = (np.array(column) for column in zip(*ROWS, strict=True))
+    envs.reset(seed=0, options={"arm": arms, "goal_joints": joints[fruit], "start_joints": joints[fruit]})
+    _, rewards, _, _, infos = envs.step(np.zeros((len(ROWS), 6)))
+    return {key: np.asarray(value) for key, value in infos.items() if key[0] != "_"}, np.asarray(rewards)
+
+
+def reference(protocol, plants, commands):
+    """Pose errors (rows, 6) by the study's formula, for joint commands ``(fruit, 6)``."""
+    errors = [pose_error(protocol.wanted, plant_at(plants, arm).tool_pose(commands)) for arm in range(ARMS)]
+    return np.concatenate(errors)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pose_error_reward_and_success_are_the_studys(kind, protocol, plants):
+    (setting,) = protocol.settings
+    alone = [evaluate_arm(protocol, [setting], plant_at(plants, arm), arm)[0] for arm in range(ARMS)]
+    together = judge_ideally(protocol, setting, plants)
+    position, attitude = (
+        np.concatenate([getattr(part, name)[0] for part in alone]) for name in ("position", "attitude")
+    )
+    np.testing.assert_allclose(together.position.ravel(), position, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(together.attitude.ravel(), attitude, rtol=0, atol=1e-12)
+    error = reference(protocol, plants, protocol.fruit)
+    info, rewards = shown(kind, protocol)
+    np.testing.assert_allclose(info["pose_error"], error, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(info["position_error_mm"], 1e3 * position, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(info["attitude_error_deg"], np.degrees(attitude), rtol=0, atol=1e-9)
+    wanted = -np.log10(1 + 1e3 * position) - 0.5 * np.log10(1 + np.degrees(attitude))
+    np.testing.assert_allclose(rewards, wanted, rtol=0, atol=1e-12)
+    success = (1e3 * position <= TOLERANCE_MM) & (np.degrees(attitude) <= TOLERANCE_DEG)
+    assert info["is_success"].tolist() == success.tolist()
+    assert 0 < success.sum() < len(ROWS)
+    table = chunk_table(protocol, range(ARMS), [(plants, [together])])
+    np.testing.assert_allclose(table["share_within"], success.reshape(ARMS, FRUIT).mean(axis=1))
+    _, sparse = shown(kind, protocol, reward="sparse")
+    assert sparse.tolist() == np.where(success, 0.0, -1.0).tolist()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_rewards_of_goals_are_those_of_the_goals_that_are_returned(kind, protocol):
+    """With encoders alone a tool that is believed to be at the fruit has its full reward, whatever the truth."""
+    for reward in ("dense", "sparse"):
+        _, rewards = shown(kind, protocol, goal=True, reward=reward)
+        np.testing.assert_allclose(rewards, 0.0, atol=1e-4)
+    _, rewards = shown(kind, protocol, goal=True, reward="dense", feedback="camera")
+    error = shown(kind, protocol)[0]["position_error_mm"]
+    np.testing.assert_allclose(rewards, -np.log10(1 + error), rtol=0, atol=1e-4)  # goals are in single precision
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_compensated_commands_and_what_they_leave_are_the_studys(kind, protocol, plants, compensator):
+    nominal, targets = protocol.nominal, protocol.fruit
+    commands = compensator(targets)
+    np.testing.assert_allclose([compensator(one) for one in targets], commands, rtol=0, atol=1e-9)
+    place = partial(torch.as_tensor, dtype=torch.float64)
+    chains = chain_of(nominal), tree_map(place, chain_of(plants.geometry, np))  # the study's: all arms at once
+    columns = [place(column[:, None].copy()) for column in targets.T]
+    studied = np.stack([v.numpy() for v in corrected(torch, nominal, chains, columns, Compensator.iterations)], axis=-1)
+    np.testing.assert_allclose(studied[:, 0], commands, rtol=0, atol=1e-9)
+    info, _ = shown(kind, protocol, compensator)
+    np.testing.assert_allclose(info["joint_command"], np.tile(commands, (ARMS, 1)), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(info["pose_error"], reference(protocol, plants, commands), rtol=0, atol=1e-9)
+    assert not np.allclose(commands, targets, rtol=0, atol=1e-6)
+
+
+LATERAL_MM = (0.0, 4.9, 5.1, 7.4, 9.9, 10.1, 20.0)
+AXIAL_MM = (0.0, 14.0, -14.0)
+DIAMETERS_MM = (60.0, 66.0, 70.0, 71.0)
+
+
+@pytest.mark.parametrize("diameter_mm", DIAMETERS_MM)
+@pytest.mark.parametrize("axial_mm", AXIAL_MM)
+@pytest.mark.parametrize("grasp", [0.001, 0.25, 0.6, 0.999])
+def test_a_cup_this_far_off_does_the_same_in_the_experiment_in_one_machine_and_in_many(
+    axial_mm, diameter_mm, grasp, monkeypatch
+):
+    task = harvest_batch.make_harvest_task(slaves=1, fruit=1)
+    task = replace(task, model=replace(task.model, cut_success=1.0, undamaged=1.0))
+    luck = draw_luck(np.random.default_rng(0), 1)._replace(grasp=np.array([grasp]))
+    monkeypatch.setattr(harvest_batch, "draw_luck", lambda *_: luck)
+    rngs = [np.random.default_rng(i) for i in range(len(LATERAL_MM))]
+    miss = np.array([[lateral * 1e-3, 0.0, axial_mm * 1e-3] for lateral in LATERAL_MM])
+    many = harvest_batch.begin_zones(task, rngs)
+    many.diameters[:] = diameter_mm * 1e-3
+    fruit = many.fruit[:, 0].copy()
+    still, none = np.zeros((1, 3)), np.zeros((0, 3))
+    expected = [
+        bool(attempt(task.model, at[None] + off, at[None], still, many.diameters[0], none, luck).collected[0])
+        for at, off in zip(fruit, miss, strict=True)
+    ]
+    clearance = (task.model.cup.opening - diameter_mm * 1e-3) / 2
+    formula = clearance >= 0, 1.0 - (np.array(LATERAL_MM) * 1e-3 - clearance) / task.model.gather
+    assert expected == (formula[0] & (grasp < formula[1])).tolist()
+    harvest_batch.attempts(task, many, (fruit + miss)[:, None], rngs)
+    assert (many.status[:, 0] == harvest_batch.COLLECTED).tolist() == expected
+    for i in range(len(LATERAL_MM)):
+        one = harvest_batch.begin_zones(task, [np.random.default_rng(i)])
+        one.diameters[:] = diameter_mm * 1e-3
+        harvest_batch.attempts(task, one, (one.fruit[0, 0] + miss[i])[None, None], rngs[:1])
+        assert (one.status[0, 0] == harvest_batch.COLLECTED) == expected[i]
+
+
+@pytest.mark.parametrize("gripper", ["li_cup", "compliant_hand"])
+def test_a_picking_arm_takes_a_fruit_exactly_where_its_gripper_does(gripper):
+    env = PickEnv(gripper=gripper, camera="perfect")
+    env.reset(seed=0, options={"fruit": [[0.6, -0.7, 0.4]]})
+    scene = env.scene
+    for lateral_mm in LATERAL_MM:
+        for axial_mm in AXIAL_MM:
+            point = scene.positions[0] - np.array([lateral_mm, 0.0, axial_mm]) * 1e-3
+            probability = float(
+                capture_probability(scene.orchard.gripper, lateral_mm * 1e-3, axial_mm * 1e-3, 0.0, scene.diameters[0])
+            )
+            for chance in (0.0, 0.3, 0.7, 0.9, 1.0 - 1e-9):
+                again = replace(scene, chance=np.array([chance]))
+                again.grasp(0, (*np.eye(3).ravel(), *point))
+                assert again.attached[0] == (chance < probability)
