@@ -223,11 +223,10 @@ def _execute(
     master = np.repeat(strategy.controller.master_command(np.array([task.master for _, task in tasks])), counts, axis=0)
     commands = strategy.controller.pick_commands(master, arm, target)
     tips = true.picking_tips(master, arm, commands)
-    results = []
-    for (i, task), first, count in zip(tasks, np.cumsum([0, *counts[:-1]]).tolist(), counts, strict=True):
-        empty = _record(true, strategy, model, states[i], task, tips[first : first + count])
-        results.append((i, empty))
-    return results
+    parts = np.split(tips, np.cumsum(counts[:-1]))
+    return [
+        (i, _record(true, strategy, model, states[i], task, part)) for (i, task), part in zip(tasks, parts, strict=True)
+    ]
 
 
 def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harvest, task: _Task, tips: Array) -> bool:
