@@ -1,30 +1,60 @@
-"""Policies, their training and their evaluation; only training loads torch and stable-baselines3."""
+"""Policies, their training and their evaluation.
 
-from pickenv.agents.evaluation.reaches import Reaches, episode_seeds, run_reaches
-from pickenv.agents.evaluation.rollout import Rollout, roll_out
-from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
-from pickenv.agents.policies.learned import LearnedPolicy, load_policy
-from pickenv.agents.policies.oracle import OracleReach
-from pickenv.agents.policies.policy import Policy
-from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
-from pickenv.agents.policies.servo import ServoReach
+    reaches = run_reaches(env, ScriptedReach(env), episode_seeds(0, 100))                 # one arm, one policy
+    grid = run_grid(GridSettings(policies=("scripted", "servo"), arms=8))                 # many of both, calibrated
+    trained = train(Training("ppo", compensate="arm.npz"), "runs/train")                  # a policy of one's own
+    policy = load_policy("runs/train/policy.npz")
 
-__all__ = [
-    "AdaptiveReach",
-    "AdaptiveSettings",
-    "LearnedPolicy",
-    "OracleReach",
-    "Policy",
-    "RandomReach",
-    "Reaches",
-    "Rollout",
-    "ScriptedReach",
-    "ServoReach",
-    "episode_seeds",
-    "load_policy",
-    "roll_out",
-    "run_reaches",
-]
+torch and stable-baselines3 are loaded when training is first asked for.
+"""
+
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+
+from pickenv.faces import offered as _offered
+
+if _TYPE_CHECKING:
+    from pickenv.agents.evaluation.calibrated import CalibrationPlan
+    from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
+    from pickenv.agents.evaluation.reaches import episode_seeds, run_reaches
+    from pickenv.agents.evaluation.rollout import Rollout, roll_out
+    from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
+    from pickenv.agents.policies.gap_wrapper import GapScaling
+    from pickenv.agents.policies.harvest_policy import ScriptedHarvest
+    from pickenv.agents.policies.learned import LearnedPolicy, load_policy, shipped_baselines
+    from pickenv.agents.policies.oracle import OracleReach
+    from pickenv.agents.policies.pick_policy import ScriptedPick
+    from pickenv.agents.policies.policy import Policy
+    from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
+    from pickenv.agents.policies.servo import ServoReach
+    from pickenv.agents.training.training import Trained, train
+    from pickenv.agents.training.training_setup import Training
+    from pickenv.inspect.runs.episode_ends import Reaches
+
+__all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GapScaling", "GridSettings", "LearnedPolicy"]
+__all__ += ["OracleReach", "Policy", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]
+__all__ += ["ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "episode_seeds", "load_policy"]
+__all__ += ["roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
+
+__getattr__, __dir__ = _offered(
+    "pickenv.agents",
+    {
+        "evaluation.calibrated": ("CalibrationPlan",),
+        "evaluation.grid": ("GridSettings", "PolicyGrid", "run_grid"),
+        "evaluation.reaches": ("Reaches", "episode_seeds", "run_reaches"),
+        "evaluation.rollout": ("Rollout", "roll_out"),
+        "policies.adaptive": ("AdaptiveReach", "AdaptiveSettings"),
+        "policies.gap_wrapper": ("GapScaling",),
+        "policies.harvest_policy": ("ScriptedHarvest",),
+        "policies.learned": ("LearnedPolicy", "load_policy", "shipped_baselines"),
+        "policies.oracle": ("OracleReach",),
+        "policies.pick_policy": ("ScriptedPick",),
+        "policies.policy": ("Policy",),
+        "policies.scripted": ("RandomReach", "ScriptedReach"),
+        "policies.servo": ("ServoReach",),
+        "training.training": ("Trained", "train"),
+        "training.training_setup": ("Training",),
+    },
+)
 
 if __name__ == "agents":  # in a checkout, by the folder's own name: the same things, and no second copy of a shelf
     __path__.clear()

@@ -13,7 +13,14 @@ from pickenv.calibration.assessment.metrics import (
 )
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.alignment import align
-from pickenv.calibration.identification.extended_kalman_filter import start_filter
+from pickenv.calibration.identification.extended_kalman_filter import (
+    continue_filter,
+    filter_measurements,
+    offset_walk,
+    random_walk,
+    start_filter,
+    thermal_walk,
+)
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.model.error_model import complete_model, frames_model, link_model
 from pickenv.calibration.model.identifiability import Identifiability, identifiability
@@ -23,6 +30,8 @@ from pickenv.calibration.model.observations import (
     Observations,
     ReflectorObservations,
     SocketObservations,
+    poses_from_reflectors,
+    tracker_covariance,
 )
 from pickenv.calibration.pipeline.apply import apply_calibration
 from pickenv.calibration.pipeline.calibration import Calibration
@@ -58,8 +67,10 @@ __all__ = [
     "bootstrap_interval",
     "calibrate",
     "complete_model",
+    "continue_filter",
     "error_statistics",
     "export",
+    "filter_measurements",
     "fit",
     "frames_model",
     "held_out_r2",
@@ -67,14 +78,19 @@ __all__ = [
     "identify",
     "link_model",
     "load_description",
+    "offset_walk",
     "paper_eta",
     "plan_poses",
+    "poses_from_reflectors",
     "random_joints",
+    "random_walk",
     "read_measurements",
     "read_observations",
     "read_targets",
     "simulated_tracker",
     "start_filter",
+    "thermal_walk",
+    "tracker_covariance",
     "train_bpnn",
     "write_arm_toml",
     "write_arm_urdf",

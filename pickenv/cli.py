@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +15,9 @@ from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
+from pickenv.commands.showing import print_table, progress_bars
 from pickenv.commands.studies import study
+from pickenv.locks import locked
 
 app = typer.Typer(
     name="pickenv",
@@ -41,37 +42,6 @@ def _front(
     """Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms."""
 
 
-@contextmanager
-def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """One progress bar per stage, on standard error so that standard output stays clean."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        TextColumn("{task.description:<20}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as bars:
-        tasks: dict[str, Any] = {}
-
-        def report(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done)
-
-        yield report
-
-
 def demo(
     out: Annotated[Path, typer.Option(help="Run folder to write.")] = Path("runs/demo"),
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
@@ -79,7 +49,6 @@ def demo(
 ) -> None:
     """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording."""
     from pickenv.demo import DemoSettings, run_demo, summarise, write_run
-    from pickenv.locks import locked
 
     settings = DemoSettings.quick(seed) if quick else DemoSettings(seed=seed)
     with locked(out), progress_bars() as report:
@@ -89,17 +58,11 @@ def demo(
 
 
 def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     from pickenv.demo import LABELS
 
     found = summary["identifiability"]
-    table = Table(
-        title=f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}",
-        caption=f"success: within {summary['tolerance_mm']} mm; floor: attitude error that no joint motion removes",
-    )
     heads = (
+        "policy",
         "position mean [mm]",
         "95 % interval",
         "RMS [mm]",
@@ -108,27 +71,18 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
         "floor [deg]",
         "success",
     )
-    table.add_column("policy")
-    for head in heads:
-        table.add_column(head, justify="right")
+    rows = []
     for key, row in summary["policies"].items():
-        position, attitude = row["position_mm"], row["attitude_deg"]
-        low, high = position["mean_ci95"]
-        table.add_row(
-            LABELS[key],
-            f"{position['mean']:.3f}",
-            f"{low:.3f} to {high:.3f}",
-            f"{position['rms']:.3f}",
-            f"{position['p95']:.3f}",
-            f"{attitude['mean']:.3f}",
-            f"{row['noncompensable_deg']:.3f}",
-            f"{100 * row['success_rate']:.0f} %",
-        )
-    console = Console(width=None if sys.stdout.isatty() else 130)
-    console.print(table)
+        position, (low, high) = row["position_mm"], row["position_mm"]["mean_ci95"]
+        numbers = (position["rms"], position["p95"], row["attitude_deg"]["mean"], row["noncompensable_deg"])
+        cells = [f"{position['mean']:.3f}", f"{low:.3f} to {high:.3f}", *(f"{number:.3f}" for number in numbers)]
+        rows.append([LABELS[key], *cells, f"{100 * row['success_rate']:.0f} %"])
+    title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
+    caption = f"success: within {summary['tolerance_mm']} mm; floor: attitude error that no joint motion removes"
+    print_table(title, heads, rows, words=("policy",), caption=caption)
     dropped = ", ".join(found["dropped"])
-    console.print(f"identifiable: {found['rank']} of {found['parameters']} parameters; dropped as redundant: {dropped}")
-    console.print("wrote:", *(str(path) for path in written), sep="\n  ", highlight=False, soft_wrap=True)
+    print(f"identifiable: {found['rank']} of {found['parameters']} parameters; dropped as redundant: {dropped}")
+    print("wrote:", *written, sep="\n  ")
 
 
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {

@@ -6,7 +6,6 @@ seeded fruit raw, with least squares (LS) and with least squares and network (LS
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,9 +31,9 @@ from pickenv.calibration import (
     random_joints,
     simulated_tracker,
 )
-from pickenv.files import write_text
+from pickenv.files import write_json, write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
+from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors
 from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.wrappers import CompensationWrapper
 
@@ -188,40 +187,21 @@ def _comparison(
 ) -> Comparison:
     """The error field on a regular grid of upright tool poses, and the reaches, for pictures."""
     grid = field_grid(plant.arm.nominal, settings.grid_step, settings.seed)
-    calibration, uncertainty = result.calibration, result.uncertainty
-    assert uncertainty is not None
+    assert result.uncertainty is not None
     policies = []
     for key, compensator in compensators.items():
-        run = reaches[key]
-        field = _errors(plant, grid.joints, compensator)
-        policies.append(
-            PolicyErrors(
-                key=key,
-                label=LABELS[key],
-                field_errors=field[:, :3],
-                reach_joints=run.joint_command,
-                reach_positions=run.tool_position,
-                position_error_mm=run.position_error_mm,
-                attitude_error_deg=run.attitude_error_deg,
-                success=run.success,
-                field_attitude=field[:, 3:],
-            )
-        )
-    return Comparison(
-        plant=plant,
-        nominal=plant.arm.nominal,
-        identified=calibration.identified,
+        run, field = reaches[key], _errors(plant, grid.joints, compensator)
+        ends = (run.joint_command, run.tool_position, run.pose_error, run.success)
+        policies.append(policy_errors(LABELS[key], field, *ends, key=key))
+    return compared(
+        plant,
+        grid,
+        policies,
         seed=settings.seed,
-        tolerance_mm=settings.tolerance_mm,
-        grid_shape=grid.shape,
-        grid_origin=grid.origin,
-        grid_step=grid.step,
-        field_index=grid.index,
-        field_points=grid.points,
-        field_joints=grid.joints,
         fruit=reaches["raw"].fruit_position,
-        policies=tuple(policies),
-        field_uncertainty=uncertainty.standard(calibration.model, grid.joints)[0],
+        tolerance_mm=settings.tolerance_mm,
+        identified=result.calibration.identified,
+        uncertainty=result.uncertainty.standard(result.calibration.model, grid.joints)[0],
     )
 
 
@@ -290,7 +270,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
         written.append(record_comparison(result.comparison, out / "errors.rrd"))
         report("recording", 1, 1)
         written.append(write_text(out / "report.html", page(run)))
-        written.append(write_text(out / "summary.json", json.dumps(summarise(result), indent=2) + "\n"))
+        written.append(write_json(out / "summary.json", summarise(result)))
     return written
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import os
 import platform
 import re
@@ -168,6 +169,11 @@ def _stream(path: Path) -> int | None:
 def write_text(path: str | Path, text: str) -> Path:
     """Write ``text`` to ``path`` as UTF-8, whole or not at all."""
     return write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def write_json(path: str | Path, content: Any) -> Path:
+    """Write numbers and text to ``path`` as JSON for people, whole or not at all."""
+    return write_text(path, json.dumps(content, indent=2) + "\n")
 
 
 def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:

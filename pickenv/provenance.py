@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import shlex
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +19,22 @@ def versions(*packages: str) -> dict[str, str]:
     """Versions of what computed the numbers: pickenv, NumPy, Python and the named packages."""
     found = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
     return found | {name: version(name) for name in packages}
+
+
+def command_line(*words: object, **options: object) -> str:
+    """A command as a shell reads it.
+
+    Args:
+        words: Command and arguments.
+        options: Values of options; True is a flag, a list repeats its option, None and False leave it out.
+    """
+    said = [str(word) for word in words]
+    for name, value in options.items():
+        option = f"--{name.replace('_', '-')}"
+        for each in value if isinstance(value, list | tuple) else [value]:
+            if each is not None and each is not False:
+                said += [option] if each is True else [option, str(each)]
+    return shlex.join(said)
 
 
 @cache

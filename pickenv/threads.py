@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any
 
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
@@ -15,10 +14,11 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()  # looking the libraries up takes milliseconds, so once
 
 
-def single_threaded() -> AbstractContextManager[Any]:
-    """A context in which NumPy's linear algebra runs on one thread."""
-    context: AbstractContextManager[Any] = _controller().limit(limits=1, user_api="blas")
-    return context
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """A context, or a decorator of functions, in which NumPy's linear algebra runs on one thread."""
+    with _controller().limit(limits=1, user_api="blas"):
+        yield
 
 
 @contextmanager

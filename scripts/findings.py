@@ -21,11 +21,12 @@ from findings_day import Day, day_figure, day_section, run_day
 from findings_noise import Noise, noise_figure, noise_section, run_noise
 from train_baselines import calibration_file
 
-from pickenv.agents.evaluation.calibrated import Protocol
-from pickenv.agents.evaluation.grid import Grid, GridSettings, run_grid
+from pickenv.agents.evaluation.calibrated import CalibrationPlan
+from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
 from pickenv.agents.evaluation.grid_figures import LABELS, aggregate_figure, cycle_figure, success_curves
 from pickenv.agents.evaluation.statistics import interval, paired
-from pickenv.agents.training.training import Training, train
+from pickenv.agents.training.training import train
+from pickenv.agents.training.training_setup import Training
 from pickenv.envs.shared.task import CONTROL_PERIOD
 from pickenv.files import write_text
 from pickenv.inspect.figures.style import save_figure
@@ -59,10 +60,11 @@ class Sizes:
 
 def settings_of(sizes: Sizes, **changes: Any) -> GridSettings:
     """Settings of a comparison."""
-    return GridSettings(arms=sizes.arms, episodes=sizes.episodes, protocol=Protocol(epochs=sizes.epochs), **changes)
+    plan = CalibrationPlan(epochs=sizes.epochs)
+    return GridSettings(arms=sizes.arms, episodes=sizes.episodes, protocol=plan, **changes)
 
 
-def policies_section(grid: Grid) -> list[str]:
+def policies_section(grid: PolicyGrid) -> list[str]:
     """The comparison in words and tables."""
     lines = [
         "## What calibration is worth to each policy",

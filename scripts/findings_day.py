@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.calibrated import Protocol, calibrate_arm
+from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
 from pickenv.agents.evaluation.grid import GridSettings, population
 from pickenv.agents.evaluation.statistics import interval, paired
 from pickenv.arm import forward
@@ -54,7 +54,7 @@ def run_day(settings: GridSettings, picks: int) -> Day:
     dt = HOURS * 3600.0 / picks
     # The workshop: firm ground, and the temperature at which the arm was built.
     workshop = [plant_at(plants, i).without(DRIFTS) for i in range(arms)]
-    fitted = [calibrate_arm(plant, "best", Protocol(), i).compensator() for i, plant in enumerate(workshop)]
+    fitted = [calibrate_arm(plant, "best", CalibrationPlan(), i).compensator() for i, plant in enumerate(workshop)]
     errors: dict[str, Any] = {}
     for method in METHODS:
         state = plants.initial_state(np, list(goals[0].T))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.grid import Grid, GridSettings
+from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid
 from pickenv.agents.evaluation.grid_figures import LABELS, colour
 from pickenv.agents.evaluation.rollout import roll_out
 from pickenv.agents.policies.scripted import ScriptedReach
@@ -53,7 +53,7 @@ class Noise:
         return float(np.exp(x[i] + share * (x[i + 1] - x[i])))
 
 
-def run_noise(settings: GridSettings, grid: Grid) -> Noise:
+def run_noise(settings: GridSettings, grid: PolicyGrid) -> Noise:
     """Sweep the camera's noise on raw arms of the plant qiao2026."""
     common: dict[str, Any] = {
         "plant": "qiao2026",

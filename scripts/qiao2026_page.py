@@ -14,8 +14,8 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.files import write_text
 from pickenv.inspect.figures import plot_calibration, plot_errors
 from pickenv.inspect.figures.run_drawings import Drawing, write_drawings
-from pickenv.inspect.reports.report_page import Page, PageTable, Section, Verdict, html_of
-from pickenv.inspect.reports.report_words import listed
+from pickenv.inspect.reports.report_page import Page, PageTable, PageVerdict, Section, html_of
+from pickenv.inspect.reports.report_words import named_values
 from pickenv.provenance import versions
 
 HEADS = ("mean (mm)", "RMS (mm)", "mean (deg)", "RMS (deg)")
@@ -168,12 +168,12 @@ def write_page(
     page = Page(
         "Qiao 2026, section 2, reproduced in simulation",
         "The paper's tables beside ours, and why they differ",
-        Verdict("note", "Reductions and orderings are the claim, not absolute millimetres", "\n".join(NOTES)),
+        PageVerdict("note", "Reductions and orderings are the claim, not absolute millimetres", "\n".join(NOTES)),
         (Section("Tables", [PageTable(*table) for table in sections(result)]), Section("Figures", drawings)),
         {
             "Reproduce": "python scripts/reproduce_qiao2026.py",
             "Seeds of Table 4": str(result["seeds"]),
-            "Versions": listed(versions()),
+            "Versions": named_values(versions()),
         },
     )
     return write_text(out / "reproduction.html", html_of(page))

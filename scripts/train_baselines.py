@@ -15,11 +15,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from pickenv.agents.evaluation.calibrated import Protocol, calibrate_arm
+from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.statistics import interval
 from pickenv.agents.policies.learned import BASELINES
-from pickenv.agents.training.training import Trained, Training, train
+from pickenv.agents.training.training import Trained, train
+from pickenv.agents.training.training_setup import Training
 from pickenv.arm import load_plant
 from pickenv.files import write_text
 
@@ -47,7 +48,7 @@ def calibration_file(out: Path) -> Path:
     """A calibration of the training arm, fitted if it is not there."""
     path = out / "calibration.npz"
     if not path.is_file():
-        calibrate_arm(load_plant("qiao2026"), "ls", Protocol(), 0).save(path)
+        calibrate_arm(load_plant("qiao2026"), "ls", CalibrationPlan(), 0).save(path)
     return path
 
 

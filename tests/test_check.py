@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.agents.evaluation.calibrated import Protocol, compensators
+from pickenv.agents.evaluation.calibrated import CalibrationPlan, compensators
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.arm import load_plant
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
@@ -69,7 +69,7 @@ def test_a_sound_run_is_named_file_by_file(folder: Path) -> None:
     )
     assert lines[1].startswith(f"sound    {folder}/calibration.npz: calibration, format 2, arm 'qiao2026', geometry ")
     assert (
-        lines[2] == f"sound    {folder}/calibration_trace.npz: CalibrationTrace, format 2, the numbers behind figures"
+        lines[2] == f"sound    {folder}/calibration_trace.npz: CalibrationTrace, format 3, the numbers behind figures"
     )
     assert lines[3] == f"sound    {folder}/figures.json: file of the run"
     assert lines[4:] == ["4 checked, 0 refused"]
@@ -256,7 +256,7 @@ def test_one_flipped_bit_anywhere_in_a_chunk_is_refused(study: Path, count: int)
 
 
 def test_calibrations_that_changed_places_in_a_cache_are_refused(tmp_path: Path) -> None:
-    protocol = Protocol(identification_poses=30)
+    protocol = CalibrationPlan(identification_poses=30)
     for name in ("qiao2026", "geometry_only"):
         compensators(load_plant(name), "ls", protocol, tmp_path)
     one, other = sorted(tmp_path.glob("*.npz"))

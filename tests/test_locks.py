@@ -121,7 +121,8 @@ def studying(folder: Path) -> None:
 
 
 def training(folder: Path) -> None:
-    from pickenv.agents.training.training import Training, train
+    from pickenv.agents.training.training import train
+    from pickenv.agents.training.training_setup import Training
 
     train(Training("ppo", steps=1, arguments={"plant": "ideal"}), folder)
 

@@ -61,7 +61,7 @@ def test_no_command_writes_over_what_it_reads_or_into_one_file_twice(command, he
 
 
 def test_a_figure_that_is_a_link_to_the_numbers_is_not_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr(reports, "drawings_of", lambda run: [reports_drawing("accuracy")])
+    monkeypatch.setattr("pickenv.inspect.reports.run_pages.drawings_of", lambda run: [reports_drawing("accuracy")])
     with recorded_run(tmp_path, "iso9283", "pickenv iso9283", 0):
         numbers = write_text(tmp_path / "iso9283.json", "kept")
     (tmp_path / "figures").mkdir()
@@ -83,12 +83,13 @@ def test_results_are_saved_before_they_are_shown(tmp_path):
         raise OSError(28, "No space left on device")
 
     with pytest.raises(OSError, match="No space left"):
-        deliver([lambda: write_text(tmp_path / "a.txt", "a")], show)
+        deliver([(tmp_path / "a.txt", lambda path: write_text(path, "a"))], show)
 
 
 def test_results_that_cannot_be_saved_are_shown(tmp_path, capsys):
     (tmp_path / "taken").touch()
-    save = [lambda: write_text(tmp_path / "a.txt", "a"), lambda: write_text(tmp_path / "taken" / "b.txt", "b")]
+    places = (tmp_path / "a.txt", None, tmp_path / "taken" / "b.txt")
+    save = [(place, lambda path: write_text(path, "a")) for place in places]
     with pytest.raises(InputError, match=r"cannot write .*b\.txt"):
         deliver(save, lambda: print("0.5 mm"))
     assert capsys.readouterr().out == f"0.5 mm\nwrote {tmp_path / 'a.txt'}\n"

@@ -11,13 +11,13 @@ import numpy as np
 
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.content import content_sha256
-from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plant_count
 from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.provenance import code_fingerprint
 from pickenv.reservations import obey
+from pickenv.wrappers import Compensate
 
 COMPENSATIONS = ("raw", "ls", "ls_bpnn", "best")
 """No calibration; least squares; with the paper's network; with the best residual model (Gaussian process)."""
@@ -27,11 +27,9 @@ RESIDUALS = {"ls_bpnn": "bpnn", "best": "gp"}
 ORIGIN = "evaluated_arm_sha256"
 """In a kept calibration's record: hash of the arm and of how it was calibrated."""
 
-Compensate = Callable[[Array], Array]
-
 
 @dataclass(frozen=True)
-class Protocol:
+class CalibrationPlan:
     """How each arm is measured and fitted.
 
     Attributes:
@@ -47,7 +45,7 @@ class Protocol:
     seed: int = 0
 
 
-def calibrate_arm(plant: Plant, compensation: str, protocol: Protocol, number: int) -> Calibration:
+def calibrate_arm(plant: Plant, compensation: str, protocol: CalibrationPlan, number: int) -> Calibration:
     """Calibrate one arm; equal arguments give equal calibrations.
 
     Raises:
@@ -74,7 +72,7 @@ def calibrate_arm(plant: Plant, compensation: str, protocol: Protocol, number: i
 def compensators(
     plants: Plant,
     compensation: str,
-    protocol: Protocol,
+    protocol: CalibrationPlan,
     folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Compensate] | None:
@@ -107,11 +105,6 @@ def compensators(
     return found
 
 
-def the_same(compensate: Compensate, arms: int) -> list[Compensate]:
-    """One compensator for all arms: a calibration of one arm on others of its design."""
-    return [compensate] * arms
-
-
 def check_compensation(compensation: str) -> None:
     """Refuse an unknown compensation.
 
@@ -134,7 +127,7 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
     return calibration.compensator()
 
 
-def _kept(folder: Path, plant: Plant, compensation: str, protocol: Protocol, number: int) -> Calibration:
+def _kept(folder: Path, plant: Plant, compensation: str, protocol: CalibrationPlan, number: int) -> Calibration:
     """The calibration of an arm from a folder, where it is made if it is not there.
 
     A file belongs to the arm's own numbers, to the protocol and to the code that fits; its record says so as well.

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.calibrated import Protocol, check_compensation, compensators
+from pickenv.agents.evaluation.calibrated import CalibrationPlan, check_compensation, compensators
 from pickenv.agents.evaluation.rollout import PolicyMaker, Rollout, roll_out
 from pickenv.agents.evaluation.statistics import Paired, interquartile_mean, interval, paired
 from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
@@ -54,6 +55,8 @@ class Kind:
     sequential: bool = False
     raw_only: bool = False
 
+
+PLAIN: Mapping[str, Callable[[Any], Policy]] = {"scripted": ScriptedReach, "oracle": OracleReach, "servo": ServoReach}
 
 KINDS: Mapping[str, Kind] = {
     "random": Kind(("encoders",)),
@@ -98,7 +101,7 @@ class GridSettings:
     camera_noise_mm: float = 1.0
     fruit_noise_mm: float = 0.0
     tolerance_mm: float = 2.0
-    protocol: Protocol = field(default_factory=Protocol)
+    protocol: CalibrationPlan = field(default_factory=CalibrationPlan)
 
     def __post_init__(self) -> None:
         for compensation in self.compensations:
@@ -142,7 +145,7 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class PolicyGrid:
     """All cells.
 
     Attributes:
@@ -207,12 +210,8 @@ def maker_of(name: str, settings: GridSettings, compensation: str = "raw") -> Po
     def make(env: Any, seed: int) -> Policy:
         if name == "random":
             return RandomReach(env, np.random.default_rng(seed))
-        if name == "scripted":
-            return ScriptedReach(env)
-        if name == "oracle":
-            return OracleReach(env)
-        if name == "servo":
-            return ServoReach(env)
+        if name in PLAIN:
+            return PLAIN[name](env)
         if name == "adaptive":
             noise = np.hypot(settings.camera_noise_mm, settings.fruit_noise_mm) * 1e-3
             prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
@@ -226,7 +225,7 @@ def run_grid(
     settings: GridSettings,
     folder: Path | None = None,
     progress: Callable[[str, int, int], None] | None = None,
-) -> Grid:
+) -> PolicyGrid:
     """Run every cell.
 
     Args:
@@ -256,7 +255,7 @@ def run_grid(
         if (plant, compensation) not in fitted:
             stage = f"calibrating, {plant}, {compensation}"
             fitted[plant, compensation] = compensators(
-                population(settings, plant), compensation, settings.protocol, folder, _told(report, stage)
+                population(settings, plant), compensation, settings.protocol, folder, partial(report, stage)
             )
         rollout = roll_out(
             maker_of(name, settings, compensation),
@@ -275,7 +274,7 @@ def run_grid(
         )
         cells.append(Cell(policy_name(name), compensation, feedback, plant, rollout))
         report("evaluating", done + 1, len(jobs))
-    return Grid(settings, tuple(cells), grippers)
+    return PolicyGrid(settings, tuple(cells), grippers)
 
 
 def population(settings: GridSettings, plant: str) -> Any:
@@ -299,10 +298,6 @@ def _nothing_fits(settings: GridSettings, kinds: Mapping[str, Kind]) -> str:
         f"no policy can be run with feedback {' or '.join(settings.feedback)} and compensation "
         f"{' or '.join(settings.compensations)}: {', '.join(able)}; change one of them"
     )
-
-
-def _told(report: Callable[[str, int, int], None], stage: str) -> Callable[[int, int], None]:
-    return lambda done, total: report(stage, done, total)
 
 
 def _row(settings: GridSettings, cell: Cell, name: str, gripper: Gripper) -> dict[str, Any]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from pickenv.agents.evaluation.grid import Grid
+from pickenv.agents.evaluation.grid import PolicyGrid
 from pickenv.agents.evaluation.statistics import interquartile_mean, interval, mean
 from pickenv.envs.shared.task import CONTROL_PERIOD
 from pickenv.harvester.harvest_summary import Measure
@@ -22,9 +23,6 @@ from pickenv.inspect.figures.plot_policies import (
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.runs.gripping import gripper_curves
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN", "best": "LS+GP"}
 STATISTICS: Mapping[str, Any] = {
     "mean": mean,
@@ -33,7 +31,7 @@ STATISTICS: Mapping[str, Any] = {
 }
 
 
-def aggregate_figure(grid: Grid) -> Figure:
+def aggregate_figure(grid: PolicyGrid) -> Figure:
     """Mean, interquartile mean and 95th percentile of every cell with 95 % intervals, one panel row per plant."""
     panels: dict[str, dict[str, dict[str, dict[str, Measure]]]] = {}
     for cell in grid.cells:
@@ -45,7 +43,7 @@ def aggregate_figure(grid: Grid) -> Figure:
     return aggregates(panels)
 
 
-def success_curves(grid: Grid, plant: str) -> Figure:
+def success_curves(grid: PolicyGrid, plant: str) -> Figure:
     """Success against lateral error for each gripper, and where the scripted policy lies on it."""
     points = {
         LABELS[cell.compensation]: {
@@ -58,7 +56,7 @@ def success_curves(grid: Grid, plant: str) -> Figure:
     return success_against_misalignment(gripper_curves(tuple(grid.grippers)), points)
 
 
-def cycle_figure(grid: Grid, period: float, plant: str) -> Figure:
+def cycle_figure(grid: PolicyGrid, period: float, plant: str) -> Figure:
     """Accuracy against cycle time: mean error if the pick were made after each step, and the Pareto front of all.
 
     Policies with a camera are shown on raw arms only.
@@ -73,7 +71,7 @@ def cycle_figure(grid: Grid, period: float, plant: str) -> Figure:
     return accuracy_against_cycle_time(curves, period, title=plant)
 
 
-def grid_drawings(grid: Grid) -> Sequence[Drawing]:
+def grid_drawings(grid: PolicyGrid) -> Sequence[Drawing]:
     """Every figure of a comparison."""
     found = [
         Drawing(

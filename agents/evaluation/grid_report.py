@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from pickenv.agents.evaluation.grid_figures import LABELS, grid_drawings
-from pickenv.agents.evaluation.grid_tables import read_grid
+from pickenv.agents.evaluation.grid_tables import cells_of, read_grid
 from pickenv.inspect.figures.run_drawings import Drawings
 from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, Verdict
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.reports.report_words import between
 from pickenv.inspect.runs.run_folder import Run, TakePicture
 
@@ -32,22 +32,14 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     first, best = rows[0], min(rows, key=lambda row: row["mean_mm"])
     raw = [line for line in worth if line["from"] == "raw"]
     helped = [line for line in raw if line["significant"] and line["difference_mm"] < 0.0]
-    verdict = Verdict(
+    verdict = PageVerdict(
         "note",
         f"Best: {best['policy']} with {LABELS[best['compensation']]}, {best['mean_mm']:.2f} mm",
         f"{best['policy']} with {best['feedback']} and {LABELS[best['compensation']]} on {best['plant']} ends "
         f"{best['mean_mm']:.3f} mm from the fruit in the mean (95 % interval over arms {_interval(best)}). "
         f"Of {len(raw)} comparisons of a calibration with the raw arm, {len(helped)} show a gain that is significant.",
     )
-    cells = [
-        (
-            *(row["policy"], LABELS[row["compensation"]], row["feedback"], row["plant"], row["gripper"]),
-            *(f"{row['mean_mm']:.3f}", _interval(row), f"{row['p95_mm']:.3f}"),
-            f"{100 * row['success_rate']:.1f} %",
-            "never" if row["cycle_s"] is None else f"{row['cycle_s']:.1f}",
-        )
-        for row in rows
-    ]
+    cells = [cells_of(row | {"compensation": LABELS[row["compensation"]]}) for row in rows]
     gains = [
         (
             *(line["policy"], line["feedback"], line["plant"], LABELS[line["from"]], LABELS[line["to"]]),

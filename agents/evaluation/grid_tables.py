@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import csv
-import importlib
-import json
-import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pickenv.agents.evaluation.grid import Grid, GridSettings
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid
 from pickenv.errors import InputError
-from pickenv.files import write_text, write_whole
+from pickenv.files import write_json, write_whole
 from pickenv.inspect.runs.run_folder import Run, recorded_run
-from pickenv.inspect.runs.saved import load, save
+from pickenv.inspect.runs.saved import load_numbers, save_numbers
+from pickenv.provenance import command_line
 
 GRID = "grid.npz"
 """A comparison's file in its run folder."""
@@ -22,38 +23,19 @@ GRID = "grid.npz"
 ROWS = "rows.json"
 """Its rows there, for people and other programs."""
 
-SHOWN = ("policy", "compensation", "feedback", "plant", "gripper")
+KEYS = ("policy", "compensation", "feedback", "plant", "gripper")
 
 
-def print_grid(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]) -> None:
-    """Print the rows, and what each compensation is worth."""
-    from rich.console import Console
-    from rich.table import Table
-
-    if not rows:
-        print("no policy can use any of the feedback asked for; nothing was run")
-        return
-    table = Table(title=f"{rows[0]['episodes']} reaches per cell on {rows[0]['arms']} arms, seed {rows[0]['seeds'][0]}")
-    for head in (*SHOWN, "mean [mm]", "95 %", "p95 [mm]", "success", "cycle [s]"):
-        table.add_column(head, justify="left" if head in SHOWN else "right")
-    for row in rows:
-        table.add_row(
-            *(row[key] for key in SHOWN),
-            f"{row['mean_mm']:.3f}",
-            f"{row['ci95'][0]:.3f} to {row['ci95'][1]:.3f}",
-            f"{row['p95_mm']:.3f}",
-            f"{100 * row['success_rate']:.1f} %",
-            "never" if row["cycle_s"] is None else f"{row['cycle_s']:.1f}",
-        )
-    console = Console(width=150)
-    console.print(table)
-    for line in comparisons:
-        console.print(
-            f"{line['policy']}, {line['feedback']}, {line['plant']}: {line['from']} to {line['to']} "
-            f"{line['difference_mm']:+.3f} mm ({line['ci95'][0]:+.3f} to {line['ci95'][1]:+.3f}), "
-            f"{'significant' if line['significant'] else 'not significant'}",
-            highlight=False,
-        )
+def cells_of(row: Mapping[str, Any]) -> list[str]:
+    """What people are shown of a row: `KEYS`, mean and its interval, 95th percentile, success, cycle time."""
+    return [
+        *(row[key] for key in KEYS),
+        f"{row['mean_mm']:.3f}",
+        f"{row['ci95'][0]:.3f} to {row['ci95'][1]:.3f}",
+        f"{row['p95_mm']:.3f}",
+        f"{100 * row['success_rate']:.1f} %",
+        "never" if row["cycle_s"] is None else f"{row['cycle_s']:.1f}",
+    ]
 
 
 def flat_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -76,7 +58,7 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
     """Write the rows as .csv or .parquet, whole or not at all.
 
     Raises:
-        InputError: If the suffix is another, or pyarrow is not there for Parquet.
+        InputError: If the suffix is another.
     """
     flat = flat_rows(rows)
     if path.suffix == ".csv":
@@ -90,51 +72,41 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
         return write_whole(path, write)
     if path.suffix != ".parquet":
         raise InputError(f"cannot write {path}: give a file name that ends in .csv or .parquet")
-    try:
-        pyarrow: Any = importlib.import_module("pyarrow")
-        parquet: Any = importlib.import_module("pyarrow.parquet")
-    except ImportError as error:
-        raise InputError("Parquet files need pyarrow; install it with pip install pyarrow, or write .csv") from error
-    return write_whole(path, lambda temporary: parquet.write_table(pyarrow.Table.from_pylist(flat), temporary))
+    return write_whole(path, lambda temporary: pq.write_table(pa.Table.from_pylist(flat), temporary))
 
 
 def command_of(settings: GridSettings) -> str:
     """The command line that makes the same comparison."""
-    words = ["pickenv", "evaluate"]
-    for option, values in (
-        ("policy", settings.policies),
-        ("compensation", settings.compensations),
-        ("feedback", settings.feedback),
-        ("plant", settings.plants),
-        ("gripper", settings.grippers),
-    ):
-        for value in values:
-            words += [f"--{option}", value]
-    for option, number in (
-        ("arms", settings.arms),
-        ("episodes", settings.episodes),
-        ("tolerances", settings.tolerances),
-        ("camera-noise", f"{settings.camera_noise_mm:g}"),
-        ("fruit-noise", f"{settings.fruit_noise_mm:g}"),
-        ("epochs", settings.protocol.epochs),
-        ("seed", settings.seed),
-    ):
-        words += [f"--{option}", str(number)]
-    return shlex.join(words)
+    return command_line(
+        "pickenv",
+        "evaluate",
+        policy=settings.policies,
+        compensation=settings.compensations,
+        feedback=settings.feedback,
+        plant=settings.plants,
+        gripper=settings.grippers,
+        arms=settings.arms,
+        episodes=settings.episodes,
+        tolerances=settings.tolerances,
+        camera_noise=f"{settings.camera_noise_mm:g}",
+        fruit_noise=f"{settings.fruit_noise_mm:g}",
+        epochs=settings.protocol.epochs,
+        seed=settings.seed,
+    )
 
 
-def write_grid(grid: Grid, folder: Path) -> list[Path]:
+def write_grid(grid: PolicyGrid, folder: Path) -> list[Path]:
     """Write a comparison's run folder: every episode, for `read_grid`, and the rows as JSON."""
     with recorded_run(folder, "evaluation", command_of(grid.settings), grid.settings.seed) as run:
-        return [save(run.folder / GRID, grid, seed=grid.settings.seed), write_json(folder / ROWS, grid)]
+        written = save_numbers(run.folder / GRID, grid, seed=grid.settings.seed)
+        return [written, write_json(folder / ROWS, content_of(grid))]
 
 
-def read_grid(run: Run) -> Grid:
-    """The comparison of a run folder, to the bit; raises `InputError` as `pickenv.inspect.runs.saved.load`."""
-    return load(run.folder / GRID, Grid, run.made_by)
+def read_grid(run: Run) -> PolicyGrid:
+    """The comparison of a run folder, to the bit; raises `InputError` as `pickenv.inspect.runs.saved.load_numbers`."""
+    return load_numbers(run.folder / GRID, PolicyGrid, run.made_by)
 
 
-def write_json(path: Path, grid: Grid) -> Path:
-    """Write the rows and what each compensation is worth as JSON."""
-    content = {"rows": grid.rows(), "comparisons": grid.comparisons()}
-    return write_text(path, json.dumps(content, indent=2) + "\n")
+def content_of(grid: PolicyGrid) -> dict[str, Any]:
+    """The rows and what each compensation is worth, for JSON."""
+    return {"rows": grid.rows(), "comparisons": grid.comparisons()}

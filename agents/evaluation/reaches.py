@@ -3,58 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from pickenv.agents.policies.policy import Policy
-from pickenv.arm import noncompensable_error
-from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
+from pickenv.inspect.runs.episode_ends import Reaches, reaches_of
 
 LONGEST_EPISODE = 10_000
 """Steps after which an episode counts as one without a time limit."""
-
-
-@dataclass(frozen=True, eq=False)
-class Reaches:
-    """The ends of R episodes.
-
-    Attributes:
-        seeds: Seed of each episode.
-        pose_error: True tool against fruit ``(R, 6)``, m and rad.
-        noncompensable: The part of it that no joint motion removes ``(R, 6)``.
-        success: Whether the fruit was inside the capture region.
-        joint_command: What the drives got at the end ``(R, n)``.
-        tool_position: True tool positions ``(R, 3)``, m.
-        fruit_position: Fruit ``(R, 3)``, m.
-    """
-
-    seeds: tuple[int, ...]
-    pose_error: Array
-    noncompensable: Array
-    success: NDArray[np.bool_]
-    joint_command: Array
-    tool_position: Array
-    fruit_position: Array
-
-    @property
-    def position_error_mm(self) -> Array:
-        """Final distances ``(R,)``."""
-        return np.asarray(np.linalg.norm(self.pose_error[:, :3], axis=1) * 1e3)
-
-    @property
-    def attitude_error_deg(self) -> Array:
-        """Final attitude errors ``(R,)``."""
-        return np.asarray(np.degrees(np.linalg.norm(self.pose_error[:, 3:], axis=1)))
-
-    @property
-    def noncompensable_deg(self) -> Array:
-        """Their part that no joint motion removes ``(R,)``."""
-        return np.asarray(np.degrees(np.linalg.norm(self.noncompensable[:, 3:], axis=1)))
 
 
 def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
@@ -96,13 +55,4 @@ def run_reaches(
             progress(done)
     inner: Any = env.unwrapped
     stacked = {key: np.array([info[key] for info in last]) for key in last[0]}
-    error, command = stacked["pose_error"], stacked["joint_command"]
-    return Reaches(
-        seeds=tuple(seeds),
-        pose_error=error,
-        noncompensable=noncompensable_error(inner.plant.geometry, command, error),
-        success=stacked["is_success"],
-        joint_command=command,
-        tool_position=stacked["tool_position"],
-        fruit_position=stacked["fruit_position"],
-    )
+    return reaches_of(inner.plant.geometry, seeds, stacked)

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.agents.evaluation.reaches import Reaches, episode_seeds
+from pickenv.agents.evaluation.reaches import episode_seeds
 from pickenv.agents.policies.policy import Policy, read_observation
-from pickenv.arm import Pose, displace_pose, forward, noncompensable_error
+from pickenv.arm import Pose, displace_pose, forward
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
+from pickenv.inspect.runs.episode_ends import Reaches, reaches_of
 from pickenv.orchard.gripper import Gripper, capture_probability, misalignment
+from pickenv.wrappers import Compensate
 
 MOST_ROWS = 2048
 """Rows that a vector environment hands to a compensator in one piece (`pickenv.envs.reaching.batch.BLOCK`)."""
 
-Compensate = Callable[[Array], Array]
 PolicyMaker = Callable[[Any, int], Policy]
 """Makes a policy for an environment, from a seed."""
 
@@ -144,23 +145,14 @@ def _run(env: ReachVectorEnv, policy: Policy, rows: NDArray[np.int64], seeds: ND
     for _ in range(steps):
         observation, _, _, _, infos = env.step(policy.act(observation))
         errors.append(infos["position_error_mm"].copy())
-    error, command = infos["pose_error"].copy(), infos["joint_command"].copy()
-    reaches = Reaches(
-        seeds=tuple(seeds.tolist()),
-        pose_error=error,
-        noncompensable=noncompensable_error(env.plant.geometry, command, error),
-        success=infos["is_success"].copy(),
-        joint_command=command,
-        tool_position=infos["tool_position"].copy(),
-        fruit_position=infos["fruit_position"].copy(),
-    )
+    reaches = reaches_of(env.plant.geometry, seeds.tolist(), infos)
     return Rollout(reaches, rows.astype(np.int64), wanted, np.array(errors))
 
 
 def _joined(parts: Sequence[Rollout]) -> Rollout:
     if len(parts) == 1:
         return parts[0]
-    arrays = ("pose_error", "noncompensable", "success", "joint_command", "tool_position", "fruit_position")
+    arrays = [each.name for each in fields(Reaches) if each.name != "seeds"]
     reaches = Reaches(
         seeds=tuple(seed for part in parts for seed in part.reaches.seeds),
         **{name: np.concatenate([getattr(part.reaches, name) for part in parts]) for name in arrays},

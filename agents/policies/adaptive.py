@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.agents.policies.policy import Reading, camera_of, read_observation
+from pickenv.agents.policies.policy import ObservationParts, camera_of, read_observation
 from pickenv.agents.policies.scripted import ScriptedReach
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import MeasurementNoise
@@ -96,7 +96,7 @@ class AdaptiveReach(ScriptedReach):
         self._note(reading, camera, np.abs(action).max(axis=-1) < ARRIVED)
         return action[0] if np.ndim(observation) == 1 else action
 
-    def _note(self, reading: Reading, camera: Array, arrived: NDArray[np.bool_]) -> None:
+    def _note(self, reading: ObservationParts, camera: Array, arrived: NDArray[np.bool_]) -> None:
         """Add one picture to the averages of the arms that stand."""
         self._joints = np.where(arrived[:, None], reading.joints, self._joints)
         self._sum += np.where(arrived[:, None], reading.seen - camera, 0.0)

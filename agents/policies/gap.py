@@ -89,7 +89,7 @@ class Scaling:
         return xp.concatenate((*parts, xp.log10(size) / 2.0), -1)
 
 
-def flattened(observation: Any, xp: Any = np) -> Any:
+def joined_observation(observation: Any, xp: Any = np) -> Any:
     """A goal observation as one array; a flat one as it is."""
     if not isinstance(observation, dict):
         return observation

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.agents.policies.gap import Scaling, flattened
+from pickenv.agents.policies.gap import Scaling, joined_observation
 from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.container import read_container, refusing_damage, write_container
@@ -23,15 +23,7 @@ FORMAT = 2
 REMAKE = "run `pickenv train` to make one anew"
 
 
-def _relu(values: Array) -> Array:
-    return np.maximum(values, 0.0)
-
-
-def _tanh(values: Array) -> Array:
-    return np.asarray(np.tanh(values))
-
-
-ACTIVATIONS = {"tanh": _tanh, "relu": _relu}
+ACTIVATIONS: Mapping[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": lambda values: np.maximum(values, 0.0)}
 BASELINES = Path(__file__).parent / "baselines"
 
 
@@ -70,7 +62,7 @@ class LearnedPolicy:
         Raises:
             InputError: If the observation is not of the kind that it was trained on.
         """
-        values = flattened(observation)
+        values = joined_observation(observation)
         if self.scaling.goal and not isinstance(observation, dict):
             values = self._goal(values)
         self.scaling.check(values.shape[-1])

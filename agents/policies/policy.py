@@ -30,7 +30,7 @@ class Policy(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class ObservationParts:
     """A flat observation by its parts.
 
     Attributes:
@@ -55,7 +55,7 @@ class Reading:
         return len(self.joints) if self.joints.ndim == 2 else None
 
 
-def read_observation(geometry: Geometry, observation: ArrayLike) -> Reading:
+def read_observation(geometry: Geometry, observation: ArrayLike) -> ObservationParts:
     """The parts of an observation ``(..., k)`` of an arm that its controller believes to be ``geometry``.
 
     Raises:
@@ -68,7 +68,7 @@ def read_observation(geometry: Geometry, observation: ArrayLike) -> Reading:
             "feedback='camera'"
         )
     span = geometry.upper - geometry.lower
-    return Reading(
+    return ObservationParts(
         joints=geometry.lower + (values[..., :n] + 1.0) / 2.0 * span,
         believed=values[..., n : n + 3],
         seen=values[..., n + 3 : n + 6],
@@ -78,7 +78,7 @@ def read_observation(geometry: Geometry, observation: ArrayLike) -> Reading:
     )
 
 
-def camera_of(reading: Reading, policy: str) -> Array:
+def camera_of(reading: ObservationParts, policy: str) -> Array:
     """The camera's offset.
 
     Raises:

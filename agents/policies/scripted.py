@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.agents.policies.policy import ReachController, Reading, read_observation
+from pickenv.agents.policies.policy import ObservationParts, ReachController, read_observation
 from pickenv.arm import Pose, displace_pose, forward, inverse
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
@@ -39,13 +39,13 @@ class ScriptedReach(ReachController):
             self._wanted = self.wanted_joints(reading)
         return self.action(self._wanted - reading.joints)
 
-    def wanted_pose(self, reading: Reading) -> Pose:
+    def wanted_pose(self, reading: ObservationParts) -> Pose:
         """The pose that the tool shall have: the fruit with its attitude."""
         believed = forward(self.geometry, reading.joints)
         lag = np.concatenate([np.zeros_like(reading.turn), reading.turn], axis=-1)
         return Pose(reading.seen, displace_pose(believed, lag).rotation)
 
-    def wanted_joints(self, reading: Reading) -> Array:
+    def wanted_joints(self, reading: ObservationParts) -> Array:
         """Joints that bring the nominal arm's tool to the fruit."""
         target = self.wanted_pose(reading)
         solution = inverse(self.geometry, target, attitude_tolerance=1e-4)

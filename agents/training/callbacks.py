@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,67 +10,71 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.training.checkpoints import save_checkpoint
-from pickenv.agents.training.training import Inputs, Training, actor_of, check_inputs, judge, write_evaluations
+from pickenv.agents.training.training_setup import Inputs, Training, actor_of, check_inputs, judge, write_evaluations
 from pickenv.wrappers.sb3 import Sb3Vec
 
 
-def following(steps: int, every: int) -> int:
-    """The multiple of ``every`` that comes after ``steps``, so that a resumed training keeps the beat."""
-    return (steps // every + 1) * every
+class EverySoOften(BaseCallback):
+    """Do something every so many steps, between an update and the next rollout, when nothing is half done."""
 
-
-class Checkpoints(BaseCallback):
-    """Write a checkpoint every so many steps, between an update and the next rollout, when nothing is half done."""
-
-    def __init__(
-        self, training: Training, inputs: Inputs, path: Path, env: Sb3Vec, evaluations: list[dict[str, float]]
-    ) -> None:
+    def __init__(self, steps: int, act: Callable[[BaseCallback], object]) -> None:
         super().__init__()
-        self.what, self.inputs, self.path, self.env, self.evaluations = training, inputs, path, env, evaluations
+        self.steps, self.act = steps, act
         self._next = 0
 
     def _on_training_start(self) -> None:
-        self._next = following(self.model.num_timesteps, self.what.checkpoint_every)
+        self._next = self._following()
 
     def _on_rollout_start(self) -> None:
         if self.model.num_timesteps >= self._next:
-            save_checkpoint(self.path, self.model, self.env, self.what, self.inputs, self.evaluations)
-            self._next = following(self.model.num_timesteps, self.what.checkpoint_every)
+            self.act(self)
+            self._next = self._following()
 
     def _on_step(self) -> bool:
         return True
 
+    def _following(self) -> int:
+        """The multiple that comes after the present step, so that a resumed training keeps the beat."""
+        return (self.model.num_timesteps // self.steps + 1) * self.steps
 
-class Evaluations(BaseCallback):
+
+def checkpoints(
+    training: Training, inputs: Inputs, path: Path, env: Sb3Vec, evaluations: list[dict[str, float]]
+) -> EverySoOften:
+    """Write a checkpoint every so many steps."""
+    return EverySoOften(
+        training.checkpoint_every,
+        lambda at: save_checkpoint(path, at.model, env, training, inputs, evaluations),
+    )
+
+
+def evaluations(training: Training, inputs: Inputs, out: Path, rows: list[dict[str, float]]) -> EverySoOften:
     """Judge the policy on held-out episodes every so many steps; draws nothing that the training draws from."""
 
-    def __init__(self, training: Training, inputs: Inputs, out: Path, rows: list[dict[str, float]]) -> None:
-        super().__init__()
-        self.what, self.inputs, self.out, self.rows = training, inputs, out, rows
-        self._next = 0
+    def evaluate(at: BaseCallback) -> None:
+        env: Any = at.training_env
+        row = judged(training, inputs, out, rows, actor_of(at.model, training, env), at.model.num_timesteps)
+        for key in ("mean_mm", "p95_mm", "success_rate"):
+            at.logger.record(f"eval/{key}", row[key])
 
-    def _on_training_start(self) -> None:
-        self._next = following(self.model.num_timesteps, self.what.evaluate_every)
+    return EverySoOften(training.evaluate_every, evaluate)
 
-    def _on_rollout_start(self) -> None:
-        if self.model.num_timesteps >= self._next:
-            env: Any = self.training_env
-            row = self.judge(actor_of(self.model, self.what, env), self.model.num_timesteps)
-            for key in ("mean_mm", "p95_mm", "success_rate"):
-                self.logger.record(f"eval/{key}", row[key])
-            self._next = following(self.model.num_timesteps, self.what.evaluate_every)
 
-    def _on_step(self) -> bool:
-        return True
+def judged(
+    training: Training,
+    inputs: Inputs,
+    out: Path,
+    rows: list[dict[str, float]],
+    policy: LearnedPolicy,
+    steps: int,
+) -> dict[str, float]:
+    """Judge a policy, and add its row to those of the training and of its folder.
 
-    def judge(self, policy: LearnedPolicy, steps: int) -> dict[str, float]:
-        """Judge a policy and add a row.
-
-        Raises:
-            InputError: If the files that the training was begun with have changed.
-        """
-        check_inputs(self.what, self.inputs)
-        self.rows[:] = [row for row in self.rows if row["steps"] < steps]
-        self.rows.append({"steps": float(steps)} | judge(policy, self.what))
-        write_evaluations(self.out, self.rows)
-        return self.rows[-1]
+    Raises:
+        InputError: If the files that the training was begun with have changed.
+    """
+    check_inputs(training, inputs)
+    rows[:] = [row for row in rows if row["steps"] < steps]
+    rows.append({"steps": float(steps)} | judge(policy, training))
+    write_evaluations(out, rows)
+    return rows[-1]

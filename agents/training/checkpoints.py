@@ -16,7 +16,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 import torch
 
-from pickenv.agents.training.training import Inputs, Training
+from pickenv.agents.training.training_setup import Inputs, Training
 from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 from pickenv.wrappers.sb3 import Sb3Vec

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import importlib
-from collections.abc import Callable
 from typing import Any
 
 from pickenv.errors import InputError
@@ -39,14 +38,10 @@ def _value(value: Any) -> Any:
     if not isinstance(value, str):
         return value
     if value.startswith("lin_"):
-        return _linear(float(value[4:]))
+        start = float(value[4:])
+        return lambda remaining: remaining * start  # a schedule that falls evenly to zero
     if value.startswith("dict("):
         call = ast.parse(value, mode="eval").body
         assert isinstance(call, ast.Call)
         return {word.arg: ast.literal_eval(word.value) for word in call.keywords}
     return value
-
-
-def _linear(start: float) -> Callable[[float], float]:
-    """A schedule that falls evenly to zero."""
-    return lambda remaining: remaining * start

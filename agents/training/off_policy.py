@@ -15,7 +15,7 @@ from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac import policies as sac
 
-from pickenv.agents.policies.gap import Scaling, flattened
+from pickenv.agents.policies.gap import Scaling, joined_observation
 
 MOST = 3.0
 """Critics see actions up to this multiple of the share; hindsight puts goals beside the tool, and shares near zero."""
@@ -30,12 +30,12 @@ class ScaledFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: Any) -> th.Tensor:
         """Features ``(N, features)``."""
-        seen: th.Tensor = self.scaling.observe(flattened(observations, th), th)
+        seen: th.Tensor = self.scaling.observe(joined_observation(observations, th), th)
         return seen
 
     def share(self, observations: Any) -> th.Tensor:
         """The scaling's share ``(N, 1)``."""
-        found: th.Tensor = self.scaling.share(flattened(observations, th), th)
+        found: th.Tensor = self.scaling.share(joined_observation(observations, th), th)
         return found
 
 
@@ -83,25 +83,29 @@ class TqcCritic(_ScaledValues, tqc.Critic):
     """TQC's critics."""
 
 
-class SacPolicy(sac.SACPolicy):
+class _ScaledNetworks:
+    """For policies: they are made of `actor_kind` and `critic_kind`."""
+
+    actor_kind: type[Any]
+    critic_kind: type[Any]
+
+    def make_actor(self: Any, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
+        """The actor."""
+        return self.actor_kind(**self._update_features_extractor(self.actor_kwargs, features_extractor)).to(self.device)
+
+    def make_critic(self: Any, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
+        """The critics."""
+        arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
+        return self.critic_kind(**arguments).to(self.device)
+
+
+class SacPolicy(_ScaledNetworks, sac.SACPolicy):
     """SAC's policy."""
 
-    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> SacActor:
-        """The actor."""
-        return SacActor(**self._update_features_extractor(self.actor_kwargs, features_extractor)).to(self.device)
-
-    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> SacCritic:
-        """The critics."""
-        return SacCritic(**self._update_features_extractor(self.critic_kwargs, features_extractor)).to(self.device)
+    actor_kind, critic_kind = SacActor, SacCritic
 
 
-class TqcPolicy(tqc.TQCPolicy):
+class TqcPolicy(_ScaledNetworks, tqc.TQCPolicy):
     """TQC's policy."""
 
-    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> TqcActor:
-        """The actor."""
-        return TqcActor(**self._update_features_extractor(self.actor_kwargs, features_extractor)).to(self.device)
-
-    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> TqcCritic:
-        """The critics."""
-        return TqcCritic(**self._update_features_extractor(self.critic_kwargs, features_extractor)).to(self.device)
+    actor_kind, critic_kind = TqcActor, TqcCritic

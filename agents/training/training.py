@@ -7,100 +7,19 @@ interrupted or not.
 
 from __future__ import annotations
 
-import importlib.util
-import json
-from dataclasses import asdict, dataclass, field
+import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from pickenv.agents.evaluation.calibrated import load_compensator
-from pickenv.agents.policies.gap import Scaling
 from pickenv.agents.policies.learned import LearnedPolicy
-from pickenv.agents.training.hyperparams import check_algorithm, tuned
-from pickenv.arm.files.content import content_sha256
-from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
+from pickenv.agents.training.callbacks import checkpoints, evaluations, judged
+from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint, take_checkpoint
+from pickenv.agents.training.training_setup import Training, actor_of, check_inputs, inputs_of, make_model
 from pickenv.errors import InputError
-from pickenv.files import write_text
-from pickenv.limits import check_limit
 from pickenv.locks import locked
-from pickenv.provenance import file_sha256, versions
 from pickenv.threads import torch_on_one_thread
 
-ENVIRONMENTS: dict[str, type[ReachVectorEnv]] = {
-    "pickenv/Reach-v0": ReachVectorEnv,
-    "pickenv/ReachIdeal-v0": ReachIdealVectorEnv,
-    "pickenv/ReachGoal-v0": ReachGoalVectorEnv,
-}
-UNREWARDED_TURN = 1e9
-"""Goal environments do not reward the attitude, so it is no part of the gap there."""
-
 CHECKPOINT = "checkpoint.pt"
-HELD_OUT = 2**62
-"""Seeds of evaluation episodes start here; training seeds are below."""
-
-
-@dataclass(frozen=True)
-class Training:
-    """What is trained, and how.
-
-    Attributes:
-        algorithm: "ppo", "sac" or "tqc".
-        env_id: Id of the environment.
-        steps: Environment steps; the tuned number when None.
-        seed: Seed of everything random.
-        arguments: Arguments of the environment.
-        compensate: Calibration file to train behind, or None.
-        allow: Reservations of that calibration to accept, by name (`pickenv.reservations`).
-        checkpoint_every: Environment steps between checkpoints.
-        evaluate_every: Environment steps between evaluations.
-        scaled_actions: Whether actions shrink with the gap (`pickenv.agents.policies.gap`).
-        parameters: Parameters of the algorithm that replace the tuned ones.
-    """
-
-    algorithm: str
-    env_id: str = "pickenv/Reach-v0"
-    steps: int | None = None
-    seed: int = 0
-    arguments: dict[str, Any] = field(default_factory=dict)
-    compensate: str | None = None
-    allow: list[str] = field(default_factory=list)
-    checkpoint_every: int = 50_000
-    evaluate_every: int = 50_000
-    scaled_actions: bool = True
-    parameters: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        check_algorithm(self.algorithm)
-        if self.env_id not in ENVIRONMENTS:
-            raise InputError(f"unknown environment '{self.env_id}'; give one of {', '.join(ENVIRONMENTS)}")
-        check_limit("seed", self.seed, "seed of training")
-        if self.steps is not None and self.steps < 1:
-            raise InputError(f"steps is {self.steps}; give at least 1")
-
-    @property
-    def chosen(self) -> dict[str, Any]:
-        """Tuned parameters with the replacements."""
-        return tuned(self.algorithm, self.env_id) | self.parameters
-
-    @property
-    def total(self) -> int:
-        """Environment steps in all."""
-        return self.steps or int(self.chosen["n_timesteps"])
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """What a training is made with besides its options.
-
-    Attributes:
-        arms: Hash of the numbers of its true arms: plant, arm and tolerance class.
-        calibration: SHA-256 of the calibration file, or None.
-    """
-
-    arms: str
-    calibration: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,25 +39,6 @@ class Trained:
     out: Path
 
 
-def make_environment(training: Training, count: int, mode: str) -> ReachVectorEnv:
-    """The environments of a training, with its calibration installed.
-
-    Raises:
-        InputError: If an argument is impossible or the calibration is of another arm.
-    """
-    arguments = training.chosen.get("env_kwargs", {}) | training.arguments
-    env = ENVIRONMENTS[training.env_id](count, autoreset_mode=mode, **arguments)
-    if training.compensate is not None:
-        env.compensator = load_compensator(training.compensate, env.task.plant.arm, training.allow)
-    return env
-
-
-def scaling_of(training: Training, env: ReachVectorEnv) -> Scaling:
-    """The scaling that suits an environment."""
-    more: dict[str, Any] = {"near_turn": UNREWARDED_TURN} if env.goal_dict else {}
-    return Scaling(env.task.joints, env.task.camera, env.goal_dict, training.scaled_actions, **more)
-
-
 def train(training: Training, out: str | Path, *, resume: bool = False, progress: bool = False) -> Trained:
     """Train, or go on training, and write the run's folder.
 
@@ -152,11 +52,6 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
         InputError: If an argument is impossible, there is no sound checkpoint to go on from, a file that the training
             was begun with has changed, or another process is at work in the folder.
     """
-    import time
-
-    from pickenv.agents.training.callbacks import Checkpoints, Evaluations
-    from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint, take_checkpoint
-
     out = Path(out)
     path = out / CHECKPOINT
     with locked(out), torch_on_one_thread():
@@ -171,9 +66,9 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
         model, env = make_model(training, out)
         if begun is not None:
             take_checkpoint(begun, model, env)
-        evaluations = Evaluations(training, inputs, out, [] if begun is None else begun.evaluations)
+        rows = [] if begun is None else begun.evaluations
         # a checkpoint follows its evaluation
-        callbacks = [evaluations, Checkpoints(training, inputs, path, env, evaluations.rows)]
+        callbacks = [evaluations(training, inputs, out, rows), checkpoints(training, inputs, path, env, rows)]
         begin, first = time.perf_counter(), model.num_timesteps
         if model.num_timesteps < training.total:
             model.learn(
@@ -183,13 +78,13 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
                 tb_log_name=training.algorithm,
                 progress_bar=progress,
             )
-            save_checkpoint(path, model, env, training, inputs, evaluations.rows)
+            save_checkpoint(path, model, env, training, inputs, rows)
         rate = (model.num_timesteps - first) / max(time.perf_counter() - begin, 1e-9)
         policy = actor_of(model, training, env)
         policy.save(out / "policy.npz")
-        evaluations.judge(policy, model.num_timesteps)
+        judged(training, inputs, out, rows, policy, model.num_timesteps)
         env.close()
-    return Trained(policy, tuple(evaluations.rows), rate, out)
+    return Trained(policy, tuple(rows), rate, out)
 
 
 def resumed(out: str | Path) -> Training:
@@ -198,127 +93,4 @@ def resumed(out: str | Path) -> Training:
     Raises:
         InputError: If there is no sound checkpoint.
     """
-    from pickenv.agents.training.checkpoints import read_checkpoint
-
     return read_checkpoint(Path(out) / CHECKPOINT).training
-
-
-def inputs_of(training: Training) -> Inputs:
-    """What a training is made with, as it is now.
-
-    Raises:
-        InputError: If the calibration is missing or of another arm, or a plant is impossible.
-    """
-    arms = make_environment(training, 1, "Disabled").task.plant
-    calibration = None if training.compensate is None else file_sha256(_calibration_file(training.compensate))
-    return Inputs(content_sha256(arms), calibration)
-
-
-def check_inputs(training: Training, begun: Inputs) -> None:
-    """Refuse to go on with other files than a training was begun with.
-
-    Raises:
-        InputError: If the calibration or the plant has changed or is missing; names it.
-    """
-    restore = "put back what the training was begun with, or begin another with another --out"
-    if training.compensate is not None:
-        path = _calibration_file(training.compensate)
-        if not path.is_file():
-            raise InputError(f"calibration {path} (--compensate) is missing; {restore}")
-        if file_sha256(path) != begun.calibration:
-            raise InputError(f"calibration {path} (--compensate) is another file than it was; {restore}")
-    plant = str(training.arguments.get("plant", "of the environment"))
-    if plant.endswith(".toml") and not Path(plant).is_file():
-        raise InputError(f"plant {plant} (--plant) is missing; {restore}")
-    if inputs_of(training).arms != begun.arms:
-        raise InputError(f"plant {plant} (--plant, or its tolerances) has other numbers than it had; {restore}")
-
-
-def _calibration_file(name: str) -> Path:
-    return Path(name) if name.endswith(".npz") else Path(f"{name}.npz")
-
-
-def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
-    """The algorithm and its environments, seeded.
-
-    Raises:
-        InputError: If TQC is asked for and sb3-contrib is not installed.
-    """
-    if training.algorithm == "tqc" and importlib.util.find_spec("sb3_contrib") is None:
-        raise InputError("algorithm tqc needs sb3-contrib; install it with pip install sb3-contrib")
-    from stable_baselines3 import PPO, SAC, HerReplayBuffer
-
-    from pickenv.wrappers.sb3 import Sb3Vec
-
-    chosen = training.chosen
-    for key in ("n_timesteps", "env_kwargs", "env_wrapper", "policy"):
-        chosen.pop(key, None)
-    inner = make_environment(training, int(chosen.pop("n_envs")), "SameStep")
-    scaling = scaling_of(training, inner)
-    logs = str(out / "logs") if out is not None and importlib.util.find_spec("tensorboard") is not None else None
-    common: dict[str, Any] = {"seed": training.seed, "device": "cpu", "tensorboard_log": logs, "verbose": 0}
-    if training.algorithm == "ppo":
-        if inner.goal_dict:
-            raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
-        env = Sb3Vec(inner, scaling)
-        return PPO("MlpPolicy", env, **chosen, **common), env
-    from pickenv.agents.training import off_policy
-
-    env = Sb3Vec(inner)
-    chosen["policy_kwargs"] = chosen.get("policy_kwargs", {}) | {
-        "features_extractor_class": off_policy.ScaledFeatures,
-        "features_extractor_kwargs": {"scaling": scaling},
-    }
-    if chosen.get("replay_buffer_class") == "HerReplayBuffer":
-        chosen["replay_buffer_class"] = HerReplayBuffer
-    if training.algorithm == "sac":
-        return SAC(off_policy.SacPolicy, env, **chosen, **common), env
-    from sb3_contrib import TQC
-
-    return TQC(off_policy.TqcPolicy, env, **chosen, **common), env
-
-
-def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy:
-    """The actor of a model, on NumPy."""
-    import torch
-
-    on_policy = training.algorithm == "ppo"
-    hidden = model.policy.mlp_extractor.policy_net if on_policy else model.actor.latent_pi
-    last = model.policy.action_net if on_policy else model.actor.mu
-    layers = [layer for layer in (*hidden, last) if isinstance(layer, torch.nn.Linear)]
-    inner = env.envs.unwrapped
-    arm = inner.task.plant.arm
-    return LearnedPolicy(
-        algorithm=training.algorithm,
-        arm=arm.name,
-        arm_fingerprint=arm.fingerprint(),
-        scaling=scaling_of(training, inner),
-        activation="tanh" if on_policy else "relu",
-        squashed=not on_policy,
-        weights=tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),
-        biases=tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
-        record={
-            "training": asdict(training),
-            "steps": int(model.num_timesteps),
-            "versions": versions("gymnasium", "stable-baselines3", "torch"),
-        },
-    )
-
-
-def judge(policy: LearnedPolicy, training: Training, episodes: int = 256, steps: int = 60) -> dict[str, float]:
-    """Final errors of a policy on held-out episodes of its own environment: mean_mm, p95_mm, success_rate."""
-    env = make_environment(training, episodes, "Disabled")
-    observation, infos = env.reset(seed=HELD_OUT)
-    for _ in range(steps):
-        observation, _, _, _, infos = env.step(policy.act(observation))
-    error = infos["position_error_mm"]
-    return {
-        "mean_mm": float(error.mean()),
-        "p95_mm": float(np.percentile(error, 95)),
-        "success_rate": float(infos["is_success"].mean()),
-    }
-
-
-def write_evaluations(out: Path, rows: list[dict[str, float]]) -> None:
-    """Write the evaluations of a run."""
-    write_text(out / "evaluations.json", json.dumps(rows, indent=2) + "\n")

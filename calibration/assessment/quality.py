@@ -6,7 +6,8 @@ and degrees on screens, SI inside.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -40,6 +41,7 @@ ENOUGH = 3
 """Fewer held-out rows than this judge nothing."""
 
 Grade = Literal["good", "with care", "do not use"]
+Weight = Literal["fail", "caution", "note"]
 
 
 @dataclass(frozen=True)
@@ -87,12 +89,9 @@ class Completeness:
 
 def completeness(found: Identification, noise: str = "stated noise") -> Completeness:
     """The chi^2 test of an identification."""
-    freedom = found.degrees_of_freedom
-    if freedom <= 0:
-        return Completeness(found.chi_square, freedom, float("nan"), float("nan"), noise)
-    law = stats.chi2(freedom)
-    sizes = float(law.sf(found.chi_square)), float(law.cdf(found.chi_square))
-    return Completeness(found.chi_square, freedom, *sizes, noise)
+    chi_square, freedom = found.chi_square, found.degrees_of_freedom  # without spare equations SciPy's law gives NaN
+    large, small = float(stats.chi2.sf(chi_square, freedom)), float(stats.chi2.cdf(chi_square, freedom))
+    return Completeness(chi_square, freedom, large, small, noise)
 
 
 def correlated_pairs(found: Identification, limit: float = CORRELATED) -> tuple[tuple[str, str, float], ...]:
@@ -171,7 +170,7 @@ class Finding:
         text: One sentence.
     """
 
-    weight: Literal["fail", "caution", "note"]
+    weight: Weight
     text: str
 
 
@@ -183,8 +182,6 @@ class Quality:
         grade: The verdict.
         reason: The one thing that it rests on most, in one clause.
         findings: All that a reader must know, the gravest first.
-        nominal: Held-out errors per axis before (base and tool fitted, unless known).
-        calibrated: Held-out errors per axis after.
         observability: Of the kept geometric parameters on the training poses.
         completeness: The chi^2 test.
         pairs: Correlated parameters.
@@ -195,8 +192,6 @@ class Quality:
     grade: Grade
     reason: str
     findings: tuple[Finding, ...]
-    nominal: tuple[AxisErrors, ...]
-    calibrated: tuple[AxisErrors, ...]
     observability: Observability
     completeness: Completeness
     pairs: tuple[tuple[str, str, float], ...]
@@ -214,11 +209,10 @@ class Quality:
 
     def as_dict(self) -> dict[str, Any]:
         """The verdict for JSON, and for a calibration's record."""
-        findings = [{"weight": finding.weight, "text": finding.text} for finding in self.findings]
-        return {"grade": self.grade, "reason": self.reason, "findings": findings}
+        return {"grade": self.grade, "reason": self.reason, "findings": [asdict(finding) for finding in self.findings]}
 
 
-def judge_quality(
+def grade_quality(
     found: Identification,
     trained: Array,
     before: Array,
@@ -249,17 +243,19 @@ def judge_quality(
     test = completeness(found, noise)
     pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
     unlearnt = after if parametric is None else parametric
-    findings = [*_failures(found, before, after), *_cautions(found, trained, unlearnt, seen, coverage)]
-    findings.append(Finding("note", test.sentence()))
+    notes = [test.sentence()]
     if pairs:
-        worst = f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f})"
-        findings.append(
-            Finding(
-                "note",
-                f"{len(pairs)} pair{'s' * (len(pairs) > 1)} of parameters correlate by more than {CORRELATED:g}, most "
-                f"{worst}: read them together, the predicted pose is not affected",
-            )
+        notes.append(
+            f"{len(pairs)} pair{'s' * (len(pairs) > 1)} of parameters correlate by more than {CORRELATED:g}, most "
+            f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f}): read them together, the predicted pose is not "
+            "affected"
         )
+    texts: dict[Weight, Iterable[str]] = {
+        "fail": _failures(found, before, after),
+        "caution": _cautions(found, trained, unlearnt, seen, coverage),
+        "note": notes,
+    }
+    findings = [Finding(weight, text) for weight, said in texts.items() for text in said]
     weights = {finding.weight for finding in findings}
     grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
     reason = findings[0].text
@@ -271,8 +267,6 @@ def judge_quality(
         grade=grade,
         reason=reason,
         findings=tuple(findings),
-        nominal=axis_errors(before),
-        calibrated=axis_errors(after),
         observability=seen,
         completeness=test,
         pairs=pairs,
@@ -285,32 +279,23 @@ def _rms_mm(errors: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1)))) * 1e3
 
 
-def _failures(found: Identification, before: Array, after: Array) -> list[Finding]:
-    failures = []
+def _failures(found: Identification, before: Array, after: Array) -> Iterator[str]:
+    was, now = _rms_mm(before), _rms_mm(after)
     if not found.converged:
-        failures.append(Finding("fail", "the identification did not converge, so its parameters mean nothing"))
+        yield "the identification did not converge, so its parameters mean nothing"
     if len(after) < ENOUGH:
         rows = "1 row was" if len(after) == 1 else f"{len(after)} rows were"
-        failures.append(
-            Finding("fail", f"only {rows} held out, which judges nothing; measure more, or give others with --test")
-        )
-    elif _rms_mm(after) >= _rms_mm(before):
-        failures.append(
-            Finding(
-                "fail",
-                f"on held-out rows the calibrated arm is no better ({_rms_mm(after):#.4g} mm RMS) than the nominal one "
-                f"({_rms_mm(before):#.4g} mm RMS); check units, conventions and the order of rows",
-            )
+        yield f"only {rows} held out, which judges nothing; measure more, or give others with --test"
+    elif now >= was:
+        yield (
+            f"on held-out rows the calibrated arm is no better ({now:#.4g} mm RMS) than the nominal one ({was:#.4g} mm "
+            "RMS); check units, conventions and the order of rows"
         )
     elif _chance(before, after) > SIGNIFICANCE:
-        failures.append(
-            Finding(
-                "fail",
-                f"on {len(after)} held-out rows the calibrated arm ({_rms_mm(after):#.4g} mm RMS) cannot be told from "
-                f"the nominal one ({_rms_mm(before):#.4g} mm RMS); measure more rows, or with less noise",
-            )
+        yield (
+            f"on {len(after)} held-out rows the calibrated arm ({now:#.4g} mm RMS) cannot be told from the nominal one "
+            f"({was:#.4g} mm RMS); measure more rows, or with less noise"
         )
-    return failures
 
 
 def _chance(before: Array, after: Array) -> float:
@@ -323,32 +308,22 @@ def _chance(before: Array, after: Array) -> float:
 
 def _cautions(
     found: Identification, trained: Array, after: Array, seen: Observability, coverage: Coverage | None
-) -> list[Finding]:
-    cautions = []
+) -> Iterator[str]:
     if coverage is not None and coverage.lost:
-        cautions.append(Finding("caution", coverage.advice()))
+        yield coverage.advice()
     if seen.condition > ILL_CONDITIONED:
-        cautions.append(
-            Finding(
-                "caution",
-                f"the condition number is {seen.condition:.1f}: some parameter combinations are hardly seen; plan the "
-                "poses with `pickenv plan-poses`",
-            )
+        yield (
+            f"the condition number is {seen.condition:.1f}: some parameter combinations are hardly seen; plan the "
+            "poses with `pickenv plan-poses`"
         )
-    if _rms_mm(after) > OPTIMISTIC * _rms_mm(trained):
-        cautions.append(
-            Finding(
-                "caution",
-                f"held-out errors ({_rms_mm(after):#.4g} mm RMS) are {_rms_mm(after) / _rms_mm(trained):.1f} times as "
-                "large as on the training rows: measure more poses, or poses like those that will be used",
-            )
+    there, here = _rms_mm(after), _rms_mm(trained)
+    if there > OPTIMISTIC * here:
+        yield (
+            f"held-out errors ({there:#.4g} mm RMS) are {there / here:.1f} times as large as on the training rows: "
+            "measure more poses, or poses like those that will be used"
         )
     if found.degrees_of_freedom < found.identifiability.rank:
-        cautions.append(
-            Finding(
-                "caution",
-                f"{found.degrees_of_freedom} spare equations for {found.identifiability.rank} parameters are few; "
-                "measure at least twice as many poses",
-            )
+        yield (
+            f"{found.degrees_of_freedom} spare equations for {found.identifiability.rank} parameters are few; "
+            "measure at least twice as many poses"
         )
-    return cautions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -35,16 +36,14 @@ class States:
 
     def text(self) -> str:
         """For people."""
-        return "; ".join(
-            f"{label}: {list(states.values()).count(MEASURED)} of {len(states)} measured"
-            + "".join(
-                f", {list(states.values()).count(state)} {words}"
-                for state, words in ((HELD, "held by their prior"), (LOST, LOST))
-                if state in states.values()
-            )
-            for label, states in (("geometry", self.geometry), ("further terms", self.terms))
-            if states
-        )
+        said = []
+        for label, states in (("geometry", self.geometry), ("further terms", self.terms)):
+            count = Counter(states.values())
+            parts = [f"{label}: {count[MEASURED]} of {len(states)} measured"]
+            parts += [f"{count[state]} {state.replace('its', 'their')}" for state in (HELD, LOST) if count[state]]
+            if states:
+                said.append(", ".join(parts))
+        return "; ".join(said)
 
     def as_dict(self) -> dict[str, dict[str, str]]:
         """For JSON."""

@@ -37,7 +37,6 @@ class ResidualModel(Protocol):
 
     def predict(self, joints: ArrayLike) -> Array:
         """Pose residual ``(..., 6)`` (m, rad, world axes) at joints ``(..., n)``."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

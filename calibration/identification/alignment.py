@@ -17,6 +17,7 @@ from pickenv.arm.kinematics.geometry import Array, identity_pose
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import nearest_rotation
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
 
@@ -92,9 +93,9 @@ def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measur
     nominal = chain.position + chain.rotation @ tool.position
     measured = measurements.position
     if measurements.rotation is None:
-        turn = _nearest_rotation((measured - measured.mean(0)).T @ (nominal - nominal.mean(0)))
+        turn = nearest_rotation((measured - measured.mean(0)).T @ (nominal - nominal.mean(0)))
     else:
-        turn = _nearest_rotation(np.einsum("nij,nkj->ik", measurements.rotation, chain.rotation @ tool.rotation))
+        turn = nearest_rotation(np.einsum("nij,nkj->ik", measurements.rotation, chain.rotation @ tool.rotation))
     base = Pose(measured.mean(0) - turn @ nominal.mean(0), turn)
     return replace(geometry, base=base, tool=tool)
 
@@ -134,15 +135,9 @@ def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
     vector = np.linalg.eigh(gram)[1][:, 0]
     first, second = vector[:9].reshape(3, 3), vector[9:].reshape(3, 3)
     sign = np.sign(np.linalg.det(second)) or 1.0
-    turn = _nearest_rotation(second * sign)
-    tool = _nearest_rotation(first * sign).T
+    turn = nearest_rotation(second * sign)
+    tool = nearest_rotation(first * sign).T
     return turn, tool
-
-
-def _nearest_rotation(matrix: Array) -> Array:
-    """The rotation nearest to a matrix (orthogonal Procrustes with positive determinant)."""
-    u, _, vt = np.linalg.svd(matrix)
-    return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
 
 
 def refuse_another_arm(

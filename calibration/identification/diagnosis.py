@@ -6,7 +6,7 @@ have in common (one column that fits in another unit) is said. Held-out rows pas
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,13 +21,14 @@ from pickenv.calibration.identification.robust import (
     Sizes,
     robust_align,
     robust_identify,
+    sizes_of,
 )
 from pickenv.calibration.model.coverage import Coverage
 from pickenv.calibration.model.error_model import frames_model, geometric_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.origins import named, origins_of
-from pickenv.calibration.model.splits import Rows
+from pickenv.calibration.model.observations import Observations, origins_of
+from pickenv.calibration.model.origins import named
+from pickenv.calibration.model.splits import Rows, thinned
 from pickenv.errors import InputError
 
 EXPLAINED = 8.0
@@ -76,7 +77,7 @@ def _robust_fit(arm: Arm, measurements: Measurements, known: bool = False) -> Ro
     Raises:
         InputError: If there are too few poses, or no majority agrees.
     """
-    data = measurements.select(np.unique(np.linspace(0, len(measurements) - 1, ROBUST_ROWS).astype(int)))
+    data = measurements.select(thinned(len(measurements), ROBUST_ROWS))
     model = geometric_model(arm.nominal, known)
     start = arm.nominal
     if not known:
@@ -107,7 +108,7 @@ def checked_rows(
         found = _robust_fit(arm, train, known)
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
-    sizes = (found.sizes(train), found.sizes(test))
+    sizes = (found.sizes_of(train), found.sizes_of(test))
     far = tuple(np.flatnonzero(~(size.sigma <= OUTLIER_SIGMA)) for size in sizes)
     if 2 * len(far[0]) >= len(train):
         return train, test, ()
@@ -155,8 +156,8 @@ def _refuse(
     worst = max(float(size.position[rows].max(initial=0.0)) for size, rows in zip(sizes, far, strict=True))
     raise InputError(
         f"{named(places)} {'is' if one else 'are'} off by {'' if one else 'up to '}{worst * 1e3:.3g} mm where the "
-        f"others agree within {3 * found.position_scale * 1e3:.2g} mm; remove {them}, or fit with --robust, which "
-        f"leaves {them} out"
+        f"others agree within {3 * found.sizes.position_scale * 1e3:.2g} mm; remove {them}, or fit with --robust, "
+        f"which leaves {them} out"
     )
 
 
@@ -172,9 +173,8 @@ def _other_set_up(arm: Arm, found: RobustIdentification, test: Measurements, siz
         moved = align(geometry, test, frames_model(geometry)).geometry
     except InputError:
         moved = geometry
-    arm_model = replace(found.identification.arm_model, geometry=moved)
-    there = replace(found, identification=replace(found.identification, arm_model=arm_model))
-    if float(np.median(there.sizes(test).sigma)) <= OUTLIER_SIGMA / 2:
+    there = sizes_of(replace(found.identification.arm_model, geometry=moved), test, found.sizes)
+    if float(np.median(there.sigma)) <= OUTLIER_SIGMA / 2:
         base, tool = _apart(geometry.base, moved.base), _apart(geometry.tool, moved.tool)
         return (
             f"{files}: the held-out rows were measured in another set-up (they miss by {away}, median): with the base "
@@ -183,8 +183,8 @@ def _other_set_up(arm: Arm, found: RobustIdentification, test: Measurements, siz
         )
     return (
         f"{files}: most held-out rows miss by {away} (median), where the training rows agree within "
-        f"{3 * found.position_scale * 1e3:.2g} mm, and no other place of base or tool explains it; check that they are "
-        "of this arm, with the same units, joint signs and order of rows"
+        f"{3 * found.sizes.position_scale * 1e3:.2g} mm, and no other place of base or tool explains it; check that "
+        "they are of this arm, with the same units, joint signs and order of rows"
     )
 
 
@@ -223,38 +223,32 @@ def mixed_unit(
 ) -> str | None:
     """The column and unit that explain most of the outliers, in words; None if none does."""
     outliers = measurements.select(rows)
-    best: tuple[float, str] | None = None
-    for words, other in _readings(arm, outliers):
-        share = float(np.mean(found.sizes(other).sigma < EXPLAINED))
-        if share >= 0.8 and (best is None or share > best[0]):
-            best = (share, words)
-    return best[1] if best else None
+    explained = {
+        words: float(np.mean(found.sizes_of(other).sigma < EXPLAINED)) for words, other in _readings(arm, outliers)
+    }
+    best = max(explained, key=lambda words: explained[words])
+    return best if explained[best] >= 0.8 else None
 
 
-def _readings(arm: Arm, data: Measurements) -> list[tuple[str, Measurements]]:
-    """The same rows with one joint column, or the positions, read in another unit."""
-    found = []
-    for i, slides in enumerate(arm.nominal.prismatic):
-        names = ("mm", "m") if slides else ("deg", "rad")
-        factor = 1e-3 if slides else np.pi / 180
-        for written, scale in ((names[0], factor), (names[1], 1 / factor)):
-            joints = data.joints.copy()
-            joints[:, i] *= scale
-            label = f"joint {i + 1} ({arm.nominal.joint_names[i]})"
-            other = names[0] if written == names[1] else names[1]
-            found.append((f"{label} is read in {written} there and in {other} elsewhere", replace(data, joints=joints)))
+def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]]:
+    """The same rows with one joint column, a position or the attitude read in another unit, and which in words."""
+    length, angle = ("mm", "m", 1e-3), ("deg", "rad", np.pi / 180)
+    values = {"joints": data.joints, "position": data.position}
+    columns = [
+        (f"joint {i + 1} ({arm.nominal.joint_names[i]})", "joints", [i], length if slides else angle)
+        for i, slides in enumerate(arm.nominal.prismatic)
+    ]
     for axes, label in (([0, 1, 2], "the position"), ([0], "x"), ([1], "y"), ([2], "z")):
-        for written, other, scale in (("m", "mm", 1e3), ("mm", "m", 1e-3)):
-            position = data.position.copy()
-            position[:, axes] *= scale
-            words = f"{label} is read in {written} there and in {other} elsewhere"
-            found.append((words, replace(data, position=position)))
+        columns.append((label, "position", axes, length))
     if data.rotation is not None:
-        vectors = rotation_vector(data.rotation)
-        for written, other, factor in (("rad", "deg", np.pi / 180), ("deg", "rad", 180 / np.pi)):
-            turned = replace(data, rotation=rotation_matrix(vectors * factor))
-            found.append((f"the attitude is read in {written} there and in {other} elsewhere", turned))
-    return found
+        values["rotation"] = rotation_vector(data.rotation)
+        columns.append(("the attitude", "rotation", [0, 1, 2], angle))
+    for label, name, axes, (small, large, factor) in columns:
+        for here, elsewhere, scale in ((small, large, factor), (large, small, 1 / factor)):
+            changed = values[name].copy()
+            changed[:, axes] *= scale
+            rows = replace(data, **{name: rotation_matrix(changed) if name == "rotation" else changed})  # type: ignore[arg-type]
+            yield f"{label} is read in {here} there and in {elsewhere} elsewhere", rows
 
 
 def refuse_lost(coverage: Coverage, geometry: Geometry, measurements: Measurements) -> None:

@@ -7,7 +7,6 @@ One pose at a time, online, or a whole data set in one pass. Covariances are upd
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -43,7 +42,7 @@ class FilterState:
         updates: Poses accepted.
         rejected: Poses refused by the innovation gate.
         innovation: Last measured minus predicted pose ``(6,)`` or ``(3,)``, m and rad; empty before the first.
-        surprise: Last normalised innovation squared; 1 per coordinate is expected.
+        nis: Last normalised innovation squared (NIS); 1 per coordinate is expected.
     """
 
     arm_model: ArmModel
@@ -53,7 +52,7 @@ class FilterState:
     updates: int = 0
     rejected: int = 0
     innovation: Array = field(default_factory=lambda: np.empty(0))
-    surprise: float = 0.0
+    nis: float = 0.0
 
     @property
     def geometry(self) -> Geometry:
@@ -72,11 +71,7 @@ class FilterState:
 
     def pose_covariance(self, joints: ArrayLike) -> Array:
         """Covariance of the predicted pose ``(..., 6, 6)``, m and rad, at joints ``(..., n)``: J P J^T."""
-        joints = np.asarray(joints, dtype=float)
-        flat = joints.reshape(-1, joints.shape[-1])
-        jacobian = self.arm_model.jacobian(flat, None)[..., self.columns]
-        spread = jacobian @ self.covariance @ np.swapaxes(jacobian, -1, -2)
-        return np.asarray(spread.reshape(*joints.shape[:-1], 6, 6))
+        return self.arm_model.pose_covariance(self.columns, self.covariance, joints)
 
 
 def start_filter(
@@ -99,9 +94,7 @@ def start_filter(
     Raises:
         InputError: If the poses are so few that they would leave parameters out that others identify.
     """
-    arm = ArmModel.of(start)
-    found = _identifiable(model, arm, joints, full_pose, None)
-    return _diffuse(model, arm, found, prior)
+    return _diffuse(model, ArmModel.of(start), joints, 6 if full_pose else 3, None, prior)[0]
 
 
 def continue_filter(model: ErrorModel, identified: Identification, *, inflation: float = 1.0) -> FilterState:
@@ -224,16 +217,16 @@ def update(
     if not np.isfinite(innovation).all():
         raise InputError("the observed pose or its joints are not finite; leave the pose out")
     jacobian = state.arm_model.jacobian(joints, conditions)[0, :rows][:, state.columns]
-    spread = np.repeat([noise.position_std, noise.attitude_std], 3)[:rows] ** 2
+    variance = np.repeat([noise.position_std, noise.attitude_std], 3)[:rows] ** 2
     crossed = jacobian @ state.covariance
-    expected = crossed @ jacobian.T + np.diag(spread)
+    expected = crossed @ jacobian.T + np.diag(variance)
     solved = np.linalg.solve(expected, np.column_stack([crossed, innovation]))
-    surprise = float(innovation @ solved[:, -1])
-    if gate is not None and surprise > 2.0 * gammaincinv(rows / 2.0, gate):  # quantile of chi squared
-        return replace(state, rejected=state.rejected + 1, innovation=innovation, surprise=surprise)
+    nis = float(innovation @ solved[:, -1])
+    if gate is not None and nis > 2.0 * gammaincinv(rows / 2.0, gate):  # quantile of chi squared
+        return replace(state, rejected=state.rejected + 1, innovation=innovation, nis=nis)
     gain = solved[:, :-1].T
     shrink = np.eye(len(gain)) - gain @ jacobian
-    covariance = shrink @ state.covariance @ shrink.T + (gain * spread) @ gain.T
+    covariance = shrink @ state.covariance @ shrink.T + (gain * variance) @ gain.T
     delta = np.zeros(len(state.arm_model.parameter_names))
     delta[state.columns] = gain @ innovation
     return replace(
@@ -242,7 +235,7 @@ def update(
         covariance=(covariance + covariance.T) / 2.0,
         updates=state.updates + 1,
         innovation=innovation,
-        surprise=surprise,
+        nis=nis,
     )
 
 
@@ -255,7 +248,7 @@ class Filtered:
         identifiability: What could be identified, what was dropped, and what absorbed it.
         delta: Estimated minus starting parameters, m or rad, per model parameter (0 for dropped ones).
         innovations: Measured minus predicted pose of each row before it was used ``(N, 6)`` or ``(N, 3)``, m and rad.
-        surprises: Normalised innovations squared ``(N,)``.
+        nis: Normalised innovation squared of each ``(N,)``.
         rejected: Rows that the gate refused, counted from 0.
         solve_seconds: Time of the pass.
     """
@@ -264,14 +257,9 @@ class Filtered:
     identifiability: Identifiability
     delta: Array
     innovations: Array
-    surprises: Array
+    nis: Array
     rejected: tuple[int, ...]
     solve_seconds: float
-
-    @property
-    def arm_model(self) -> ArmModel:
-        """The estimated arm."""
-        return self.state.arm_model
 
     @property
     def geometry(self) -> Geometry:
@@ -279,28 +267,21 @@ class Filtered:
         return self.state.geometry
 
     @property
-    def covariance(self) -> Array:
-        """Covariance of the kept parameters, under the noise that was assumed."""
-        return self.state.covariance
-
-    @property
     def standard_deviation(self) -> Array:
-        """Of every model parameter, m or rad; NaN for dropped ones."""
-        std = np.full(len(self.identifiability.names), np.nan)
-        std[self.identifiability.kept] = self.state.standard_deviation
-        return std
+        """Of every model parameter, m or rad, under the noise that was assumed; NaN for dropped ones."""
+        return self.identifiability.of_all(self.state.standard_deviation)
 
     @property
     def consistency(self) -> float:
         """Mean normalised innovation squared per coordinate: 1 if the assumed noise explains the innovations."""
-        used = np.setdiff1d(np.arange(len(self.surprises)), self.rejected)
-        return float(np.mean(self.surprises[used]) / self.innovations.shape[1]) if len(used) else float("nan")
+        used = np.setdiff1d(np.arange(len(self.nis)), self.rejected)
+        return float(np.mean(self.nis[used]) / self.innovations.shape[1]) if len(used) else float("nan")
 
     def report(self) -> str:
         """A short report for people."""
         found = self.identifiability
         return (
-            f"one pass over {len(self.surprises)} poses in {1e3 * self.solve_seconds:.0f} ms, "
+            f"one pass over {len(self.nis)} poses in {1e3 * self.solve_seconds:.0f} ms, "
             f"{len(self.rejected)} refused\n"
             f"identifiable: {found.rank} of {len(found.names)} parameters; innovations are "
             f"{np.sqrt(self.consistency):.1f} times as large as the assumed noise explains"
@@ -314,11 +295,9 @@ def filter_measurements(
     *,
     noise: MeasurementNoise | None = None,
     prior: float = PRIOR,
-    process_noise: Array | None = None,
-    seconds: Sequence[float] | Array | None = None,
     gate: float | None = None,
 ) -> Filtered:
-    """Pass once over a data set, row by row.
+    """Pass once over a data set, row by row, of an arm that does not drift; else go by `predict` and `update`.
 
     Args:
         model: The parameters.
@@ -326,8 +305,6 @@ def filter_measurements(
         measurements: Poses or positions.
         noise: Assumed noise; the data set's own where left out.
         prior: Prior standard deviation in tolerances of each parameter.
-        process_noise: Covariance gained per second over the kept parameters, with ``seconds``; None for none.
-        seconds: Time before each row ``(N,)``, s.
         gate: As in `update`.
 
     Raises:
@@ -335,46 +312,36 @@ def filter_measurements(
     """
     begin = time.perf_counter()
     arm = ArmModel.of(start)
-    found = _identifiable(model, arm, measurements.joints, measurements.rotation is not None, measurements.conditions)
-    state = _diffuse(model, arm, found, prior)
+    rows, conditions = measurements.rows_per_pose, measurements.conditions
+    state, found = _diffuse(model, arm, measurements.joints, rows, conditions, prior)
     noise = noise or MeasurementNoise(measurements.position_std, measurements.attitude_std)
-    innovations, surprises, rejected = [], [], []
+    states = [state]
     for i in range(len(measurements)):
         row = measurements.select([i])
-        if process_noise is not None and seconds is not None:
-            state = predict(state, process_noise, float(seconds[i]))
         observed = row.position[0] if row.rotation is None else Pose(row.position[0], row.rotation[0])
-        before = state.rejected
         state = update(state, row.joints[0], observed, noise, conditions=row.conditions, gate=gate)
-        innovations.append(state.innovation)
-        surprises.append(state.surprise)
-        if state.rejected > before:
-            rejected.append(i)
+        states.append(state)
     return Filtered(
         state=state,
         identifiability=found,
         delta=arm.difference(state.arm_model)[model.columns],
-        innovations=np.array(innovations),
-        surprises=np.array(surprises),
-        rejected=tuple(rejected),
+        innovations=np.array([each.innovation for each in states[1:]]),
+        nis=np.array([each.nis for each in states[1:]]),
+        rejected=tuple(np.flatnonzero(np.diff([each.rejected for each in states])).tolist()),
         solve_seconds=time.perf_counter() - begin,
     )
 
 
-def _identifiable(
-    model: ErrorModel, arm: ArmModel, joints: Array, full_pose: bool, conditions: Conditions | None
-) -> Identifiability:
-    """What poses at these joints tell apart, each coordinate weighted by its tolerance."""
-    rows = 6 if full_pose else 3
+def _diffuse(
+    model: ErrorModel, arm: ArmModel, joints: Array, rows: int, conditions: Conditions | None, prior: float
+) -> tuple[FilterState, Identifiability]:
+    """A wide prior on what ``rows`` coordinates of poses at these joints tell apart, each weighted by its tolerance."""
     if len(joints) * rows < len(model.columns):
         raise InputError(
             f"{len(joints)} poses cannot decide which of {len(model.columns)} parameters are identifiable; give the "
             f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
         )
     jacobian = arm.jacobian(np.asarray(joints, dtype=float), conditions)[:, :rows, model.columns] * model.tolerance
-    return identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
-
-
-def _diffuse(model: ErrorModel, arm: ArmModel, found: Identifiability, prior: float) -> FilterState:
+    found = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
     tolerance = model.tolerance[found.kept]
-    return FilterState(arm, model.columns[found.kept], tolerance, np.diag((prior * tolerance) ** 2))
+    return FilterState(arm, model.columns[found.kept], tolerance, np.diag((prior * tolerance) ** 2)), found

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import LENGTH_TOLERANCE, ErrorModel
 from pickenv.calibration.model.gauge import identifiable_parameters
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability, identifiability
@@ -70,9 +71,7 @@ class Identification:
     @property
     def standard_deviation(self) -> Array:
         """Of every parameter, m or rad; NaN for dropped ones."""
-        std = np.full(len(self.identifiability.names), np.nan)
-        std[self.identifiability.kept] = np.sqrt(np.diag(self.covariance))
-        return std
+        return self.identifiability.of_all(np.sqrt(np.diag(self.covariance)))
 
     def report(self) -> str:
         """A short report for people: rank, condition, what was dropped, and the parameters in mm and degrees."""
@@ -109,6 +108,7 @@ def describe_absorption(absorbed_by: dict[str, float]) -> str:
     return f"absorbed by {shown}" + (f" and {len(parts) - 4} more" if len(parts) > 4 else "")
 
 
+@single_threaded()
 def identify(
     model: ErrorModel,
     start: Geometry | ArmModel,
@@ -135,41 +135,11 @@ def identify(
     Raises:
         InputError: If there are too few poses for the model's rank.
     """
-    with single_threaded():
-        return _identify(model, start, data, max_iterations, row_factors, rank_tolerance)
-
-
-def identify_surely(
-    model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Equations]
-) -> Identification:
-    """`identify`; where that wanders among parameters that the data hardly show, again without those.
-
-    Raises:
-        InputError: As `identify`, or if it does not converge even so.
-    """
-    for factor in (1.0, 3.0, 10.0):
-        found = identify(model, start, data, max_iterations=60, rank_tolerance=factor * REDUNDANCY_TOLERANCE)
-        if found.converged:
-            return found
-    raise InputError(
-        f"{observations_of(data)[0].source}: the identification did not converge (residual "
-        f"{found.residual_rms[-1]:.3g} standard uncertainties); check units, joint signs and outliers, or measure more "
-        "varied poses"
-    )
-
-
-def _identify(
-    model: ErrorModel,
-    start: Geometry | ArmModel,
-    data: Measurements | Sequence[Equations],
-    max_iterations: int,
-    row_factors: Array | None,
-    rank_tolerance: float,
-) -> Identification:
-    begin = time.perf_counter()
+    started = time.perf_counter()
     sets = observations_of(data)
     arm = ArmModel.of(start)
     unknowns = [part.start(arm) for part in sets]
+    begun = np.concatenate(unknowns)
     own = tuple(name for part in sets for name in part.unknowns())
     names = own + model.names
     tolerance = np.concatenate([np.full(len(own), LENGTH_TOLERANCE), model.tolerance])
@@ -211,23 +181,40 @@ def _identify(
             break
         matrix = _system(model, sets, arm, unknowns, tolerance, factors)
         damping = damping / 10.0 if damping > 1e-6 else 0.0
-    own_change = np.concatenate([np.zeros(0), *unknowns]) - np.concatenate(
-        [np.zeros(0), *(part.start(iterates[0]) for part in sets)]
-    )
+    ended = np.concatenate(unknowns)
     return Identification(
         arm_model=arm,
-        unknowns=dict(zip(own, np.concatenate([np.zeros(0), *unknowns]).tolist(), strict=True)),
+        unknowns=dict(zip(own, ended.tolist(), strict=True)),
         identifiability=found,
-        delta=np.concatenate([own_change, iterates[0].difference(arm)[model.columns]]),
+        delta=np.concatenate([ended - begun, iterates[0].difference(arm)[model.columns]]),
         covariance=_covariance(matrix, weighted, found, tolerance),
         chi_square=float(weighted @ weighted),
         degrees_of_freedom=len(weighted) - found.rank,
         converged=converged,
         residual_rms=tuple(history),
         iterates=tuple(iterates),
-        solve_seconds=time.perf_counter() - begin,
+        solve_seconds=time.perf_counter() - started,
         poses=poses,
         kind="+".join(dict.fromkeys(part.kind for part in sets if len(part.joints))),
+    )
+
+
+def identify_surely(
+    model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Equations]
+) -> Identification:
+    """`identify`; where that wanders among parameters that the data hardly show, again without those.
+
+    Raises:
+        InputError: As `identify`, or if it does not converge even so.
+    """
+    for factor in (1.0, 3.0, 10.0):
+        found = identify(model, start, data, max_iterations=60, rank_tolerance=factor * REDUNDANCY_TOLERANCE)
+        if found.converged:
+            return found
+    raise InputError(
+        f"{observations_of(data)[0].source}: the identification did not converge (residual "
+        f"{found.residual_rms[-1]:.3g} standard uncertainties); check units, joint signs and outliers, or measure more "
+        "varied poses"
     )
 
 
@@ -285,27 +272,18 @@ def _system(
     factors: Array | float,
 ) -> Array:
     """Whitened, scaled Jacobian: unknowns first, then the model's columns."""
-    blocks, before, count = [], 0, sum(len(values) for values in unknowns)
-    for part, values in zip(sets, unknowns, strict=True):
-        by_arm, by_unknown = part.jacobian(arm, values)
-        block = np.zeros((len(by_arm), count + len(model.columns)))
-        block[:, before : before + len(values)] = by_unknown
-        block[:, count:] = by_arm[:, model.columns]
-        blocks.append(block)
-        before += len(values)
-    matrix = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-    return np.asarray(matrix * (tolerance * factors))
+    parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
+    by_arm = np.concatenate([columns[:, model.columns] for columns, _ in parts])
+    by_unknown = block_diag(*(columns for _, columns in parts))
+    return np.asarray(np.hstack([by_unknown, by_arm]) * (tolerance * factors))
 
 
 def _moved(arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array) -> tuple[ArmModel, list[Array]]:
     """The arm and the unknowns after ``change`` (unknowns first, then the model's parameters)."""
-    moved, before = [], 0
-    for values in unknowns:
-        moved.append(values + change[before : before + len(values)])
-        before += len(values)
+    *own, ours = np.split(change, np.cumsum([len(values) for values in unknowns]))
     delta = np.zeros(len(arm.parameter_names))
-    delta[model.columns] = change[before:]
-    return arm.displaced(delta), moved
+    delta[model.columns] = ours
+    return arm.displaced(delta), [values + part for values, part in zip(unknowns, own, strict=True)]
 
 
 def _solve(matrix: Array, right: Array, damping: float) -> Array:
@@ -344,13 +322,7 @@ def _enough_poses(
         full = found.rank
     else:
         count = 60
-        probe = replace(
-            part,
-            joints=random_joints(arm.geometry, count, np.random.default_rng(0)),
-            position=np.zeros((count, 3)),
-            rotation=None if part.rotation is None else np.broadcast_to(np.eye(3), (count, 3, 3)),
-            conditions=Conditions(),
-        )
+        probe = part.imagined(random_joints(arm.geometry, count, np.random.default_rng(0)))
         geometric = model.columns < len(arm.geometry.parameter_names)
         names = tuple(name for name, keep in zip(model.names, geometric, strict=True) if keep)
         links = ErrorModel(model.columns[geometric], names, model.tolerance[geometric])

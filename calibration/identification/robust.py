@@ -20,11 +20,15 @@ from pickenv.calibration.identification.least_squares import Identification, ide
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import nearest_rotation
 from pickenv.calibration.model.splits import Rows
 from pickenv.errors import InputError
 
 OUTLIER_SIGMA = 10.0
 """A pose off by more robust standard deviations than this is an outlier; what a model leaves out stays below it."""
+
+WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
+"""Least squares at most, alignments at most, and fours of poses that are tried."""
 
 MEDIAN_NORM = float(np.sqrt(2.0 * gammaincinv(1.5, 0.5)))
 """Median norm of three independent standard normal numbers, 1.538."""
@@ -38,45 +42,20 @@ LOSSES: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
 """Weight of a pose by its size in standard deviations per coordinate; constants for 95 % efficiency on normal noise."""
 
 
-@dataclass(frozen=True)
-class Outlier:
-    """A pose that does not fit.
-
-    Attributes:
-        row: Row of the data set, counted from 0.
-        position: Size of its position error, m.
-        attitude: Size of its attitude error, rad; None where only positions were measured.
-        sigma: The larger of both in robust standard deviations of one coordinate.
-        weight: Weight that it was left with.
-    """
-
-    row: int
-    position: float
-    attitude: float | None
-    sigma: float
-    weight: float
-
-
 @dataclass(frozen=True, eq=False)
 class RobustIdentification:
     """An identification with the weights it ended at.
 
     Attributes:
         identification: The last weighted least squares.
-        weights: Weight of each pose ``(N,)``, 0 to 1.
-        outliers: Poses that do not fit, largest first.
-        position_scale: Robust standard deviation of one position coordinate, m.
-        attitude_scale: Robust standard deviation of one attitude coordinate, rad; None for positions.
-        rounds: Least squares solved.
+        weights: Weight of each pose ``(N,)`` in it, 0 to 1.
+        sizes: Sizes of the errors that it leaves.
         settled: Whether the weights stopped changing.
     """
 
     identification: Identification
     weights: Array
-    outliers: tuple[Outlier, ...]
-    position_scale: float
-    attitude_scale: float | None
-    rounds: int
+    sizes: Sizes
     settled: bool
 
     @property
@@ -84,14 +63,9 @@ class RobustIdentification:
         """The identified geometry."""
         return self.identification.geometry
 
-    @property
-    def inliers(self) -> Array:
-        """Rows that are no outliers, in order."""
-        return np.setdiff1d(np.arange(len(self.weights)), [outlier.row for outlier in self.outliers])
-
-    def sizes(self, measurements: Measurements) -> Sizes:
+    def sizes_of(self, measurements: Measurements) -> Sizes:
         """Sizes of the errors of any rows by this arm's identified model, in the standard deviations found here."""
-        return _sizes(self.identification.arm_model, measurements, (self.position_scale, self.attitude_scale))
+        return sizes_of(self.identification.arm_model, measurements, self.sizes)
 
 
 def robust_identify(
@@ -100,8 +74,6 @@ def robust_identify(
     measurements: Measurements,
     *,
     loss: str = "cauchy",
-    sigma: float = OUTLIER_SIGMA,
-    max_rounds: int = 30,
 ) -> RobustIdentification:
     """Identify with iteratively re-weighted least squares; the first weights come from the starting geometry.
 
@@ -110,26 +82,22 @@ def robust_identify(
         start: Geometry, or geometry with terms; near the data (see `robust_align`).
         measurements: Poses or positions.
         loss: "huber" (an outlier keeps a bounded pull) or "cauchy" (a gross one loses all of it).
-        sigma: Poses beyond this many robust standard deviations are listed as outliers.
-        max_rounds: Least squares at most.
 
     Raises:
         InputError: If the loss is unknown, or as `identify`.
     """
     if loss not in LOSSES:
         raise InputError(f"unknown loss '{loss}'; give one of {', '.join(LOSSES)}")
-    arm = ArmModel.of(start)
-    weights = _judged(arm, measurements).weights(loss)
-    settled, rounds = False, 0
-    while True:
-        rounds += 1
-        found = identify(model, arm, measurements, row_factors=_row_factors(weights, measurements))
-        judged = _judged(found.arm_model, measurements)
-        previous, weights = weights, judged.weights(loss)
-        settled = bool(np.max(np.abs(weights - previous)) < 1e-3)
-        if settled or rounds == max_rounds:
+    weights = sizes_of(ArmModel.of(start), measurements).weights(loss)
+    for _ in range(WEIGHTINGS):
+        factors = np.repeat(np.sqrt(weights), measurements.rows_per_pose)
+        found = identify(model, start, measurements, row_factors=factors)
+        sizes = sizes_of(found.arm_model, measurements)
+        used, weights = weights, sizes.weights(loss)
+        settled = bool(np.max(np.abs(weights - used)) < 1e-3)
+        if settled:
             break
-    return _result(found, judged, previous, sigma, rounds, settled)
+    return RobustIdentification(found, used, sizes, settled)
 
 
 def robust_align(
@@ -137,10 +105,6 @@ def robust_align(
     measurements: Measurements,
     frames: ErrorModel,
     rng: np.random.Generator,
-    *,
-    trials: int = 500,
-    sigma: float = OUTLIER_SIGMA,
-    max_rounds: int = 10,
 ) -> RobustIdentification:
     """`align` for data with gross errors: base and tool from the poses that agree with each other.
 
@@ -152,9 +116,6 @@ def robust_align(
         measurements: Poses or positions, from anywhere.
         frames: Base and tool parameters (`frames_model`).
         rng: Draws the fours.
-        trials: Fours tried.
-        sigma: Poses beyond this many robust standard deviations take no part.
-        max_rounds: Repetitions at most.
 
     Raises:
         InputError: As `align`.
@@ -163,20 +124,18 @@ def robust_align(
     if count < 8:
         raise InputError(f"{measurements.source}: {count} poses are too few to tell outliers; measure at least 8")
     nominal, measured = forward(geometry, measurements.joints).position, measurements.position
-    rows = np.argsort(rng.random((trials, count)), axis=1)[:, :4]
+    rows = np.argsort(rng.random((FOURS, count)), axis=1)[:, :4]
     missed = _registered_misses(nominal, measured, rows)
     best = missed[np.argmin(np.median(missed, axis=1))]
     kept = best <= 5.0 * np.median(best)
-    settled, rounds = False, 0
-    while True:
-        rounds += 1
+    for _ in range(SELECTIONS):
         found = align(geometry, measurements.select(kept), frames)
-        judged = _judged(found.arm_model, measurements)
-        used, kept = kept, judged.sigma <= sigma
+        sizes = sizes_of(found.arm_model, measurements)
+        used, kept = kept, sizes.sigma <= OUTLIER_SIGMA
         settled = bool(np.array_equal(used, kept))
-        if settled or rounds == max_rounds:
+        if settled:
             break
-    return _result(found, judged, used.astype(float), sigma, rounds, settled)
+    return RobustIdentification(found, used.astype(float), sizes, settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,59 +166,33 @@ class Sizes:
         """The larger of position and attitude error, in standard deviations of one coordinate ``(N,)``."""
         return np.asarray(np.max(self._parts, axis=0))
 
+    @property
+    def outliers(self) -> Rows:
+        """Rows beyond `OUTLIER_SIGMA`, the largest first."""
+        order = np.argsort(-self.sigma, kind="stable")
+        return order[self.sigma[order] > OUTLIER_SIGMA]
+
     def weights(self, loss: str) -> Array:
         """Weights ``(N,)`` by the size per coordinate."""
         squares = np.sum(np.square(self._parts), axis=0) / (3 * len(self._parts))
         return LOSSES[loss](np.sqrt(squares))
 
 
-def _judged(arm: ArmModel, measurements: Measurements) -> Sizes:
-    """Sizes of the residuals in their own robust standard deviations."""
-    return _sizes(arm, measurements, None)
-
-
-def _sizes(arm: ArmModel, measurements: Measurements, scales: tuple[float, float | None] | None) -> Sizes:
-    """Sizes in given standard deviations, or robust ones that never fall below the instrument's own uncertainty."""
+def sizes_of(arm: ArmModel, measurements: Measurements, like: Sizes | None = None) -> Sizes:
+    """Sizes in the standard deviations of others, or in robust ones, never below the instrument's own uncertainty."""
     left = measurements.difference(arm)
-    position = np.linalg.norm(left[:, :3], axis=1)
-    attitude = None if measurements.rotation is None else np.linalg.norm(left[:, 3:], axis=1)
-    if scales is None:
-        position_scale = max(float(np.median(position)) / MEDIAN_NORM, measurements.position_std)
-        attitude_scale = (
-            None if attitude is None else max(float(np.median(attitude)) / MEDIAN_NORM, measurements.attitude_std)
-        )
-        scales = (position_scale, attitude_scale)
-    return Sizes(position, attitude if scales[1] is not None else None, *scales)
-
-
-def _row_factors(weights: Array, measurements: Measurements) -> Array:
-    return np.asarray(np.repeat(np.sqrt(weights), measurements.rows_per_pose))
-
-
-def _result(
-    found: Identification, judged: Sizes, weights: Array, sigma: float, rounds: int, settled: bool
-) -> RobustIdentification:
-    sizes = judged.sigma
-    rows = [int(row) for row in np.argsort(-sizes, kind="stable") if sizes[row] > sigma]
-    outliers = tuple(
-        Outlier(
-            row=row,
-            position=float(judged.position[row]),
-            attitude=None if judged.attitude is None else float(judged.attitude[row]),
-            sigma=float(sizes[row]),
-            weight=float(weights[row]),
-        )
-        for row in rows
-    )
-    return RobustIdentification(found, weights, outliers, judged.position_scale, judged.attitude_scale, rounds, settled)
+    sizes = [np.linalg.norm(part, axis=1) for part in np.split(left, [3], axis=1)]
+    stated = (measurements.position_std, measurements.attitude_std)
+    scales = [max(float(np.median(size)) / MEDIAN_NORM, std) for size, std in zip(sizes, stated, strict=True)]
+    position, attitude = scales if like is None else (like.position_scale, like.attitude_scale)
+    if measurements.rotation is None or attitude is None:
+        return Sizes(sizes[0], None, position, None)
+    return Sizes(sizes[0], sizes[1], position, attitude)
 
 
 def _registered_misses(nominal: Array, measured: Array, rows: Rows) -> Array:
     """Distances ``(T, N)`` of measured points from nominal ones after T rigid registrations of few rows (Kabsch)."""
     here, there = nominal[rows], measured[rows]
     from_, to = here.mean(axis=1, keepdims=True), there.mean(axis=1, keepdims=True)
-    u, _, vt = np.linalg.svd(np.swapaxes(here - from_, 1, 2) @ (there - to))
-    mirror = np.ones((len(rows), 3))
-    mirror[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    turn = (u * mirror[:, None, :]) @ vt  # row vectors: point @ turn
+    turn = nearest_rotation(np.swapaxes(here - from_, 1, 2) @ (there - to))  # row vectors: point @ turn
     return np.asarray(np.linalg.norm((nominal - from_) @ turn + to - measured, axis=2))

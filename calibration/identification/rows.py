@@ -18,17 +18,6 @@ def unknowns_of(found: Identification, observations: Observations) -> Array:
     return np.array([found.unknowns[name] for name in observations.unknowns()])
 
 
-def blocks(observations: Observations, folds: int) -> list[tuple[Rows, Rows]]:
-    """Contiguous folds of the rows, each socket's by itself: for each, the training and the held-out rows."""
-    groups = observations.groups
-    fold = np.zeros(len(groups), dtype=int)
-    for number in np.unique(groups):
-        rows = np.flatnonzero(groups == number)
-        for i, part in enumerate(np.array_split(rows, folds)):
-            fold[part] = i
-    return [(np.flatnonzero(fold != i), np.flatnonzero(fold == i)) for i in range(folds)]
-
-
 def choose(
     observations: Observations, split: str, test_rows: int | None, rng: np.random.Generator
 ) -> tuple[Rows, Rows]:

@@ -12,11 +12,12 @@ import numpy as np
 
 from pickenv.arm import Arm, Geometry
 from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.identification.rows import blocks, unknowns_of
+from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import geometric_model, with_terms
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import coefficients_prior
+from pickenv.calibration.model.splits import contiguous_folds, thinned
 from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, ThermalTerm
 from pickenv.errors import InputError
 
@@ -98,10 +99,9 @@ def choose_terms(arm: Arm, aligned: Geometry, observations: Observations, known:
         observations: Training rows.
         known: Whether base and tool are known.
     """
-    count = len(observations.joints)
-    data = observations.select(np.unique(np.linspace(0, count - 1, ROWS).astype(int)))
+    data = observations.select(thinned(len(observations.joints), ROWS))
     folds = []
-    for train, test in blocks(data, FOLDS):
+    for train, test in contiguous_folds(data.groups, FOLDS):
         here = data.select(train)
         folds.append((identify(geometric_model(aligned, known), aligned, [here]), here, data.select(test)))
 

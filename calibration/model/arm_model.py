@@ -32,8 +32,7 @@ class Conditions:
 
     def select(self, rows: NDArray[Any]) -> Conditions:
         """The conditions of the given rows."""
-        parts = {name: getattr(self, name) for name in ("payload", "temperature", "torque")}
-        return Conditions(**{name: None if part is None else part[rows] for name, part in parts.items()})
+        return Conditions(**{name: None if part is None else part[rows] for name, part in vars(self).items()})
 
     def spread(self, shape: tuple[int, ...]) -> Conditions:
         """One value each, repeated for a batch of poses of this shape (flattened)."""
@@ -54,19 +53,12 @@ class Term(Protocol):
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
         """Names of its coefficients."""
-        ...
 
     def tolerances(self, geometry: Geometry) -> Array:
         """Scale of each coefficient: about 1 mm at the tool, in the coefficient's own unit."""
-        ...
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Pose displacement per unit of each coefficient ``(N, 6, k)``, m and rad, world axes."""
-        ...
-
-    def specification(self) -> dict[str, Any]:
-        """What `pickenv.calibration.model.terms.term_from` needs to make it again (JSON)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +107,22 @@ class ArmModel:
         """Derivative of the pose by every parameter ``(N, 6, 5n + 12 + k)``."""
         geometric = parameter_jacobian(self.geometry, joints)
         return np.concatenate([geometric, self._columns(joints, conditions)], axis=-1) if self.terms else geometric
+
+    def pose_covariance(
+        self, columns: ArrayLike, covariance: Array, joints: ArrayLike, conditions: Conditions | None = None
+    ) -> Array:
+        """Covariance J C J^T ``(..., 6, 6)`` of the pose at joints ``(..., n)``, m and rad.
+
+        Args:
+            columns: Indices of the parameters whose errors have the covariance C ``(p,)``.
+            covariance: C ``(p, p)``, m and rad.
+            joints: Joints, rad or m.
+            conditions: As for `pose`.
+        """
+        joints = np.asarray(joints, dtype=float)
+        jacobian = self.jacobian(joints.reshape(-1, joints.shape[-1]), conditions)[..., np.asarray(columns)]
+        found = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
+        return np.asarray(found.reshape(*joints.shape[:-1], 6, 6))
 
     def displaced(self, delta: Array) -> ArmModel:
         """This model with ``delta`` ``(5n + 12 + k,)`` added to its parameters."""

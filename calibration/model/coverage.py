@@ -54,33 +54,23 @@ class Coverage:
         return f"{what} {', '.join(self.lost)} cannot be told from others because of the poses alone; {remedy}"
 
 
-def pose_coverage(
-    model: ErrorModel, geometry: Geometry, measurements: Measurements, rng: np.random.Generator | None = None
-) -> Coverage:
+def pose_coverage(model: ErrorModel, geometry: Geometry, measurements: Measurements) -> Coverage:
     """Compare the rank on the actual poses with the rank on full-range poses.
 
     Args:
         model: Geometric parameters.
         geometry: The arm.
         measurements: The data set; only its joints, kind and uncertainties matter.
-        rng: Draws the full-range poses; a fixed one when left out.
     """
-    rng = rng or np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     actual = measurements.joints
     drawn = random_joints(geometry, PROBES, rng)
+    used = np.ptp(actual, axis=0) / (geometry.upper - geometry.lower)
     resampled = actual[rng.integers(0, len(actual), PROBES)]
 
     def dropped(joints: Array) -> set[str]:
-        rotation = None if measurements.rotation is None else np.broadcast_to(np.eye(3), (len(joints), 3, 3))
-        data = Measurements(
-            joints,
-            np.zeros((len(joints), 3)),
-            rotation,
-            measurements.prismatic,
-            measurements.position_std,
-            measurements.attitude_std,
-        )
-        matrix = data.jacobian(ArmModel.of(geometry), np.zeros(0))[0][:, model.columns] * model.tolerance
+        by_arm, _ = measurements.imagined(joints).jacobian(ArmModel.of(geometry), np.zeros(0))
+        matrix = by_arm[:, model.columns] * model.tolerance
         found = identifiability(matrix, model.names, model.tolerance, len(joints))
         return {item.name for item in found.dropped}
 
@@ -97,7 +87,6 @@ def pose_coverage(
         one = min(trials, key=lambda i: len(trials[i]))
         if len(trials[one]) >= len(now) and len(left) > 1:
             # No single joint helps: two must move together; take the one that is used least and go on.
-            used = np.ptp(actual, axis=0) / (geometry.upper - geometry.lower)
             one = min(left, key=lambda i: float(used[i]))
         chosen.append(one)
         left.remove(one)
@@ -107,6 +96,6 @@ def pose_coverage(
         full_rank=len(model.names) - len(best),
         lost=tuple(name for name in model.names if name in here - best),
         move=tuple(sorted(chosen)),
-        used=np.ptp(actual, axis=0) / (geometry.upper - geometry.lower),
+        used=used,
         joint_names=geometry.joint_names,
     )

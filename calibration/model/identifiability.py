@@ -62,6 +62,12 @@ class Identifiability:
         """Condition number of the kept, scaled parameters."""
         return float(self.singular_values[0] / self.singular_values[-1])
 
+    def of_all(self, kept: Array) -> Array:
+        """One value per parameter ``(P,)`` from one per kept one; NaN for dropped ones."""
+        values = np.full(len(self.names), np.nan)
+        values[self.kept] = kept
+        return values
+
     @property
     def kept_names(self) -> tuple[str, ...]:
         """Names of the identifiable base set."""

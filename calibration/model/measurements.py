@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Geometry, Plant, Pose, pose_error, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.origins import Origins, origins_of
+from pickenv.calibration.model.observations import OneGroup, selected
+from pickenv.calibration.model.origins import Origins
 from pickenv.files import write_whole
 
 POSITION_STD = 15e-6
@@ -39,7 +40,7 @@ FRAMES_COLUMN = "frames"
 
 
 @dataclass(frozen=True, eq=False)
-class Measurements:
+class Measurements(OneGroup):
     """A data set: N poses of an arm with n joints; the commonest of `Observations`.
 
     Attributes:
@@ -85,16 +86,7 @@ class Measurements:
 
     def select(self, rows: ArrayLike) -> Measurements:
         """The data set that holds only the given rows (indices or a mask)."""
-        rows = np.asarray(rows)
-        rotation = None if self.rotation is None else self.rotation[rows]
-        return replace(
-            self,
-            joints=self.joints[rows],
-            position=self.position[rows],
-            rotation=rotation,
-            conditions=self.conditions.select(rows),
-            origins=origins_of(self).select(rows),
-        )
+        return selected(self, rows, "position", "rotation")
 
     @property
     def row_weights(self) -> Array:
@@ -112,16 +104,6 @@ class Measurements:
     def framed(self) -> bool:
         """Poses and positions are stated in the instrument's frame."""
         return True
-
-    @property
-    def groups(self) -> NDArray[np.int64]:
-        """All rows are of one group."""
-        return np.zeros(len(self), dtype=np.int64)
-
-    @property
-    def rows_of_misses(self) -> NDArray[np.int64]:
-        """One miss per pose."""
-        return np.arange(len(self))
 
     def unknowns(self) -> tuple[str, ...]:
         """None: base and tool are parameters of the geometry."""
@@ -148,6 +130,12 @@ class Measurements:
     def readings(self) -> Array:
         """The measured positions."""
         return self.position
+
+    def imagined(self, joints: Array) -> Measurements:
+        """What such an instrument would be asked at other joints ``(M, n)``; only kind and uncertainties are real."""
+        rotation = None if self.rotation is None else np.broadcast_to(np.eye(3), (len(joints), 3, 3))
+        blank = np.zeros((len(joints), 3))
+        return replace(self, joints=joints, position=blank, rotation=rotation, conditions=Conditions(), origins=None)
 
     def positions_only(self) -> Measurements:
         """The same data set without attitudes."""

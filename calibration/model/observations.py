@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.origins import Origins, origins_of
+from pickenv.calibration.model.origins import Origins
 
 NONE_KNOWN = Conditions()
 """Neither payload nor temperature nor torques were recorded."""
@@ -31,78 +31,79 @@ class Equations(Protocol):
     @property
     def joints(self) -> Array:
         """Joints ``(N, n)``, rad or m."""
-        ...
-
-    @property
-    def conditions(self) -> Conditions:
-        """Payload, temperature and torques, where known."""
-        ...
 
     @property
     def source(self) -> str:
         """Where the data come from."""
-        ...
 
     @property
     def kind(self) -> str:
         """Name of the kind."""
-        ...
-
-    @property
-    def origins(self) -> Origins | None:
-        """File and line of each row; None where they come from no file."""
-        ...
 
     @property
     def framed(self) -> bool:
         """Whether the instrument has a frame, so that the arm's base pose can be seen at all."""
-        ...
 
     def unknowns(self) -> tuple[str, ...]:
         """Names of the kind's own unknowns, all lengths (m)."""
-        ...
 
     def start(self, model: ArmModel) -> Array:
         """Closed-form values of the unknowns for a model."""
-        ...
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Measured minus predicted, whitened, ``(rows,)``."""
-        ...
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Whitened derivatives by the model ``(rows, 5n + 12 + k)`` and by the unknowns ``(rows, own)``."""
-        ...
 
 
 class Observations(Equations, Protocol):
     """A data set of any kind: rows that can be chosen, told apart, and compared with a model in metres."""
 
     @property
+    def conditions(self) -> Conditions:
+        """Payload, temperature and torques, where known."""
+
+    @property
+    def origins(self) -> Origins | None:
+        """File and line of each row; None where they come from no file."""
+
+    @property
     def groups(self) -> Rows:
         """Rows of one number belong together ``(N,)``, and a split takes its share of each (sockets)."""
-        ...
 
     @property
     def rows_of_misses(self) -> Rows:
         """The row that each of `misses` belongs to ``(R,)``."""
-        ...
 
     def select(self, rows: Rows) -> Self:
         """The data set that holds only the given rows."""
-        ...
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Measured minus predicted positions ``(R, 3)``, or lengths ``(R, 1)``, m."""
-        ...
 
     def readings(self) -> Array:
         """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
-        ...
+
+
+class OneGroup:
+    """Rows that a split may part anywhere, each of which misses once."""
+
+    joints: Array
+
+    @property
+    def groups(self) -> Rows:
+        """All rows are of one group."""
+        return np.zeros(len(self.joints), dtype=np.int64)
+
+    @property
+    def rows_of_misses(self) -> Rows:
+        """One miss per row."""
+        return np.arange(len(self.joints))
 
 
 @dataclass(frozen=True, eq=False)
-class ReflectorObservations:
+class ReflectorObservations(OneGroup):
     """Positions of k reflectors fixed to the tool, some of them lost in some poses.
 
     Attributes:
@@ -126,18 +127,13 @@ class ReflectorObservations:
     origins: Origins | None = None
 
     @property
-    def groups(self) -> Rows:
-        """All rows are of one group."""
-        return np.zeros(len(self.joints), dtype=np.int64)
-
-    @property
     def rows_of_misses(self) -> Rows:
         """One miss per reflector seen."""
         return np.nonzero(self.seen)[0]
 
     def select(self, rows: Rows) -> Self:
         """The data set that holds only the given rows."""
-        return _selected(self, rows, "points", "seen", *(["covariance"] if self.covariance.ndim > 2 else []))
+        return selected(self, rows, "points", "seen", *(["covariance"] if self.covariance.ndim > 2 else []))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """One per reflector seen."""
@@ -184,7 +180,7 @@ class ReflectorObservations:
 
 
 @dataclass(frozen=True, eq=False)
-class DistanceObservations:
+class DistanceObservations(OneGroup):
     """Lengths of a wire between the tool's origin and an unknown fixed anchor (draw-wire sensor, ball bar).
 
     Attributes:
@@ -205,19 +201,9 @@ class DistanceObservations:
     framed: bool = False
     origins: Origins | None = None
 
-    @property
-    def groups(self) -> Rows:
-        """All rows are of one group."""
-        return np.zeros(len(self.joints), dtype=np.int64)
-
-    @property
-    def rows_of_misses(self) -> Rows:
-        """One miss per length."""
-        return np.arange(len(self.joints))
-
     def select(self, rows: Rows) -> Self:
         """The data set that holds only the given rows."""
-        return _selected(self, rows, "length")
+        return selected(self, rows, "length")
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Measured minus predicted lengths."""
@@ -252,7 +238,7 @@ class DistanceObservations:
 
 
 @dataclass(frozen=True, eq=False)
-class SocketObservations:
+class SocketObservations(OneGroup):
     """A ball on the tool rests in sockets that do not move: no metrology but the known spacing of some sockets.
 
     Attributes:
@@ -284,14 +270,9 @@ class SocketObservations:
         """Each socket's rows are a group, so that each is trained on."""
         return self.socket
 
-    @property
-    def rows_of_misses(self) -> Rows:
-        """One miss per ball."""
-        return np.arange(len(self.joints))
-
     def select(self, rows: Rows) -> Self:
         """The data set that holds only the given rows."""
-        return _selected(self, rows, "socket")
+        return selected(self, rows, "socket")
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Socket minus ball."""
@@ -332,11 +313,19 @@ class SocketObservations:
         return by_geometry, np.concatenate([rest, apart])
 
 
-def _selected(data: Kind, rows: Rows, *names: str) -> Kind:
-    """Some rows of a data set whose arrays of these names hold one entry per row."""
-    changed: dict[str, Any] = {name: getattr(data, name)[rows] for name in ("joints", *names)}
+def selected(data: Kind, rows: ArrayLike, *names: str) -> Kind:
+    """Some rows (indices or a mask) of a data set whose arrays of these names, where any, hold one entry per row."""
+    rows = np.asarray(rows)
+    values: dict[str, Any] = {name: getattr(data, name) for name in ("joints", *names)}
+    changed = {name: None if value is None else value[rows] for name, value in values.items()}
     changed |= {"conditions": data.conditions.select(rows), "origins": origins_of(data).select(rows)}
     return replace(data, **changed)  # type: ignore[type-var]
+
+
+def origins_of(data: Observations) -> Origins:
+    """File and line of each row; rows that come from no file are counted from 1."""
+    count = len(data.joints)
+    return data.origins or Origins((data.source,), np.zeros(count, dtype=np.int64), np.arange(1, count + 1))
 
 
 def point_jacobian(pose_jacobian: Array, lever: Array) -> Array:
@@ -378,9 +367,13 @@ def tracker_covariance(
 def poses_from_reflectors(points: Array, reference: Array) -> Pose:
     """Poses that carry the ``reference`` reflectors ``(k, 3)`` onto ``points`` ``(N, k, 3)``: Kabsch 1976, batched."""
     centre, middle = points.mean(axis=1), reference.mean(axis=0)
-    u, _, vt = np.linalg.svd(np.einsum("ki,nkj->nij", reference - middle, points - centre[:, None]))
-    v = np.swapaxes(vt, -1, -2)
-    flip = np.linalg.det(v @ np.swapaxes(u, -1, -2))
-    signs = np.stack([np.ones_like(flip), np.ones_like(flip), np.sign(flip)], -1)
-    rotation = (v * signs[:, None]) @ np.swapaxes(u, -1, -2)
+    rotation = nearest_rotation(np.einsum("nki,kj->nij", points - centre[:, None], reference - middle))
     return Pose(centre - rotation @ middle, rotation)
+
+
+def nearest_rotation(matrix: Array) -> Array:
+    """The rotations nearest to matrices ``(..., 3, 3)`` (orthogonal Procrustes with positive determinant)."""
+    u, _, vt = np.linalg.svd(matrix)
+    signs = np.ones(matrix.shape[:-1])
+    signs[..., 2] = np.sign(np.linalg.det(u @ vt))
+    return np.asarray((u * signs[..., None, :]) @ vt)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,28 +51,3 @@ def named(places: Sequence[tuple[str, int]]) -> str:
         shown = ", ".join(lines[:NAMED]) + (f" and {len(lines) - NAMED} more" if len(lines) > NAMED else "")
         texts.append(f"{file}: {'row' if len(lines) == 1 else 'rows'} {shown}")
     return "; ".join(texts)
-
-
-class Sourced(Protocol):
-    """Data that say where they come from."""
-
-    @property
-    def joints(self) -> NDArray[np.float64]:
-        """Joints ``(N, n)``."""
-        ...
-
-    @property
-    def source(self) -> str:
-        """Where the data come from."""
-        ...
-
-    @property
-    def origins(self) -> Origins | None:
-        """File and line of each row; None where they come from no file."""
-        ...
-
-
-def origins_of(data: Sourced) -> Origins:
-    """File and line of each row; rows that come from no file are counted from 1."""
-    count = len(data.joints)
-    return data.origins or Origins((data.source,), np.zeros(count, dtype=np.int64), np.arange(1, count + 1))

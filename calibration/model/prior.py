@@ -6,13 +6,13 @@ A term's coefficients are expected to be zero within a few tolerances. Without t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.arm_model import ArmModel
 
 EXPECTED = 1.0
 """Standard deviation of a term's coefficient before measuring, in its tolerances (1 mm or 1 mrad at the tool)."""
@@ -34,8 +34,6 @@ class Prior:
     source: str = "prior"
     kind: str = "prior"
     framed: bool = False
-    conditions: Conditions = field(default_factory=Conditions)
-    origins: None = None
 
     @property
     def joints(self) -> Array:
@@ -61,15 +59,14 @@ class Prior:
         return rows, np.zeros((len(rows), 0))
 
 
-def coefficients_prior(start: ArmModel, scatter: float, expected: float = EXPECTED) -> Prior:
+def coefficients_prior(start: ArmModel, scatter: float) -> Prior:
     """A prior on all coefficients of the model's terms.
 
     Args:
         start: The model; its coefficients are expected.
         scatter: What remains without the terms, in claimed standard uncertainties: the prior is weighed against what
             the data are really worth.
-        expected: Standard deviation of a coefficient, in tolerances.
     """
     first = len(start.geometry.parameter_names)
     columns = np.arange(first, first + len(start.coefficients))
-    return Prior(start, columns, start.term_tolerances * expected / max(scatter, 1e-9))
+    return Prior(start, columns, start.term_tolerances * EXPECTED / max(scatter, 1e-9))

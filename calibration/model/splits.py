@@ -14,6 +14,11 @@ from pickenv.errors import InputError
 Rows = NDArray[np.int64]
 
 
+def thinned(rows: int, most: int) -> Rows:
+    """Indices of so many of the rows at most, at equal distances."""
+    return np.unique(np.linspace(0, rows - 1, most).astype(int))
+
+
 def random_split(rows: int, test_rows: int, rng: np.random.Generator) -> tuple[Rows, Rows]:
     """A seeded shuffle: the last ``test_rows`` of it are held out.
 
@@ -53,6 +58,25 @@ def blocked_split(rows: int, test_rows: int | None = None) -> tuple[Rows, Rows]:
     for start, length in zip(begin, (first, second), strict=True):
         held[start : start + length] = True
     return np.flatnonzero(~held), np.flatnonzero(held)
+
+
+def contiguous_folds(groups: Rows, folds: int) -> list[tuple[Rows, Rows]]:
+    """Contiguous folds of rows, each group's by itself: for each, the training and the held-out rows.
+
+    Args:
+        groups: The group of each row ``(N,)``.
+        folds: How many.
+
+    Raises:
+        InputError: If there are fewer than two folds, or fewer rows than folds.
+    """
+    if not 2 <= folds <= len(groups):
+        raise InputError(f"{len(groups)} rows cannot be cut into {folds} folds; give 2 to {len(groups)}")
+    fold = np.zeros(len(groups), dtype=int)
+    for number in np.unique(groups):
+        for i, part in enumerate(np.array_split(np.flatnonzero(groups == number), folds)):
+            fold[part] = i
+    return [(np.flatnonzero(fold != i), np.flatnonzero(fold == i)) for i in range(folds)]
 
 
 def _check(rows: int, test_rows: int) -> None:

@@ -61,10 +61,6 @@ class ComplianceTerm:
         torque = np.stack(np.broadcast_arrays(*gravity_torques(chain, found, load), joints[:, 0])[:-1], -1)
         return torque if geometry.coupling is None else geometry.coupling.gathered(torque, geometry.joints)
 
-    def specification(self) -> dict[str, Any]:
-        """For `term_from`."""
-        return {"kind": "compliance", **asdict(self)}
-
 
 @dataclass(frozen=True)
 class BendingTerm:
@@ -111,10 +107,6 @@ class BendingTerm:
             columns.append(np.concatenate([sag * across + np.cross(slope * turn, lever), slope * turn], -1))
         return np.stack(columns, -1)
 
-    def specification(self) -> dict[str, Any]:
-        """For `term_from`."""
-        return {"kind": "bending", **asdict(self)}
-
 
 @dataclass(frozen=True)
 class LeadTerm:
@@ -134,10 +126,6 @@ class LeadTerm:
         """The joint Jacobian's columns times the joints."""
         chosen = list(self.joints)
         return np.asarray(joint_jacobian(geometry, joints)[..., chosen] * joints[:, None, chosen])
-
-    def specification(self) -> dict[str, Any]:
-        """For `term_from`."""
-        return {"kind": "lead", **asdict(self)}
 
 
 @dataclass(frozen=True)
@@ -161,10 +149,6 @@ class PeriodicTerm:
         angle = joints[:, self.joint] * (2 * np.pi / self.period)
         wave = np.stack([np.sin(angle), np.cos(angle)], -1)
         return np.asarray(joint_jacobian(geometry, joints)[..., [self.joint]] * wave[:, None])
-
-    def specification(self) -> dict[str, Any]:
-        """For `term_from`."""
-        return {"kind": "periodic", **asdict(self)}
 
 
 @dataclass(frozen=True)
@@ -191,10 +175,6 @@ class ThermalTerm:
         )
         chosen = jacobian[..., np.r_[n : 2 * n, 3 * n : 4 * n]]
         return np.asarray(np.einsum("nip,np->ni", chosen, lengths * conditions.temperature[:, None])[..., None])
-
-    def specification(self) -> dict[str, Any]:
-        """For `term_from`."""
-        return {"kind": "thermal"}
 
 
 @dataclass(frozen=True)
@@ -265,26 +245,40 @@ class GravityTerm:
             found.append(jacobian[:, :, i] * torque[:, None])
         return np.stack(found, -1)
 
-    def specification(self) -> dict[str, Any]:
-        """For `term_from`."""
-        return {"kind": "gravity", **asdict(self)}
+
+KINDS: dict[str, type] = {
+    "bending": BendingTerm,
+    "compliance": ComplianceTerm,
+    "gravity": GravityTerm,
+    "lead": LeadTerm,
+    "periodic": PeriodicTerm,
+    "thermal": ThermalTerm,
+}
+"""The terms by the names that files give them."""
 
 
-def term_from(specification: Mapping[str, Any]) -> Term:
+def kind_of_term(term: Term) -> str:
+    """The name of a term's kind."""
+    return next(name for name, kind in KINDS.items() if isinstance(term, kind))
+
+
+def specification(term: Any) -> dict[str, Any]:
+    """What `term_from` needs to make a term again (JSON)."""
+    return {"kind": kind_of_term(term), **asdict(term)}
+
+
+def term_from(content: Mapping[str, Any]) -> Term:
     """Make a term again from its `specification`, as a calibration file holds it."""
-    numbers = {key: value for key, value in specification.items() if key != "kind"}
-    for key in ("joints", "up"):
-        if key in numbers:
-            numbers[key] = tuple(numbers[key])
-    kinds: dict[str, Any] = {
-        "bending": BendingTerm, "gravity": GravityTerm, "lead": LeadTerm, "periodic": PeriodicTerm,
-        "thermal": ThermalTerm,
-    }  # fmt: skip
-    kind = specification["kind"]
-    if kind == "compliance":
-        load = numbers["load"]
-        if load is not None:
-            load = Load(tuple(load["mass"]), tuple((x, y, z) for x, y, z in load["centre"]), load["payload"])
-        return ComplianceTerm(numbers["joints"], load)
-    term: Term = kinds[kind](**numbers)
+    numbers = _tuples(content)
+    kind = KINDS[numbers.pop("kind")]
+    if numbers.get("load"):
+        numbers["load"] = Load(**numbers["load"])
+    term: Term = kind(**numbers)
     return term
+
+
+def _tuples(value: Any) -> Any:
+    """JSON's lists as tuples, however deep."""
+    if isinstance(value, Mapping):
+        return {key: _tuples(part) for key, part in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value

@@ -36,7 +36,7 @@ FRAMES = ("controller", "instrument")
 
 
 @dataclass(frozen=True, eq=False)
-class Commands:
+class CorrectedCommands:
     """Corrected commands for N targets.
 
     Attributes:
@@ -67,27 +67,20 @@ class Commands:
 
     def table(self) -> tuple[list[str], NDArray[np.object_]]:
         """Column names with units, and one row per target."""
-        names = joint_columns(self.prismatic)
         scale = np.where(self.prismatic, 1e3, np.degrees(1.0))
         commands = (self.joints * scale).astype(object)
         commands[~self.reached] = ""  # a cell that streams these columns must not drive to where nothing is reached
-        columns: list[NDArray[np.object_]] = [*commands.T]
-        columns.append(np.where(self.reached, "yes", "no").astype(object))
-        names.append("reached")
+        columns = dict(zip(joint_columns(self.prismatic), commands.T, strict=True))
+        columns["reached"] = np.where(self.reached, "yes", "no")
         parts = {"uncorrected": self.before, "predicted": self.remaining, "noncompensable": self.impossible}
         for label, error in parts.items():
-            names += [f"{label}_error_mm", f"{label}_error_deg"]
-            columns.append((np.linalg.norm(error[:, :3], axis=1) * 1e3).astype(object))
-            columns.append(np.degrees(np.linalg.norm(error[:, 3:], axis=1)).astype(object))
+            columns[f"{label}_error_mm"], columns[f"{label}_error_deg"] = _sizes(error)
         if self.position_uncertainty is not None:
-            names.append("uncertainty_mm")
-            columns.append((self.position_uncertainty * 1e3).astype(object))
+            columns["uncertainty_mm"] = self.position_uncertainty * 1e3
         if self.attitude_uncertainty is not None:
-            names.append("uncertainty_deg")
-            columns.append(np.degrees(self.attitude_uncertainty).astype(object))
-        names.append("note")
-        columns.append(np.array([self.reasons.get(i, "") for i in range(len(self.lines))], dtype=object))
-        return names, np.stack(columns, axis=1)
+            columns["uncertainty_deg"] = np.degrees(self.attitude_uncertainty)
+        columns["note"] = np.array([self.reasons.get(i, "") for i in range(len(self.lines))], dtype=object)
+        return list(columns), np.stack([column.astype(object) for column in columns.values()], axis=1)
 
     def write_csv(self, path: str | Path) -> Path:
         """Write the table, whole or not at all."""
@@ -96,19 +89,16 @@ class Commands:
     def report(self) -> str:
         """A few lines for people; names the rows that cannot be reached."""
         shown = self.reached if self.reached.any() else np.ones_like(self.reached)
-        mean = {
-            key: (
-                np.linalg.norm(error[shown, :3], axis=1).mean() * 1e3,
-                np.degrees(np.linalg.norm(error[shown, 3:], axis=1)).mean(),
-            )
-            for key, error in (("before", self.before), ("left", self.remaining), ("never", self.impossible))
-        }
+        before, left, never = (
+            [float(size[shown].mean()) for size in _sizes(error)]
+            for error in (self.before, self.remaining, self.impossible)
+        )
         lines = [
             f"{int(self.reached.sum())} of {len(self.reached)} targets can be reached",
-            f"  told the plain target, the arm would miss by {mean['before'][0]:.3f} mm and {mean['before'][1]:.4f} deg"
+            f"  told the plain target, the arm would miss by {before[0]:.3f} mm and {before[1]:.4f} deg"
             " (mean, predicted)",
-            f"  with the corrected commands {mean['left'][0]:.4f} mm and {mean['left'][1]:.4f} deg remain, of which "
-            f"{mean['never'][1]:.4f} deg is a turn that no joint motion removes",
+            f"  with the corrected commands {left[0]:.4f} mm and {left[1]:.4f} deg remain, of which "
+            f"{never[1]:.4f} deg is a rotation that no joint motion removes",
         ]
         if self.position_uncertainty is None:
             lines.append("  uncertainty unknown: this calibration file holds none; calibrate again to have it")
@@ -129,7 +119,7 @@ def apply_calibration(
     *,
     frame: str = "controller",
     conditions: Conditions | None = None,
-) -> Commands:
+) -> CorrectedCommands:
     """Correct targets.
 
     Args:
@@ -145,34 +135,27 @@ def apply_calibration(
     """
     if frame not in FRAMES:
         raise InputError(f"frame is '{frame}'; give {' or '.join(FRAMES)}")
-    if calibration.arm_fingerprint != arm.fingerprint():
-        raise InputError(
-            f"the calibration belongs to arm '{calibration.arm_name}' with another geometry than '{arm.name}'; "
-            "fit it for this arm"
-        )
+    calibration.refuse_another(arm)
     geometry = arm.nominal if frame == "controller" else calibration.nominal
     reasons: dict[int, str] = {}
-    if targets.joints is not None:
-        wanted_joints = targets.joints
+    if targets.pose is None:
+        assert targets.joints is not None
+        wanted_joints, wanted = targets.joints, forward(calibration.nominal, targets.joints)
         outside = (wanted_joints < geometry.lower - 1e-9) | (wanted_joints > geometry.upper + 1e-9)
         for i in np.flatnonzero(outside.any(axis=1)):
             joint = int(np.argmax(outside[i]))
             reasons[int(i)] = f"target of {geometry.joint_names[joint]} is outside its limits"
     else:
-        assert targets.pose is not None
         found = inverse(geometry, targets.pose)
         wanted_joints = found.joints
+        wanted = targets.pose if frame == "instrument" else _carried(targets.pose, arm.nominal, calibration.nominal)
         for i in np.flatnonzero(~found.reached):
-            turn = np.degrees(found.attitude_error[i] - found.noncompensable_attitude[i])
+            missed = np.degrees(found.attitude_error[i] - found.noncompensable_attitude[i])
             reasons[int(i)] = (
                 f"no joints within the limits reach this pose; the nearest miss it by "
-                f"{found.position_error[i] * 1e3:.3g} mm and {turn:.3g} deg"
+                f"{found.position_error[i] * 1e3:.3g} mm and {missed:.3g} deg"
             )
     compensator = calibration.compensator(conditions=conditions)
-    if targets.pose is None:
-        wanted = forward(calibration.nominal, wanted_joints)
-    else:
-        wanted = targets.pose if frame == "instrument" else _carried(targets.pose, arm.nominal, calibration.nominal)
     commands = toward(compensator, wanted, wanted_joints)
     before = pose_error(wanted, compensator.predict(wanted_joints))
     remaining = pose_error(wanted, compensator.predict(commands))
@@ -189,25 +172,28 @@ def apply_calibration(
             f"{np.degrees(missed_attitude[i]):.3g} deg remain that a free joint could remove",
         )
     reached[list(reasons)] = False
-    spread = uncertainty_from(calibration.record)
-    known = None
-    if spread is not None:
-        known = spread.standard(
-            calibration.model, commands, None if conditions is None else conditions.spread((len(commands),))
-        )
-    return Commands(
+    uncertainty, sure = uncertainty_from(calibration.record), (None, None)
+    if uncertainty is not None:
+        here = None if conditions is None else conditions.spread((len(commands),))
+        sure = uncertainty.standard(calibration.model, commands, here)
+    return CorrectedCommands(
         targets=wanted_joints,
         joints=commands,
         reached=reached,
         before=before,
         remaining=remaining,
         impossible=impossible,
-        position_uncertainty=None if known is None else known[0],
-        attitude_uncertainty=None if known is None or spread is None or spread.attitude_repeat is None else known[1],
+        position_uncertainty=sure[0],
+        attitude_uncertainty=sure[1],
         reasons=dict(sorted(reasons.items())),
         lines=targets.lines,
         prismatic=geometry.prismatic,
     )
+
+
+def _sizes(errors: Array) -> tuple[Array, Array]:
+    """Sizes ``(N,)`` of the position and attitude parts of pose errors ``(N, 6)``, mm and deg."""
+    return np.linalg.norm(errors[:, :3], axis=1) * 1e3, np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
 
 
 def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:

@@ -15,8 +15,9 @@ from pickenv.arm.kinematics.geometry import Array, geometry_fingerprint
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
-from pickenv.calibration.model.terms import term_from
+from pickenv.calibration.model.terms import specification, term_from
 from pickenv.calibration.residuals.residual_models import LearntResidual
+from pickenv.calibration.residuals.saved_arrays import named_part, part_of
 from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
@@ -43,10 +44,6 @@ class Remainder:
     model: ArmModel
     learnt: LearntResidual | None
     conditions: Conditions
-
-    def parts(self) -> bool:
-        """Whether there is anything to add."""
-        return bool(self.model.terms) or self.learnt is not None
 
     def predict(self, joints: ArrayLike) -> Array:
         """Pose residual ``(..., 6)``, m and rad, at joints ``(..., n)``; one learnt from positions turns nothing."""
@@ -86,6 +83,17 @@ class Calibration:
         """Hash of the arm's own nominal geometry."""
         return geometry_fingerprint(self.arm)
 
+    def refuse_another(self, arm: Arm, name: str = "the calibration") -> None:
+        """Refuse an arm with another geometry; ``name`` is what messages call the calibration.
+
+        Raises:
+            InputError: If it is another arm.
+        """
+        if self.arm_fingerprint != arm.fingerprint():
+            raise InputError(
+                f"{name} belongs to arm '{self.arm_name}' with another geometry than '{arm.name}'; fit it for this arm"
+            )
+
     @property
     def unit(self) -> str | None:
         """Serial number of the robot that was measured; None where none was given."""
@@ -116,8 +124,8 @@ class Calibration:
         learnt = self.learnt if with_residual else None
         if learnt is not None and single_precision:
             learnt = learnt.in_single_precision()
-        remainder = Remainder(self.model, learnt, conditions or Conditions())
-        residual = remainder if remainder.parts() else None
+        anything = self.model.terms or learnt is not None
+        residual = Remainder(self.model, learnt, conditions or Conditions()) if anything else None
         return Compensator(self.nominal, self.identified, residual, iterations, single_precision, self.reservations())
 
     def reservations(self) -> dict[str, str]:
@@ -158,16 +166,16 @@ class Calibration:
         """
         arrays: dict[str, NDArray[Any]] = {}
         for key in GEOMETRIES:
-            arrays |= {f"{key}/{name}": value for name, value in geometry_arrays(getattr(self, key)).items()}
+            arrays |= named_part(f"{key}/", geometry_arrays(getattr(self, key)))
         arrays["coefficients"] = self.model.coefficients
         if self.learnt is not None:
-            arrays |= {f"learnt/{name}": value for name, value in self.learnt.arrays().items()}
+            arrays |= named_part("learnt/", self.learnt.arrays())
         header = {
             "arm": self.arm_name,
             "arm_fingerprint": self.arm_fingerprint,
             "joint_names": self.nominal.joint_names,
             "prismatic": self.nominal.prismatic,
-            "terms": [term.specification() for term in self.model.terms],
+            "terms": [specification(term) for term in self.model.terms],
             "residual": None if self.learnt is None else self.learnt.kind,
             "record": self.record,
         }
@@ -192,11 +200,8 @@ class Calibration:
         found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
         with refusing_damage(path, f"a {KIND} file", REMAKE):
             calibration = _from_parts(found.header, found.arrays)
-        if arm is not None and calibration.arm_fingerprint != arm.fingerprint():
-            raise InputError(
-                f"{path} belongs to arm '{calibration.arm_name}' with another geometry than '{arm.name}'; "
-                "fit it for this arm"
-            )
+        if arm is not None:
+            calibration.refuse_another(arm, str(path))
         if unit is not None and calibration.unit != unit:
             whose = "names no unit" if calibration.unit is None else f"belongs to unit '{calibration.unit}'"
             raise InputError(f"{path} {whose}, but unit '{unit}' is asked for; calibrate that robot by its own file")
@@ -206,7 +211,8 @@ class Calibration:
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Calibration:
     """The calibration that a file's parts make; raises anything at all where they make none."""
     names, prismatic, record = header["joint_names"], header["prismatic"], header["record"]
-    arm, nominal, identified = (geometry_from_arrays(_part(arrays, key), names, prismatic, key) for key in GEOMETRIES)
+    parts = {key: part_of(arrays, f"{key}/") for key in GEOMETRIES}
+    arm, nominal, identified = (geometry_from_arrays(part, names, prismatic, key) for key, part in parts.items())
     if geometry_fingerprint(arm) != header["arm_fingerprint"]:
         raise InputError(f"its arm's geometry is not the one of fingerprint {header['arm_fingerprint']}")
     if geometry_fingerprint(replace(nominal, base=arm.base, tool=arm.tool)) != header["arm_fingerprint"]:
@@ -218,7 +224,7 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
         arm=arm,
         nominal=nominal,
         model=ArmModel(identified, terms, finite(arrays, "coefficients", (count,), "terms")),
-        learnt=_learnt(header["residual"], _part(arrays, "learnt"), identified),
+        learnt=_learnt(header["residual"], part_of(arrays, "learnt/"), identified),
         record=dict(record),
     )
     uncertainty = record.get("uncertainty")
@@ -253,7 +259,3 @@ def _learnt(kind: str | None, arrays: Mapping[str, NDArray[Any]], geometry: Geom
 def _with_suffix(path: str | Path) -> Path:
     path = Path(path)
     return path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
-
-
-def _part(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
-    return {key.partition("/")[2]: value for key, value in arrays.items() if key.startswith(f"{prefix}/")}

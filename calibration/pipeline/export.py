@@ -14,7 +14,7 @@ import numpy as np
 
 from pickenv.arm import Arm, Geometry, rotation_vector
 from pickenv.arm.files.urdf import leading_links, urdf_text
-from pickenv.arm.kinematics.geometry import Array, Pose
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import Bpnn
 from pickenv.calibration.residuals.residual_models import LearntResidual
@@ -83,31 +83,34 @@ def arm_toml(calibration: Calibration, arm: Arm) -> str:
     leaders = _leading_tables(geometry)
     owners = range(geometry.links) if geometry.coupling is None else geometry.coupling.joint
     lines = [f"# {_one_line(line)}" for line in provenance(calibration)]
-    lines += [
-        f"name = {_text(arm.name + '_calibrated')}",
-        f"source = {_text('pickenv calibration of ' + arm.name + '; ' + arm.source)}",
-        'convention = "modified" # Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d)',
-        f"joint_count = {geometry.links}",
-    ]
+    lines += _entries({"name": f"{arm.name}_calibrated", "source": f"pickenv calibration of {arm.name}; {arm.source}"})
+    lines += ['convention = "modified" # Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d)']
+    lines += _entries({"joint_count": geometry.links})
     for i, owner in enumerate(owners):
         slides, leader, ratio = geometry.slides[i], leaders[owner], dict(geometry.links_of(owner))[i]
         unit, scale = ("mm", 1e3) if slides else ("deg", float(np.degrees(1.0)))
-        name = geometry.joint_names[owner] if leader == i else geometry.link_names[i]
-        lines += ["", "[[joints]]", f"number = {i + 1}", f"name = {_text(name)}"]
-        lines.append(f'type = "{"P" if slides else "R"}"')
-        lines += [f"alpha_deg = {_number(np.degrees(geometry.alpha[i]))}", f"a_mm = {_number(geometry.a[i] * 1e3)}"]
+        joint: dict[str, Any] = {
+            "number": i + 1,
+            "name": geometry.joint_names[owner] if leader == i else geometry.link_names[i],
+            "type": "P" if slides else "R",
+            "alpha_deg": np.degrees(geometry.alpha[i]),
+            "a_mm": geometry.a[i] * 1e3,
+        }
         if geometry.beta[i]:
-            lines.append(f"beta_deg = {_number(np.degrees(geometry.beta[i]))}")
-        lines += [f"theta_deg = {_number(np.degrees(geometry.theta[i]))}", f"d_mm = {_number(geometry.d[i] * 1e3)}"]
+            joint["beta_deg"] = np.degrees(geometry.beta[i])
+        joint |= {"theta_deg": np.degrees(geometry.theta[i]), "d_mm": geometry.d[i] * 1e3}
         if ratio != 1.0:
-            lines.append(f"ratio = {_number(ratio)}")
+            joint["ratio"] = ratio
         if leader != i:
-            lines.append(f"follows = {leader + 1}")
-            continue
-        limits = {"lower": geometry.lower[owner], "upper": geometry.upper[owner]}
-        lines += [f"{key}_{unit} = {_number(value * scale)}" for key, value in limits.items()]
-        lines.append(f"speed_{unit}_per_s = {_number(arm.speed[owner] * scale)}")
-    lines += _pose_lines("base", geometry.base) + _pose_lines("tool", geometry.tool)
+            joint["follows"] = leader + 1
+        else:
+            limits = {"lower": geometry.lower[owner], "upper": geometry.upper[owner]}
+            joint |= {f"{key}_{unit}": value * scale for key, value in limits.items()}
+            joint[f"speed_{unit}_per_s"] = arm.speed[owner] * scale
+        lines += ["", "[[joints]]", *_entries(joint)]
+    for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
+        vector = np.degrees(rotation_vector(pose.rotation))
+        lines += ["", f"[{key}]", *_entries({"position_mm": pose.position * 1e3, "rotation_vector_deg": vector})]
     return "\n".join(lines) + "\n"
 
 
@@ -141,19 +144,18 @@ def _one_line(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text)
 
 
-def _text(value: str) -> str:
-    """A TOML string; it has JSON's escapes, and control characters are left out."""
-    return '"' + _one_line(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
+def _entries(table: Mapping[str, Any]) -> list[str]:
+    """Lines of a TOML table of texts, numbers and vectors."""
+    return [f"{key} = {_toml(value)}" for key, value in table.items()]
 
 
-def _number(value: float) -> str:
-    return repr(float(value))
-
-
-def _pose_lines(key: str, pose: Pose) -> list[str]:
-    position = ", ".join(_number(v * 1e3) for v in pose.position)
-    turn = ", ".join(_number(v) for v in np.degrees(rotation_vector(pose.rotation)))
-    return ["", f"[{key}]", f"position_mm = [{position}]", f"rotation_vector_deg = [{turn}]"]
+def _toml(value: Any) -> str:
+    """A text, which has JSON's escapes and no control characters, a number with all its digits, or a vector."""
+    if isinstance(value, str):
+        return '"' + _one_line(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, np.ndarray):
+        return f"[{', '.join(map(_toml, value))}]"
+    return repr(value if isinstance(value, int) else float(value))
 
 
 def write_onnx(calibration: Calibration, path: str | Path) -> Path:
@@ -220,8 +222,8 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
         value = node("Add", [product, constant(f"bias{i}", bias)], f"layer{i}")
         if i < len(layers) - 1:
             value = node("Relu", [value], f"active{i}")
-    spread = node("Mul", [value, constant("output_std", network.output_std)], "spread")
-    node("Add", [spread, constant("output_mean", network.output_mean)], "residual")
+    scaled = node("Mul", [value, constant("output_std", network.output_std)], "spread")
+    node("Add", [scaled, constant("output_mean", network.output_mean)], "residual")
     result = helper.make_tensor_value_info("residual", TensorProto.DOUBLE, ["N", len(network.output_mean)])
     graph = helper.make_graph(nodes, "learnt_residual", given, [result], constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="pickenv")

@@ -5,6 +5,7 @@ The middle of the one way from rows to a result (`calibrate`), for whoever holds
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -195,10 +196,5 @@ def _refuse_misfit(found: Identification, data: Observations) -> None:
 
 def _generator_state(rng: np.random.Generator) -> Any:
     """The generator's state as it stands, in plain numbers: what reproduces the network to the bit."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: plain(item) for key, item in value.items()}
-        return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-
-    return plain(rng.bit_generator.state)
+    numbers: Any = json.loads(json.dumps(rng.bit_generator.state, default=lambda value: value.tolist()))
+    return numbers

@@ -19,7 +19,7 @@ from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.base_frame import BaseFrameError, base_frame_error
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
-from pickenv.calibration.assessment.quality import Quality, judge_quality
+from pickenv.calibration.assessment.quality import Quality, grade_quality
 from pickenv.calibration.assessment.screen import Block, figure, main_parts, unit_of
 from pickenv.calibration.assessment.states import LOST, MEASURED
 from pickenv.calibration.compensation.compensator import Compensator
@@ -58,7 +58,6 @@ class Result:
         quality: The verdict and what it rests on.
         uncertainty: Of predicted poses; None for measurements of other kinds.
         base_frame: The error in the robot's own base frame; None where base and tool were known.
-        coverage: What the poses hide; None for measurements of other kinds.
         terms: How terms were chosen; None where they were not.
         gate: The residual models' verdicts; None where none was judged.
         floor: What the files say about noise; None if not read from files.
@@ -207,27 +206,19 @@ class Result:
 
     def parameters(self) -> list[dict[str, Any]]:
         """Each identified parameter: name, change and standard deviation on screens' units, and what became of it."""
-        found, calibration = self.fit.identification, self.fit.calibration
-        bare = self.geometric.identification
-        states, model = self.quality.states, calibration.model
-        moved = np.concatenate([calibration.nominal.difference(model.geometry), model.coefficients])
+        found, model = self.fit.identification, self.fit.calibration.model
+        moved = ArmModel.of(self.fit.calibration.nominal, model.terms).difference(model)
         change = dict(zip(model.parameter_names, moved, strict=True)) | found.unknowns
-        rows = []
-        known = {
-            name: std
-            for each in (bare, found)
-            for name, std in zip(each.identifiability.names, each.standard_deviation, strict=True)
-        }
-        lost = {item.name for item in found.identifiability.dropped}
-        for name, std in known.items():
+        known: dict[str, float] = {}
+        for each in (self.geometric.identification, found):
+            known |= zip(each.identifiability.names, each.standard_deviation, strict=True)
+        lost, rows = {item.name for item in found.identifiability.dropped}, []
+        for name in known:
             if name in lost:
                 continue
             unit, scale = unit_of(name, model.geometry.parameter_names)
-            state = states.of(name)
-            rows.append(
-                {"name": name, "unit": unit, "change": float(change[name] * scale), "std": float(std * scale)}
-                | {"state": state}
-            )
+            row = {"name": name, "unit": unit, "change": float(change[name] * scale), "std": float(known[name] * scale)}
+            rows.append(row | {"state": self.quality.states.of(name)})
         return rows
 
     def _parameters(self) -> Block:
@@ -266,16 +257,11 @@ class Result:
             ("condition number of the geometry", figure(self.quality.observability.condition)),
             ("least squares", f"{len(found.residual_rms) - 1} iterations, {figure(1e3 * found.solve_seconds)} ms"),
         ]
-        if self.coverage is not None:
-            rows.append(("poses", self.coverage.advice()))
+        if self.quality.coverage is not None:
+            rows.append(("poses", self.quality.coverage.advice()))
         if self.floor is not None:
             rows.append(("noise floor of a position", self.floor.text()))
         return Block("Evidence", (), tuple(rows))
-
-    @property
-    def coverage(self) -> Coverage | None:
-        """What the poses hide; None for measurements of other kinds."""
-        return self.quality.coverage
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -294,7 +280,7 @@ class Result:
             **{f"{name}_mm": statistics.as_dict() for name, statistics in self.position.items()},
             **{f"{name}_deg": statistics.as_dict() for name, statistics in self.attitude.items()},
         }
-        floor, states = self.floor, self.quality.states
+        terms = self.terms
         return {
             "verdict": self.quality.as_dict(),
             "arm": self.arm.name,
@@ -306,26 +292,23 @@ class Result:
             "left_out_rows": [vars(item) for item in self.left_out],
             "parameters": len(found.identifiability.names),
             "rank": found.identifiability.rank,
-            "states": states.as_dict(),
+            "states": self.quality.states.as_dict(),
             "changes": self.parameters(),
             "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
-            "lost_to_poses": [] if self.coverage is None else list(self.coverage.lost),
+            "lost_to_poses": [] if self.quality.coverage is None else list(self.quality.coverage.lost),
             "condition": self.quality.observability.condition,
             "converged": self.fit.identification.converged,
             "solve_seconds": found.solve_seconds,
-            "unknowns_mm": {name: value * 1e3 for name, value in found.unknowns.items()},
+            "unknowns_mm": _in_mm(found.unknowns),
             "held_out": held_out,
-            "noise_floor_mm": None
-            if floor is None
-            else {key: None if value is None else value * 1e3 for key, value in vars(floor).items()},
-            "terms": None
-            if self.terms is None
-            else {
-                "chosen": self.terms.chosen,
-                "blocked_rms_mm": {name: value * 1e3 for name, value in self.terms.blocked_rms.items()},
-            },
+            "noise_floor_mm": None if self.floor is None else _in_mm(vars(self.floor)),
+            "terms": None if terms is None else {"chosen": terms.chosen, "blocked_rms_mm": _in_mm(terms.blocked_rms)},
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
         }
+
+
+def _in_mm(lengths: Mapping[str, float | None]) -> dict[str, float | None]:
+    return {name: None if value is None else value * 1e3 for name, value in lengths.items()}
 
 
 def assess(
@@ -334,8 +317,7 @@ def assess(
     train: Observations,
     test: Observations,
     *,
-    geometric: Fit | None = None,
-    steps: Mapping[str, Fit] | None = None,
+    fits: Mapping[str, Fit] | None = None,
     terms: TermChoice | None = None,
     gate: GateReport | None = None,
     left_out: tuple[LeftOut, ...] = (),
@@ -348,35 +330,34 @@ def assess(
         fit: The calibration that will be used.
         train: Rows it was fitted to.
         test: Rows held out.
-        geometric: The calibration of the geometry alone; ``fit`` without its learnt residual when left out.
-        steps: What was added to the geometry, step by step, by name; the last is ``fit``.
+        fits: The calibration of the geometry alone and what was added to it, step by step, by name; the last is
+            ``fit``. When left out ``fit`` without and with its learnt residual.
         terms: How terms were chosen.
         gate: The residual models' verdicts.
         left_out: Rows left out.
         coverage: What the poses hide, where it was computed already.
     """
-    bare = geometric or replace(fit, calibration=fit.calibration.without_residual())
-    nominal = ArmModel.of(bare.calibration.nominal)
-    aligned = bare.aligned
-    stages: dict[str, Fit] = {GEOMETRIC: bare, **(steps or {})}
+    unlearnt = replace(fit, calibration=fit.calibration.without_residual())
     learnt = fit.calibration.learnt
-    if steps is None and learnt is not None:
-        stages[f"geometry+{learnt.kind}"] = fit
-    errors = {name: _left(stage, test, train) for name, stage in stages.items()}
+    if fits is None:
+        fits = {GEOMETRIC: unlearnt} if learnt is None else {GEOMETRIC: unlearnt, f"geometry+{learnt.kind}": fit}
+    bare = next(iter(fits.values()))
+    nominal, aligned = ArmModel.of(bare.calibration.nominal), bare.aligned
+    names = (GEOMETRIC, *list(fits)[1:])
+    errors = {name: _left(step, test, train) for name, step in zip(names, fits.values(), strict=True)}
+    after = list(errors.values())[-1]
     if isinstance(test, Measurements) and isinstance(train, Measurements):
         before = test.difference(nominal)
         if coverage is None:
             start = bare.calibration.nominal
             coverage = pose_coverage(geometric_model(start, aligned is None), start, train)
-        uncertainty = pose_uncertainty(fit.identification, list(errors.values())[-1])
+        uncertainty = pose_uncertainty(fit.identification, after)
         said = "stated noise" if train.std_stated else "noise assumed, since none is stated,"
         noise = f"{said} of {train.position_std * 1e3:.4g} mm"
     else:
         assert aligned is not None
         before = test.misses(aligned.arm_model, unknowns_of(aligned, train))
         uncertainty, noise = None, "noise stated or assumed"
-    after = list(errors.values())[-1]
-    unlearnt = replace(fit, calibration=fit.calibration.without_residual())
     base_frame = None
     if aligned is not None:
         left = after if len(after) == len(test.joints) and after.shape[1] >= 3 else np.zeros((len(test.joints), 3))
@@ -388,7 +369,7 @@ def assess(
         train=train,
         test=test,
         errors={NOMINAL: before, **errors},
-        quality=judge_quality(
+        quality=grade_quality(
             fit.identification,
             _left(unlearnt, train, train),
             before,

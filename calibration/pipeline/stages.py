@@ -24,11 +24,13 @@ from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.splits import thinned
+from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, framed, identified, learnt
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.gate import GateReport, judge_residuals
+from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
 from pickenv.calibration.residuals.residual_models import FITTERS, QUICK_FITTERS
 from pickenv.errors import InputError
 
@@ -71,7 +73,7 @@ class Choices:
 
 
 @dataclass(frozen=True, eq=False)
-class Work:
+class Draft:
     """A calibration on its way through the stages.
 
     Attributes:
@@ -116,8 +118,8 @@ class Work:
         """The last of the fits, and its name."""
         return list(self.fits.items())[-1]
 
-    def with_fit(self, name: str, fit: Fit) -> Work:
-        """The work with one more fit."""
+    def with_fit(self, name: str, fit: Fit) -> Draft:
+        """The draft with one more fit."""
         return replace(self, fits={**self.fits, name: fit})
 
 
@@ -165,21 +167,19 @@ def calibrate(
         train, held_out = (train.select(np.sort(part)) for part in rows)
     else:
         held_out, _ = _rows(arm, test, columns)
-    work = Work(arm, choices, train, held_out, rng or np.random.default_rng(choices.seed), progress)
+    draft = Draft(arm, choices, train, held_out, rng or np.random.default_rng(choices.seed), progress)
     for stage in STAGES:
-        work = stage(work)
-    (_, geometric), *steps = work.fits.items()
+        draft = stage(draft)
     result = assess(
         arm,
-        work.best[1],
-        work.train,
-        work.test,
-        geometric=geometric,
-        steps=dict(steps),
-        terms=work.term_choice,
-        gate=work.gate,
-        left_out=work.left_out,
-        coverage=work.coverage,
+        draft.best[1],
+        draft.train,
+        draft.test,
+        fits=draft.fits,
+        terms=draft.term_choice,
+        gate=draft.gate,
+        left_out=draft.left_out,
+        coverage=draft.coverage,
     )
     return replace(result, floor=floor, unit=unit)
 
@@ -194,12 +194,12 @@ def _rows(arm: Arm, data: Data, columns: str | Path | None) -> tuple[Observation
     return data, None
 
 
-def _check(work: Work) -> Work:
+def _check(draft: Draft) -> Draft:
     """Refuse options that do not apply; leave rows that are far off out, or refuse them."""
-    choices, poses = work.choices, work.poses
+    choices, poses = draft.choices, draft.poses
     if poses is None:
-        _refuse_options(work.train, choices)
-        return work
+        _refuse_options(draft.train, choices)
+        return draft
     train, test = poses
     if choices.frames is None and train.frames != test.frames:
         raise InputError(
@@ -207,8 +207,8 @@ def _check(work: Work) -> Work:
             "give --frames"
         )
     frames = choices.frames or train.frames
-    train, test, left_out = checked_rows(work.arm, train, test, known=frames == "known", robust=choices.robust)
-    return replace(work, choices=replace(choices, frames=frames), train=train, test=test, left_out=left_out)
+    train, test, left_out = checked_rows(draft.arm, train, test, known=frames == "known", robust=choices.robust)
+    return replace(draft, choices=replace(choices, frames=frames), train=train, test=test, left_out=left_out)
 
 
 def _refuse_options(train: Observations, choices: Choices) -> None:
@@ -222,108 +222,101 @@ def _refuse_options(train: Observations, choices: Choices) -> None:
             )
 
 
-def _align(work: Work) -> Work:
+def _align(draft: Draft) -> Draft:
     """Base and tool, where they are not known."""
-    return replace(work, aligned=framed(work.arm, work.train, work.choices.frames == "known"))
+    return replace(draft, aligned=framed(draft.arm, draft.train, draft.choices.frames == "known"))
 
 
-def _identify(work: Work) -> Work:
+def _identify(draft: Draft) -> Draft:
     """The geometry, by least squares."""
-    return work.with_fit(GEOMETRY, identified(work.arm, work.train, work.aligned))
+    return draft.with_fit(GEOMETRY, identified(draft.arm, draft.train, draft.aligned))
 
 
-def _check_again(work: Work) -> Work:
+def _check_again(draft: Draft) -> Draft:
     """Refuse poses that hide too much, and rows of other kinds that the fitted arm misses by far."""
-    _, geometric = work.best
-    if work.poses is None:
+    _, geometric = draft.best
+    if draft.poses is None:
         found = geometric.identification
-        missed = [part.misses(found.arm_model, unknowns_of(found, work.train)) for part in (work.train, work.test)]
-        refuse_misses(work.train, work.test, (missed[0], missed[1]))
-        return work
-    start, train = geometric.calibration.nominal, work.poses[0]
-    coverage = pose_coverage(geometric_model(start, work.aligned is None), start, train)
+        missed = [part.misses(found.arm_model, unknowns_of(found, draft.train)) for part in (draft.train, draft.test)]
+        refuse_misses(draft.train, draft.test, (missed[0], missed[1]))
+        return draft
+    start, train = geometric.calibration.nominal, draft.poses[0]
+    coverage = pose_coverage(geometric_model(start, draft.aligned is None), start, train)
     refuse_lost(coverage, start, train)
-    return replace(work, coverage=coverage)
+    return replace(draft, coverage=coverage)
 
 
-def _add_terms(work: Work) -> Work:
+def _add_terms(draft: Draft) -> Draft:
     """As many of the wanted terms, in their order, as converge; "auto" chooses them within the training rows."""
-    (name, geometric), wanted, choice = work.best, work.choices.terms, None
-    known = work.aligned is None
+    (name, geometric), wanted, choice = draft.best, draft.choices.terms, None
+    known = draft.aligned is None
     if wanted == "auto":
         wanted = "none"
-        if len(work.train.joints) >= ENOUGH_FOR_BLOCKS:
-            choice = choose_terms(work.arm, geometric.calibration.nominal, work.train, known)
+        if len(draft.train.joints) >= ENOUGH_FOR_BLOCKS:
+            choice = choose_terms(draft.arm, geometric.calibration.nominal, draft.train, known)
             wanted = choice.chosen
     names = wanted.split("+")
-    while terms := terms_of("+".join(names) or "none", work.arm, work.train):
-        found = identify_terms(terms, geometric.identification, work.train, known)
+    while terms := terms_of("+".join(names) or "none", draft.arm, draft.train):
+        found = identify_terms(terms, geometric.identification, draft.train, known)
         if found.converged:
-            kinds = sorted({term.specification()["kind"] for term in terms})
+            kinds = sorted({kind_of_term(term) for term in terms})
             record = {**geometric.calibration.record, "terms": kinds}
             calibration = replace(geometric.calibration, model=found.arm_model, record=record)
-            work = work.with_fit(f"{name}+{'+'.join(names)}", Fit(calibration, found, geometric.aligned))
+            draft = draft.with_fit(f"{name}+{'+'.join(names)}", Fit(calibration, found, geometric.aligned))
             break
         names.pop()
-    return replace(work, terms=terms, term_choice=choice)
+    return replace(draft, terms=terms, term_choice=choice)
 
 
-def _learn(work: Work) -> Work:
+def _learn(draft: Draft) -> Draft:
     """A residual model: the named one from poses of its own, or one that wins within the training rows."""
-    choices, poses = work.choices, work.poses
+    choices, poses = draft.choices, draft.poses
     if choices.learn_from is not None:
         settings = (choices.settings or BpnnSettings()) if choices.residual == "bpnn" else None
-        return _with_residual(work, choices.residual, choices.learn_from, settings)
+        return _with_residual(draft, choices.residual, choices.learn_from, settings)
     if poses is None or choices.residual == "none":
-        return work
+        return draft
     if choices.residual != "auto" and choices.residual not in FITTERS:
         raise InputError(f"unknown residual model '{choices.residual}'; give auto, none or one of {', '.join(FITTERS)}")
     train = poses[0]
     selected: str | None = None
     if len(train) >= ENOUGH_FOR_BLOCKS:
         names = tuple(FITTERS) if choices.residual == "auto" else (choices.residual,)
-        work = replace(work, gate=_verdicts(work, train, names))
-        selected = work.gate.selected if work.gate else None
+        draft = replace(draft, gate=_verdicts(draft, train, names))
+        selected = draft.gate.selected if draft.gate else None
     if choices.force and choices.residual != "auto":
         selected = choices.residual
-    return work if selected is None else _with_residual(work, selected, train, None)
+    return draft if selected is None else _with_residual(draft, selected, train, None)
 
 
-def _with_residual(work: Work, kind: str, data: Measurements, settings: BpnnSettings | None) -> Work:
-    name, best = work.best
-    return work.with_fit(f"{name}+{kind}", learnt(best, kind, data, work.rng, settings, work.progress))
+def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
+    name, best = draft.best
+    return draft.with_fit(f"{name}+{kind}", learnt(best, kind, data, draft.rng, settings, draft.progress))
 
 
-def _verdicts(work: Work, train: Measurements, names: tuple[str, ...]) -> GateReport:
+def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
     """Verdicts on residual models within the training rows."""
-    data = train.select(np.unique(np.linspace(0, len(train) - 1, GATE_ROWS).astype(int)))
-    start, known = work.best[1].calibration.nominal, work.aligned is None
+    data = train.select(thinned(len(train), GATE_ROWS))
+    start, known = draft.best[1].calibration.nominal, draft.aligned is None
 
     def refit(rows: Measurements) -> ArmModel:
         bare = identify(geometric_model(start, known), start, rows)
-        if not work.terms:
+        if not draft.terms:
             return bare.arm_model
-        return identify_terms(work.terms, bare, rows, known).arm_model
+        return identify_terms(draft.terms, bare, rows, known).arm_model
 
-    rng = np.random.default_rng(work.choices.seed)
-    return _most_successful(judge_residuals(data, refit, rng, models=names, fitters=QUICK_FITTERS))
+    rng = np.random.default_rng(draft.choices.seed)
+    return gate_residuals(data, refit, rng, models=names, fitters=QUICK_FITTERS, rank=_error_on_both)
 
 
-def _most_successful(report: GateReport) -> GateReport:
-    """The report with the model selected that wins most on both: the blocks held out, and the inner ones.
+def _error_on_both(verdict: GateVerdict) -> float:
+    """What a model leaves of the error on the blocks held out, times what it leaves on the inner ones.
 
     Both lie within the training rows here, so both may rank; a model that shone on one of them by luck counts half.
     """
-    ranked = [
-        (verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms, verdict)
-        for verdict in report.verdicts
-        if verdict.accepted and verdict.inner_rms is not None and verdict.geometric_inner_rms is not None
-    ]
-    if report.selected is None or not ranked:
-        return report
-    best = min(ranked, key=lambda pair: pair[0])[1]
-    return replace(report, selected=best.model, blocked_rms=best.blocked_rms)
+    assert verdict.inner_rms is not None and verdict.geometric_inner_rms is not None
+    return verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms
 
 
-STAGES: tuple[Callable[[Work], Work], ...] = (_check, _align, _identify, _check_again, _add_terms, _learn)
+STAGES: tuple[Callable[[Draft], Draft], ...] = (_check, _align, _identify, _check_again, _add_terms, _learn)
 """The stages between reading and judgement, in order."""

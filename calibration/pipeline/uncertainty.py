@@ -42,18 +42,20 @@ class PoseUncertainty:
 
         Attitude rows of an arm of which only positions were measured hold the parameters' part alone.
         """
-        joints = np.asarray(joints, dtype=float)
-        flat = joints.reshape(-1, joints.shape[-1])
-        index = {name: i for i, name in enumerate(model.parameter_names)}
-        jacobian = model.jacobian(flat, conditions)[..., [index[name] for name in self.names]]
-        spread = jacobian @ self.covariance @ np.swapaxes(jacobian, -1, -2)
+        columns = [model.parameter_names.index(name) for name in self.names]
         repeat = np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
-        return np.asarray((spread + np.diag(repeat)).reshape(*joints.shape[:-1], 6, 6))
+        return model.pose_covariance(columns, self.covariance, joints, conditions) + np.diag(repeat)
 
-    def standard(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> tuple[Array, Array]:
-        """Standard uncertainties of position ``(...)``, m, and attitude ``(...)``, rad: root of the three variances."""
+    def standard(
+        self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
+    ) -> tuple[Array, Array | None]:
+        """Standard uncertainties of position ``(...)``, m, and attitude ``(...)``, rad: root of the three variances.
+
+        That of the attitude is None where only positions were measured.
+        """
         variance = np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1)
-        return np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
+        position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
+        return position, None if self.attitude_repeat is None else attitude
 
     def as_record(self) -> dict[str, Any]:
         """For a calibration's record (JSON)."""

@@ -126,15 +126,12 @@ class PosePlan:
             "poses": len(self.joints),
             "candidates": len(self.design.joints),
             "kind": self.design.kind,
-            "criterion": self.criterion,
             **{key: arm[key] for key in ("condition", "random_condition", "o1_ratio")},
             "arm": arm,
             "model": self.model.as_dict(),
-            "travel_seconds": self.travel_seconds,
-            "random_travel_seconds": self.random_travel_seconds,
-            "passes": self.passes,
-            "seconds": self.seconds,
         }
+        names = ("criterion", "travel_seconds", "random_travel_seconds", "passes", "seconds")
+        found |= {name: getattr(self, name) for name in names}
         if self.predicted_error is not None and self.random_predicted_error is not None:
             found["predicted_error_mm"] = self.predicted_error * 1e3
             found["random_predicted_error_mm"] = self.random_predicted_error * 1e3
@@ -219,6 +216,7 @@ def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -
     return np.asarray(jacobian * model.tolerance * weight[:, None])
 
 
+@single_threaded()
 def plan_poses(
     arm: Arm,
     model: ErrorModel,
@@ -255,36 +253,36 @@ def plan_poses(
             raise InputError(f"{name} is '{given}'; give {' or '.join(known)}")
     begin = time.perf_counter()
     geometry = arm.nominal
-    if isinstance(candidates, int):
-        check_limit("candidates", candidates, "candidates")
-    joints = candidate_joints(geometry, candidates, rng) if isinstance(candidates, int) else candidates
+    joints = candidates
+    if isinstance(joints, int):
+        check_limit("candidates", joints, "candidates")
+        joints = candidate_joints(geometry, joints, rng)
     if criterion == "test-poses" and test_joints is None:
         raise InputError("the test-poses criterion needs test poses; name a file of them or use d-optimal")
-    with single_threaded():
-        std = {"position_std": position_std, "attitude_std": attitude_std}
-        design = design_of(geometry, model, joints, kind, **std)
-        _enough(design, count)
-        aim = None if test_joints is None else error_weight(geometry, design, test_joints)
-        chosen, passes = exchange(design.rows, count, rng, aim if criterion == "test-poses" else None)
-        chosen = chosen[short_tour(joints[chosen], arm.speed)]
-        sets = random_joints(geometry, DRAWS * count, rng).reshape(DRAWS, count, -1)
-        links = design_of(geometry, link_model(geometry), joints, kind, **std)
-        shuffled = [travel_seconds(joints[rng.permutation(chosen)], arm.speed) for _ in sets]
-        errors = None if aim is None else [predicted_error(_elsewhere(geometry, design, s), aim) for s in sets]
-        return PosePlan(
-            joints=joints[chosen],
-            chosen=chosen,
-            design=design,
-            criterion=criterion,
-            model=_against_chance(geometry, design, chosen, sets),
-            arm=_against_chance(geometry, links, chosen, sets),
-            travel_seconds=travel_seconds(joints[chosen], arm.speed),
-            random_travel_seconds=float(np.mean(shuffled)),
-            predicted_error=None if aim is None else predicted_error(design.rows[chosen], aim),
-            random_predicted_error=None if errors is None else float(np.median(errors)),
-            passes=passes,
-            seconds=time.perf_counter() - begin,
-        )
+    std = {"position_std": position_std, "attitude_std": attitude_std}
+    design = design_of(geometry, model, joints, kind, **std)
+    _enough(design, count)
+    aim = None if test_joints is None else error_weight(geometry, design, test_joints)
+    chosen, passes = exchange(design.rows, count, rng, aim if criterion == "test-poses" else None)
+    chosen = chosen[short_tour(joints[chosen], arm.speed)]
+    sets = random_joints(geometry, DRAWS * count, rng).reshape(DRAWS, count, -1)
+    links = design_of(geometry, link_model(geometry), joints, kind, **std)
+    shuffled = [travel_seconds(joints[rng.permutation(chosen)], arm.speed) for _ in sets]
+    errors = None if aim is None else [predicted_error(_elsewhere(geometry, design, s), aim) for s in sets]
+    return PosePlan(
+        joints=joints[chosen],
+        chosen=chosen,
+        design=design,
+        criterion=criterion,
+        model=_against_chance(geometry, design, chosen, sets),
+        arm=_against_chance(geometry, links, chosen, sets),
+        travel_seconds=travel_seconds(joints[chosen], arm.speed),
+        random_travel_seconds=float(np.mean(shuffled)),
+        predicted_error=None if aim is None else predicted_error(design.rows[chosen], aim),
+        random_predicted_error=None if errors is None else float(np.median(errors)),
+        passes=passes,
+        seconds=time.perf_counter() - begin,
+    )
 
 
 def _elsewhere(geometry: Geometry, design: Design, joints: Array) -> Array:
@@ -317,8 +315,7 @@ def _enough(design: Design, count: int) -> None:
 
 def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Array:
     """W ``(p, p)`` such that trace(W M^-1) is the mean squared predicted position error at the test poses, m^2."""
-    jacobian = parameter_jacobian(geometry, test_joints)[:, :3, design.model.columns] * design.model.tolerance
-    stacked = jacobian.reshape(-1, len(design.model.names))
+    stacked = _rows(geometry, design.model, np.ones(3), test_joints).reshape(-1, len(design.model.names))
     return np.asarray(stacked.T @ stacked / len(test_joints))
 
 

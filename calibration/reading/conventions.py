@@ -18,7 +18,7 @@ from pickenv.calibration.model.error_model import frames_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.errors import InputError
 
-CONVENTIONS: dict[str, tuple[str, Callable[[Array], Rotation]]] = {
+GENERAL: dict[str, tuple[str, Callable[[Array], Rotation]]] = {
     "rotation_vector": ("angle", Rotation.from_rotvec),
     "quaternion_wxyz": ("none", lambda v: Rotation.from_quat(v, scalar_first=True)),
     "quaternion_xyzw": ("none", Rotation.from_quat),
@@ -27,12 +27,7 @@ CONVENTIONS: dict[str, tuple[str, Callable[[Array], Rotation]]] = {
     "euler_zyx_extrinsic": ("angle", lambda v: Rotation.from_euler("zyx", v)),
     "euler_zyx_intrinsic": ("angle", lambda v: Rotation.from_euler("ZYX", v)),
     "euler_zyz_intrinsic": ("angle", lambda v: Rotation.from_euler("ZYZ", v)),
-    "kuka_abc": ("angle", lambda v: Rotation.from_euler("ZYX", v)),
-    "fanuc_wpr": ("angle", lambda v: Rotation.from_euler("xyz", v)),
-    "abb_quaternion": ("none", lambda v: Rotation.from_quat(v, scalar_first=True)),
-    "ur_rotation_vector": ("angle", Rotation.from_rotvec),
 }
-"""Attitude conventions by name: the kind of their unit, and how values (N, 3 or 4), in rad, become rotations."""
 
 SAME_AS = {
     "kuka_abc": "euler_zyx_intrinsic",
@@ -41,6 +36,9 @@ SAME_AS = {
     "ur_rotation_vector": "rotation_vector",
 }
 """Makers' names for conventions that have a general one."""
+
+CONVENTIONS = GENERAL | {maker: GENERAL[general] for maker, general in SAME_AS.items()}
+"""Attitude conventions by name: the kind of their unit, and how values (N, 3 or 4), in rad, become rotations."""
 
 
 def columns_of(convention: str) -> int:
@@ -64,8 +62,8 @@ def convention_table(geometry: Geometry, joints: Array, position: Array, values:
         where: The file, for messages.
     """
     found: list[tuple[float, str]] = []
-    for name in CONVENTIONS:
-        if name in SAME_AS or columns_of(name) != values.shape[1]:
+    for name in GENERAL:
+        if columns_of(name) != values.shape[1]:
             continue
         data = Measurements(joints, position, rotations(name, values), geometry.prismatic, source=where)
         data_mean = _left(geometry, data)

@@ -29,6 +29,17 @@ LONGEST_EXPRESSION = 1000
 """Characters; nobody writes a longer one, and a parser's depth ends."""
 
 
+OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
+"""What expressions of columns may do."""
+
+
 class Table:
     """Turns columns and expressions into numbers and names the cell at fault.
 
@@ -92,9 +103,15 @@ class Table:
         return float(10.0 ** -np.median(digits))
 
     def _cell(self, row: list[str], index: int, name: str, line: int) -> float:
+        """The finite number that a cell spells, in the digits of any instrument."""
         text = row[index].strip() if index < len(row) else ""
         grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands
-        return number_in_cell("" if grouped else text.replace(self.decimal, "."), text, self.where, line, name)
+        value = decimal_number("" if grouped else text.replace(self.decimal, "."))
+        if value is not None and np.isfinite(value):
+            return value
+        fault = f"holds '{shortened(text)}', which is not a number" if text else "is empty"
+        said = fault if value is None else f"is {shortened(text)}"
+        raise InputError(f"{self.where}: row {line}, column '{shortened(name)}' {said}; correct or remove the row")
 
     def value(self, expression: str) -> Array:
         """A column by its name, or an expression of columns with + - * / and numbers; `odd names` in backticks."""
@@ -127,48 +144,20 @@ class Table:
             ) from error
 
     def _evaluate(self, node: ast.AST, expression: str, quoted: list[str]) -> Any:
-        operators: dict[type[ast.AST], Callable[..., Any]] = {
-            ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
-            ast.USub: operator.neg, ast.UAdd: operator.pos,
-        }  # fmt: skip
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
                 return np.float64(value)
             case ast.Name(id=name):
-                match_ = re.fullmatch(r"__quoted_(\d+)", name)
-                return self.column(quoted[int(match_[1])] if match_ else name)
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in operators:
-                return operators[type(op)](
-                    self._evaluate(left, expression, quoted), self._evaluate(right, expression, quoted)
-                )
-            case ast.UnaryOp(op=op, operand=operand) if type(op) in operators:
-                return operators[type(op)](self._evaluate(operand, expression, quoted))
+                place = re.fullmatch(r"__quoted_(\d+)", name)
+                return self.column(quoted[int(place[1])] if place else name)
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
+                parts = [self._evaluate(part, expression, quoted) for part in (left, right)]
+                return OPERATORS[type(op)](*parts)
+            case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
+                return OPERATORS[type(op)](self._evaluate(operand, expression, quoted))
         raise InputError(
             f"{self.where}: cannot compute '{shortened(expression)}'; use column names, numbers and + - * / only"
         )
-
-
-def number_in_cell(number: str, text: str, where: str, line: int, name: str) -> float:
-    """The finite number that a cell spells, in the digits of any instrument.
-
-    Args:
-        number: The cell with a decimal point.
-        text: The cell as the file has it.
-        where: The file.
-        line: Its row.
-        name: Its column.
-
-    Raises:
-        InputError: Names file, row and column.
-    """
-    value = decimal_number(number)
-    if value is not None and np.isfinite(value):
-        return value
-    if value is not None:
-        said = f"is {shortened(text)}"
-    else:
-        said = f"holds '{shortened(text)}', which is not a number" if text else "is empty"
-    raise InputError(f"{where}: row {line}, column '{shortened(name)}' {said}; correct or remove the row")
 
 
 def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:

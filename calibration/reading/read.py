@@ -6,13 +6,12 @@ what the file itself says about noise: repeat sigma and the size of its last dig
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
@@ -25,14 +24,13 @@ from pickenv.calibration.model.observations import (
     SocketObservations,
 )
 from pickenv.calibration.model.origins import Origins
-from pickenv.calibration.reading.conventions import CONVENTIONS, columns_of, convention_table, rotations
+from pickenv.calibration.reading.conventions import columns_of, convention_table, rotations
 from pickenv.calibration.reading.csv_table import Table, read_table, refuse_repeated
 from pickenv.calibration.reading.description import (
     ColumnDescription,
     joint_scales,
     load_description,
     own_description,
-    shipped_descriptions,
 )
 from pickenv.calibration.reading.row_checks import (
     refuse_duplicates,
@@ -43,16 +41,6 @@ from pickenv.calibration.reading.row_checks import (
 )
 from pickenv.errors import InputError
 from pickenv.toml_tables import TO_SI
-
-__all__ = [
-    "CONVENTIONS",
-    "NoiseFloor",
-    "Reading",
-    "load_description",
-    "read_measurements",
-    "read_observations",
-    "shipped_descriptions",
-]
 
 
 @dataclass(frozen=True)
@@ -75,23 +63,53 @@ class NoiseFloor:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class FileReading:
     """Measurements of any kind as they were read.
 
     Attributes:
         observations: The data.
         floor: What the files say about noise.
-        groups: File of each row, counted from 0, ``(N,)``.
     """
 
     observations: Observations
     floor: NoiseFloor
-    groups: NDArray[np.int64]
 
     @property
     def measurements(self) -> Measurements | None:
         """The data as poses or positions; None where they are of another kind."""
         return self.observations if isinstance(self.observations, Measurements) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Files:
+    """Files of one layout, and what all kinds have in common.
+
+    Attributes:
+        tables: Their columns.
+        given: Their descriptions, one each.
+        geometry: The arm's nominal geometry.
+        joints: Joints of all rows ``(N, n)``, rad or m.
+        source: How messages name them.
+    """
+
+    tables: list[Table]
+    given: list[ColumnDescription]
+    geometry: Geometry
+    joints: Array
+    source: str
+
+    @property
+    def first(self) -> ColumnDescription:
+        """The description that they share, but for units."""
+        return self.given[0]
+
+    def values(self) -> Array:
+        """What was measured in all rows, as described under the kind ``(N, k)``, m."""
+        return np.concatenate([table.values(each.position) * TO_SI[each.position_unit] for table, each in self.pairs()])
+
+    def pairs(self) -> Iterator[tuple[Table, ColumnDescription]]:
+        """Each file and its description."""
+        return zip(self.tables, self.given, strict=True)
 
 
 def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> Measurements:
@@ -111,7 +129,9 @@ def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path 
     return found.measurements
 
 
-def read_observations(paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None) -> Reading:
+def read_observations(
+    paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None
+) -> FileReading:
     """Read measurements of any kind from one file or several of one layout.
 
     Files of sockets that name no socket column hold one socket each; the files of one folder make a pair.
@@ -128,26 +148,21 @@ def read_observations(paths: Sequence[str | Path], geometry: Geometry, columns: 
         raise InputError("no measurement file was given; give at least one")
     refuse_repeated(paths)
     description = None if columns is None else load_description(columns)
-    tables = []
-    for path in paths:
-        if description is None:
-            tables.append(read_table(path))
-        else:
-            tables.append(read_table(path, description.separator, description.decimal, description.names))
+    layout = () if description is None else (description.separator, description.decimal, description.names)
+    tables = [read_table(path, *layout) for path in paths]
     given = [description or own_description(geometry, table.header, table.where) for table in tables]
     joints = np.concatenate([_joints(table, each, geometry) for table, each in zip(tables, given, strict=True)])
-    first = given[0]
-    conditions = _conditions(tables, given)
     source = tables[0].where if len(tables) == 1 else f"{tables[0].where} and {len(tables) - 1} more"
+    files = Files(tables, given, geometry, joints, source)
     groups = np.repeat(np.arange(len(tables)), [len(table.lines) for table in tables])
     lines = np.concatenate([np.array(table.lines, dtype=np.int64) for table in tables])
     origins = Origins(tuple(table.where for table in tables), groups, lines)
     refuse_repeated_joints(given, joints, geometry)
     frames = {"frames": _frames(tables)} if description is None else {}
-    found: Any = READERS[first.kind](tables, given, joints, conditions, geometry, source)
-    found = replace(found, origins=origins, **frames)
+    found: Any = READERS[files.first.kind](files)
+    found = replace(found, source=source, conditions=_conditions(files), origins=origins, **frames)
     refuse_duplicates(joints, found, origins)
-    return Reading(found, _floor(tables, given), groups)
+    return FileReading(found, _floor(files))
 
 
 def _frames(tables: list[Table]) -> Frames:
@@ -177,55 +192,46 @@ def _joints(table: Table, description: ColumnDescription, geometry: Geometry) ->
     return np.stack(columns, -1)
 
 
-def _conditions(tables: list[Table], given: list[ColumnDescription]) -> Conditions:
+def _conditions(files: Files) -> Conditions:
     """Payload, temperature above the reference, and torques, where every file has them."""
     found: dict[str, Array] = {}
     for name in ("temperature", "payload", "torque"):
         parts = []
-        for table, description in zip(tables, given, strict=True):
+        for table, description in files.pairs():
             condition = (description.conditions or {}).get(name)
             if condition is not None:
                 values = (table.values(condition.columns) - condition.reference) * np.array(condition.scales)
                 parts.append(values if name == "torque" else values[:, 0])
-        if len(parts) == len(tables):
+        if len(parts) == len(files.tables):
             found[name] = np.concatenate(parts)
     return Conditions(**found)
 
 
-def _poses(
-    tables: list[Table],
-    given: list[ColumnDescription],
-    joints: Array,
-    conditions: Conditions,
-    geometry: Geometry,
-    source: str,
-) -> Measurements:
+def _poses(files: Files) -> Measurements:
     """Poses or positions; unnamed attitude conventions are refused with what each would leave."""
-    first, pairs = given[0], list(zip(tables, given, strict=True))
-    position = np.concatenate([t.values(d.position) * TO_SI[d.position_unit] for t, d in pairs])
-    for table, description in pairs:
+    first, position = files.first, files.values()
+    for table, description in files.pairs():
         refuse_far(table, description)
         refuse_origin(table, description)
     rotation = None
     if first.rotation:
-        values = np.concatenate([_attitudes(table, description) for table, description in pairs])
+        values = np.concatenate([_attitudes(table, description) for table, description in files.pairs()])
         if first.convention is None:
+            fits = convention_table(files.geometry, files.joints, position, values, files.source)
             raise InputError(
                 f"{first.where}: [rotation] names no convention, and none is guessed; after fitting base and tool "
-                f"each would leave, on average:\n{convention_table(geometry, joints, position, values, source)}\n"
+                f"each would leave, on average:\n{fits}\n"
                 "name one of them, or the maker's, as convention in [rotation]"
             )
         rotation = rotations(first.convention, values)
     return Measurements(
-        joints=joints,
+        joints=files.joints,
         position=position,
         rotation=rotation,
-        prismatic=geometry.prismatic,
+        prismatic=files.geometry.prismatic,
         position_std=first.position_std,
         std_stated=first.std_stated,
         attitude_std=first.attitude_std,
-        source=source,
-        conditions=conditions,
     )
 
 
@@ -248,18 +254,11 @@ def _attitudes(table: Table, description: ColumnDescription) -> Array:
     return values
 
 
-def _reflectors(
-    tables: list[Table],
-    given: list[ColumnDescription],
-    joints: Array,
-    conditions: Conditions,
-    geometry: Geometry,
-    source: str,
-) -> ReflectorObservations:
+def _reflectors(files: Files) -> ReflectorObservations:
     """Reflector groups; a reflector counts as lost only as the description says that it is marked."""
-    first = given[0]
+    first = files.first
     points, seen = [], []
-    for table in tables:
+    for table in files.tables:
         blank = np.zeros((len(table.lines), len(first.position)), dtype=bool)
         if "empty" in first.lost:
             blank = np.stack([table.blank(name) for name in first.position], -1)
@@ -278,69 +277,49 @@ def _reflectors(
     visible = np.concatenate(seen)
     if (visible.sum(axis=0) < 3).any():
         which = int(np.argmin(visible.sum(axis=0)))
-        raise InputError(f"{source}: reflector {which + 1} was seen in fewer than three poses; leave it out")
+        raise InputError(f"{files.source}: reflector {which + 1} was seen in fewer than three poses; leave it out")
     return ReflectorObservations(
-        joints=joints,
+        joints=files.joints,
         points=np.concatenate(points),
         seen=visible,
         covariance=np.eye(3) * first.position_std**2,
-        conditions=conditions,
-        source=source,
     )
 
 
-def _distances(
-    tables: list[Table],
-    given: list[ColumnDescription],
-    joints: Array,
-    conditions: Conditions,
-    geometry: Geometry,
-    source: str,
-) -> DistanceObservations:
-    first = given[0]
-    length = np.concatenate([table.values(first.position)[:, 0] for table in tables]) * TO_SI[first.position_unit]
+def _distances(files: Files) -> DistanceObservations:
+    length = files.values()[:, 0]
     if (length <= 0).any():
-        raise InputError(f"{source}: a length is not above zero; correct or remove the row")
-    return DistanceObservations(joints, length, first.position_std, conditions, source)
+        raise InputError(f"{files.source}: a length is not above zero; correct or remove the row")
+    return DistanceObservations(files.joints, length, files.first.position_std)
 
 
-def _sockets(
-    tables: list[Table],
-    given: list[ColumnDescription],
-    joints: Array,
-    conditions: Conditions,
-    geometry: Geometry,
-    source: str,
-) -> SocketObservations:
+def _sockets(files: Files) -> SocketObservations:
     """Sockets by a column, in consecutive pairs of their numbers; or one per file, the files of a folder a pair."""
-    first = given[0]
+    first = files.first
     if first.position:
-        named = np.concatenate([table.value(first.position[0]) for table in tables])
+        named = np.concatenate([table.value(first.position[0]) for table in files.tables])
         labels, socket = np.unique(named, return_inverse=True)
         folders = [str(i // 2) for i in range(len(labels))]
     else:
-        socket = np.repeat(np.arange(len(tables)), [len(table.lines) for table in tables])
-        folders = [str(Path(table.where).parent) for table in tables]
+        socket = np.repeat(np.arange(len(files.tables)), [len(table.lines) for table in files.tables])
+        folders = [str(Path(table.where).parent) for table in files.tables]
     sockets: dict[str, list[int]] = {}
     for i, folder in enumerate(folders):
         sockets.setdefault(folder, []).append(i)
-    pairs = [(members[0], other) for members in sockets.values() for other in members[1:2]]
-    if first.spacing is not None and any(len(members) != 2 for members in sockets.values()):
-        folder = next(folder for folder, members in sockets.items() if len(members) != 2)
-        raise InputError(
-            f"{source}: a spacing is given for pairs of sockets, but '{folder}' holds {len(sockets[folder])}; give two "
-            "files per folder, or leave spacing_mm out"
-        )
-    known = pairs if first.spacing is not None else []
+    pairs = [] if first.spacing is None else list(sockets.items())
+    for folder, members in pairs:
+        if len(members) != 2:
+            raise InputError(
+                f"{files.source}: a spacing is given for pairs of sockets, but '{folder}' holds {len(members)}; give "
+                "two files per folder, or leave spacing_mm out"
+            )
     return SocketObservations(
-        joints=joints,
+        joints=files.joints,
         socket=np.asarray(socket, dtype=np.int64),
-        pairs=np.array(known, dtype=np.int64).reshape(-1, 2),
-        spacing=np.full(len(known), first.spacing or 0.0),
+        pairs=np.array([members for _, members in pairs], dtype=np.int64).reshape(-1, 2),
+        spacing=np.full(len(pairs), first.spacing or 0.0),
         std=first.position_std,
         spacing_std=first.spacing_std,
-        conditions=conditions,
-        source=source,
     )
 
 
@@ -353,10 +332,10 @@ READERS: dict[str, Callable[..., Observations]] = {
 """How each kind of `pickenv.calibration.reading.description.KINDS` is read."""
 
 
-def _floor(tables: list[Table], given: list[ColumnDescription]) -> NoiseFloor:
+def _floor(files: Files) -> NoiseFloor:
     """Repeat sigma and quantisation, over all files."""
     repeat, digits = [], []
-    for table, description in zip(tables, given, strict=True):
+    for table, description in files.pairs():
         if description.kind == "sockets":
             continue
         unit = TO_SI[description.position_unit]

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.residuals.extra_trees import ExtraTrees, fit_extra_trees
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess, fit_gaussian_process
+from pickenv.calibration.residuals.saved_arrays import named_part, part_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +37,13 @@ class Blend:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All numbers by name, for saving without pickle."""
-        named = {f"process_{name}": np.asarray(value) for name, value in self.process.arrays().items()}
-        return named | {f"trees_{name}": np.asarray(value) for name, value in self.trees.arrays().items()}
+        return named_part("process_", self.process.arrays()) | named_part("trees_", self.trees.arrays())
 
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> Blend:
         """The inverse of `arrays`."""
-        parts: dict[str, dict[str, NDArray[Any]]] = {"process": {}, "trees": {}}
-        for name, value in named.items():
-            part, _, rest = name.partition("_")
-            parts[part][rest] = value
-        return Blend(GaussianProcess.from_arrays(parts["process"]), ExtraTrees.from_arrays(parts["trees"]))
+        process, trees = part_of(named, "process_"), part_of(named, "trees_")
+        return Blend(GaussianProcess.from_arrays(process), ExtraTrees.from_arrays(trees))
 
 
 def fit_blend(inputs: Array, targets: Array, rng: np.random.Generator) -> Blend:

@@ -6,7 +6,7 @@ L2 1e-5, 500 epochs, batches of 16. Trained with torch; run afterwards as a NumP
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.residuals.standardising import spread
+from pickenv.calibration.residuals.standardising import column_std
 from pickenv.errors import InputError
 from pickenv.threads import torch_on_one_thread
 
@@ -45,6 +45,9 @@ class BpnnSettings:
 Layers = list[tuple[NDArray[Any], NDArray[Any]]]
 """Matrices ``(in, out)`` and what each product is cut off below, or, in the last layer, what is added to it."""
 
+SCALES = ("input_mean", "input_std", "output_mean", "output_std", "loss")
+"""Arrays of a network beside its layers."""
+
 ROWS = 512
 """Poses that go through the network together: what a core's second cache holds."""
 
@@ -64,12 +67,12 @@ class Bpnn:
 
     Attributes:
         input_mean: Mean of the training joints ``(n,)``, rad or m.
-        input_std: Their spread.
+        input_std: Their standard deviation.
         weights: Matrices of the layers, ``(out, in)``, normalisation folded in.
         biases: Biases of the layers.
         output_mean: Mean of the training residuals ``(6,)``, m and rad.
-        output_std: Their spread.
-        loss: Mean training loss of each epoch, in units of the residual's spread squared.
+        output_std: Their standard deviation.
+        loss: Mean training loss of each epoch, in units of the residual's standard deviation squared.
         single_precision: Whether it runs in single precision, in which it was trained: twice as fast, 1e-8 m apart.
     """
 
@@ -118,25 +121,17 @@ class Bpnn:
 
     def arrays(self) -> dict[str, Array]:
         """All numbers by name, for saving."""
-        named = {"input_mean": self.input_mean, "input_std": self.input_std, "loss": self.loss}
-        named |= {"output_mean": self.output_mean, "output_std": self.output_std}
+        named = {name: getattr(self, name) for name in SCALES}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             named |= {f"weight{i}": weight, f"bias{i}": bias}
         return named
 
     @staticmethod
-    def from_arrays(named: dict[str, Array]) -> Bpnn:
+    def from_arrays(named: Mapping[str, NDArray[Any]]) -> Bpnn:
         """The inverse of `arrays`."""
-        layers = sum(key.startswith("weight") for key in named)
-        return Bpnn(
-            input_mean=named["input_mean"],
-            input_std=named["input_std"],
-            weights=tuple(named[f"weight{i}"] for i in range(layers)),
-            biases=tuple(named[f"bias{i}"] for i in range(layers)),
-            output_mean=named["output_mean"],
-            output_std=named["output_std"],
-            loss=named["loss"],
-        )
+        count = sum(key.startswith("weight") for key in named)
+        weights, biases = (tuple(named[f"{kind}{i}"] for i in range(count)) for kind in ("weight", "bias"))
+        return Bpnn(weights=weights, biases=biases, **{name: named[name] for name in SCALES})
 
 
 def train_bpnn(
@@ -166,8 +161,8 @@ def train_bpnn(
         raise InputError(
             f"{len(joints)} poses are too few to train a network in batches of {size}; measure at least {2 * size}"
         )
-    input_mean, input_std = joints.mean(axis=0), spread(joints, 1.0)
-    output_mean, output_std = residuals.mean(axis=0), spread(residuals, 1e-12)
+    input_mean, input_std = joints.mean(axis=0), column_std(joints, 1.0)
+    output_mean, output_std = residuals.mean(axis=0), column_std(residuals, 1e-12)
     x = torch.as_tensor((joints - input_mean) / input_std, dtype=torch.float32)
     y = torch.as_tensor((residuals - output_mean) / output_std, dtype=torch.float32)
     with torch_on_one_thread(), torch.random.fork_rng(devices=[]):

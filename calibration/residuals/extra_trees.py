@@ -6,7 +6,7 @@ the measured region it holds the nearest value instead of running away.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,30 +14,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.residuals.standardising import spread
+from pickenv.calibration.residuals.saved_arrays import SavedArrays
+from pickenv.calibration.residuals.standardising import column_std
 from pickenv.errors import InputError
 
 CHUNK = 4096
 """Rows predicted at once."""
 
 
-@dataclass(frozen=True)
-class ExtraTreesSettings:
-    """How the trees are grown.
-
-    Attributes:
-        trees: Their number.
-        min_samples_leaf: Rows in a leaf at least.
-        max_features: Share of the inputs tried at each split.
-    """
-
-    trees: int = 100
-    min_samples_leaf: int = 2
-    max_features: float = 1.0
-
-
 @dataclass(frozen=True, eq=False)
-class ExtraTrees:
+class ExtraTrees(SavedArrays):
     """A forest of T trees with B nodes in all, in flat arrays; node numbers count through all trees.
 
     Attributes:
@@ -75,48 +61,45 @@ class ExtraTrees:
             node = np.where(low, self.left[node], self.right[node])
         return np.asarray(self.value[node].mean(axis=1, dtype=float))
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """All numbers by name, for saving."""
-        return {name: np.asarray(getattr(self, name)) for name in self.__dataclass_fields__}
-
-    @staticmethod
-    def from_arrays(named: Mapping[str, NDArray[Any]]) -> ExtraTrees:
-        """The inverse of `arrays`."""
-        parts: dict[str, Any] = {name: named[name] for name in ExtraTrees.__dataclass_fields__}
-        return ExtraTrees(**(parts | {"depth": int(parts["depth"])}))
-
 
 def fit_extra_trees(
-    inputs: Array, targets: Array, rng: np.random.Generator, settings: ExtraTreesSettings | None = None
+    inputs: Array,
+    targets: Array,
+    rng: np.random.Generator,
+    *,
+    trees: int = 100,
+    min_samples_leaf: int = 2,
+    max_features: float = 1.0,
 ) -> ExtraTrees:
     """Grow the forest.
 
     Args:
         inputs: Standardised inputs ``(N, F)``.
-        targets: Residuals to learn ``(N, k)``, m and rad; a split serves all outputs, each in units of its spread.
+        targets: Residuals to learn ``(N, k)``, m and rad; a split serves all outputs, each standardised.
         rng: Seeds the trees.
-        settings: How; the defaults when left out.
+        trees: Number of trees.
+        min_samples_leaf: Rows in a leaf at least.
+        max_features: Fraction of the inputs tried at each split.
 
     Raises:
         InputError: If there are fewer than ten rows.
     """
     from sklearn.ensemble import ExtraTreesRegressor  # type: ignore[import-untyped]
 
-    settings = settings or ExtraTreesSettings()
     if len(inputs) < 10:
         raise InputError(f"{len(inputs)} poses are too few for a tree ensemble; measure at least 10")
-    mean, scale = targets.mean(axis=0), spread(targets, 1e-12)
+    mean, scale = targets.mean(axis=0), column_std(targets, 1e-12)
     forest = ExtraTreesRegressor(
-        n_estimators=settings.trees,
-        min_samples_leaf=settings.min_samples_leaf,
-        max_features=settings.max_features,
+        n_estimators=trees,
+        min_samples_leaf=min_samples_leaf,
+        max_features=max_features,
         random_state=int(rng.integers(2**31)),
     )
     forest.fit(inputs, (targets - mean) / scale)
-    return flattened([one.tree_ for one in forest.estimators_], scale, mean)
+    return flat_forest([one.tree_ for one in forest.estimators_], scale, mean)
 
 
-def flattened(grown: Sequence[Any], scale: Array, offset: Array) -> ExtraTrees:
+def flat_forest(grown: Sequence[Any], scale: Array, offset: Array) -> ExtraTrees:
     """scikit-learn's trees as flat arrays, their outputs ``(k,)`` multiplied by ``scale``, then ``offset`` added."""
     roots = np.cumsum([0] + [tree.node_count for tree in grown])
     left, right, feature = [], [], []

@@ -7,7 +7,7 @@ training; the choice among models comes from blocks within the training rows, so
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.splits import Rows, blocked_split, random_split
+from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, random_split
 from pickenv.calibration.residuals.residual_models import FITTERS, Fitter, fit_residual
 from pickenv.errors import InputError
 
@@ -31,7 +31,7 @@ Refit = Callable[[Measurements], Geometry | ArmModel]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class GateVerdict:
     """How one residual model fares. All RMS are of the position error's norm, m, unless they say attitude (rad).
 
     Attributes:
@@ -55,10 +55,10 @@ class Verdict:
     geometric_blocked_rms: float
     blocked_attitude_rms: float | None
     geometric_blocked_attitude_rms: float | None
-    inner_rms: float | None
-    geometric_inner_rms: float | None
-    accepted: bool
-    reason: str
+    inner_rms: float | None = None
+    geometric_inner_rms: float | None = None
+    accepted: bool = False
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class GateReport:
         held_out: Rows of the held-out blocks, counted from 0.
     """
 
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[GateVerdict, ...]
     selected: str | None
     blocked_rms: float
     held_out: tuple[int, ...]
@@ -81,33 +81,34 @@ class GateReport:
         """For JSON; lengths in mm and angles in degrees, as the names then say."""
         models = {}
         for verdict in self.verdicts:
-            values = asdict(verdict)
-            named = {key: values[key] for key in ("accepted", "reason")}
-            for key in values.keys() - named.keys() - {"model"}:
-                turned = key.endswith("attitude_rms")
-                scale = np.degrees(1.0) if turned else 1e3
-                named[f"{key}_{'deg' if turned else 'mm'}"] = (
-                    None if values[key] is None else float(values[key] * scale)
-                )
+            named: dict[str, Any] = {"accepted": verdict.accepted, "reason": verdict.reason}
+            for key, value in vars(verdict).items():
+                if key.endswith("rms"):
+                    unit, scale = ("deg", np.degrees(1.0)) if key.endswith("attitude_rms") else ("mm", 1e3)
+                    named[f"{key}_{unit}"] = None if value is None else float(value * scale)
             models[verdict.model] = dict(sorted(named.items()))
         return {"models": models, "selected": self.selected, "blocked_rms_mm": self.blocked_rms * 1e3}
 
 
-def judge_residuals(
+def inner_error(verdict: GateVerdict) -> float:
+    """What an accepted model leaves of the error within the training rows, m."""
+    assert verdict.inner_rms is not None
+    return verdict.inner_rms
+
+
+def gate_residuals(
     measurements: Measurements,
     refit: Refit,
     rng: np.random.Generator,
     *,
     models: Sequence[str] = tuple(FITTERS),
     fitters: Mapping[str, Fitter] | None = None,
-    test_rows: int | None = None,
-    folds: int = FOLDS,
-    margin: float = MARGIN,
+    rank: Callable[[GateVerdict], float] = inner_error,
 ) -> GateReport:
     """Judge residual models on random and on blocked hold-out, and choose one honestly.
 
     On every split the arm is identified anew from the training rows, then the residual from the same rows. A model is
-    accepted if it cuts the blocked RMS by more than ``margin``, does not make attitudes worse by more than that, and
+    accepted if it cuts the blocked RMS by more than `MARGIN`, does not make attitudes worse by more than that, and
     wins likewise when cross-validated over contiguous folds of the blocked split's training rows. That cross-validation
     ranks the accepted models. So the held-out blocks may veto a model but never rank models: picking the best of
     several on the rows that then state its error would flatter it.
@@ -118,9 +119,7 @@ def judge_residuals(
         rng: Seeds the random split and every fit.
         models: Names of `FITTERS`.
         fitters: Other ways to fit a named model, such as with other settings.
-        test_rows: Rows held out; a fifth when left out.
-        folds: Folds of the inner cross-validation.
-        margin: Share of the RMS that must be gained.
+        rank: Selects among accepted models the one with the smallest value; the inner RMS when left out.
 
     Raises:
         InputError: If there are no models, or too few rows to hold blocks out.
@@ -128,8 +127,7 @@ def judge_residuals(
     if not models:
         raise InputError(f"no residual model was named; give some of {', '.join(FITTERS)}")
     fitters = fitters or {}
-    count = len(measurements)
-    test_rows = count // 5 if test_rows is None else test_rows
+    test_rows = len(measurements) // 5
     seeds = {name: int(rng.integers(2**63)) for name in models}
 
     def fitted(name: str, data: Measurements, residuals: Array) -> Callable[[Measurements], Array]:
@@ -140,8 +138,9 @@ def judge_residuals(
         )
         return lambda other: model.predict(other.joints, other.conditions.inputs())
 
-    blocked = _Trial.of(measurements, refit, *blocked_split(count, test_rows))
-    shuffled = _Trial.of(measurements, refit, *random_split(count, test_rows, rng))
+    blocked = _Trial.of(measurements, refit, *blocked_split(len(measurements), test_rows))
+    shuffled = _Trial.of(measurements, refit, *random_split(len(measurements), test_rows, rng))
+    without = _verdict_without(blocked, shuffled)
     inner: list[_Trial] | None = None
     verdicts = []
     for name in models:
@@ -149,56 +148,42 @@ def judge_residuals(
             predict_blocked = fitted(name, blocked.train, blocked.train_residual)
             predict_random = fitted(name, shuffled.train, shuffled.train_residual)
         except InputError as error:
-            verdicts.append(_refused(name, blocked, shuffled, str(error)))
+            verdicts.append(replace(without, model=name, reason=f"not fitted: {error}"))
             continue
         left = blocked.test_residual - predict_blocked(blocked.test)
-        accepted, reason = _compared(blocked.test_residual, left, margin)
+        accepted, reason = _compared(blocked.test_residual, left)
         inner_rms = geometric_inner = None
         if accepted:
             if inner is None:
-                inner = [_Trial.of(blocked.train, refit, *rows) for rows in contiguous_folds(len(blocked.train), folds)]
+                folds = contiguous_folds(blocked.train.groups, FOLDS)
+                inner = [_Trial.of(blocked.train, refit, *rows) for rows in folds]
             untouched = np.concatenate([trial.test_residual for trial in inner])
             remaining = np.concatenate(
                 [trial.test_residual - fitted(name, trial.train, trial.train_residual)(trial.test) for trial in inner]
             )
             inner_rms, geometric_inner = position_rms(remaining), position_rms(untouched)
-            wins_inside, inside = _compared(untouched, remaining, margin)
+            wins_inside, inside = _compared(untouched, remaining)
             if not wins_inside:
                 accepted, reason = False, f"{inside} cross-validated over the other blocks ({reason})"
-        verdicts.append(
-            Verdict(
-                model=name,
-                random_rms=position_rms(shuffled.test_residual - predict_random(shuffled.test)),
-                blocked_rms=position_rms(left),
-                geometric_random_rms=position_rms(shuffled.test_residual),
-                geometric_blocked_rms=position_rms(blocked.test_residual),
-                blocked_attitude_rms=_attitude_rms(left),
-                geometric_blocked_attitude_rms=_attitude_rms(blocked.test_residual),
-                inner_rms=inner_rms,
-                geometric_inner_rms=geometric_inner,
-                accepted=accepted,
-                reason=reason,
-            )
+        verdict = replace(
+            without,
+            model=name,
+            random_rms=position_rms(shuffled.test_residual - predict_random(shuffled.test)),
+            blocked_rms=position_rms(left),
+            blocked_attitude_rms=_attitude_rms(left),
+            inner_rms=inner_rms,
+            geometric_inner_rms=geometric_inner,
+            accepted=accepted,
+            reason=reason,
         )
-    chosen = _chosen(verdicts)
+        verdicts.append(verdict)
+    chosen = min((verdict for verdict in verdicts if verdict.accepted), key=rank, default=None)
     return GateReport(
         verdicts=tuple(verdicts),
         selected=chosen.model if chosen else None,
-        blocked_rms=chosen.blocked_rms if chosen else position_rms(blocked.test_residual),
-        held_out=tuple(int(row) for row in blocked.test_rows),
+        blocked_rms=chosen.blocked_rms if chosen else without.blocked_rms,
+        held_out=tuple(blocked.test_rows.tolist()),
     )
-
-
-def contiguous_folds(rows: int, folds: int) -> list[tuple[Rows, Rows]]:
-    """Cut rows into contiguous folds: for each, the training rows and the held-out rows.
-
-    Raises:
-        InputError: If there are fewer than two folds, or fewer rows than folds.
-    """
-    if not 2 <= folds <= rows:
-        raise InputError(f"{rows} rows cannot be cut into {folds} folds; give 2 to {rows}")
-    parts = np.array_split(np.arange(rows), folds)
-    return [(np.concatenate(parts[:i] + parts[i + 1 :]), parts[i]) for i in range(folds)]
 
 
 def position_rms(residuals: Array) -> float:
@@ -207,7 +192,7 @@ def position_rms(residuals: Array) -> float:
 
 
 def _attitude_rms(residuals: Array) -> float | None:
-    return None if residuals.shape[1] < 6 else float(np.sqrt(np.mean(np.sum(residuals[:, 3:] ** 2, axis=1))))
+    return None if residuals.shape[1] < 6 else position_rms(residuals[:, 3:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,37 +212,27 @@ class _Trial:
         return _Trial(train, test, train.difference(found), test.difference(found), test_rows)
 
 
-def _compared(before: Array, after: Array, margin: float) -> tuple[bool, str]:
+def _compared(before: Array, after: Array) -> tuple[bool, str]:
     """Whether a residual wins, and why."""
     gain = 1.0 - position_rms(after) / position_rms(before)
-    if not gain > margin:
+    if not gain > MARGIN:
         return False, f"no gain: {'cuts' if gain >= 0 else 'raises'} the blocked RMS by {abs(gain):.0%}"
     turned, untouched = _attitude_rms(after), _attitude_rms(before)
-    if turned is not None and untouched is not None and turned > (1.0 + margin) * untouched:
+    if turned is not None and untouched is not None and turned > (1.0 + MARGIN) * untouched:
         return False, f"no gain: positions gain {gain:.0%}, but attitudes lose {turned / untouched - 1.0:.0%}"
     return True, f"cuts the blocked RMS by {gain:.0%}"
 
 
-def _chosen(verdicts: Sequence[Verdict]) -> Verdict | None:
-    """The accepted model that is best within the training rows."""
-    ranked = [(v.inner_rms, v) for v in verdicts if v.accepted and v.inner_rms is not None]
-    return min(ranked, key=lambda pair: pair[0])[1] if ranked else None
-
-
-def _refused(name: str, blocked: _Trial, shuffled: _Trial, reason: str) -> Verdict:
-    """The verdict on a model that could not be fitted: what geometry alone gives, and why."""
+def _verdict_without(blocked: _Trial, shuffled: _Trial) -> GateVerdict:
+    """What geometry alone gives, which is what a model gives that could not be fitted."""
     random_rms, blocked_rms = position_rms(shuffled.test_residual), position_rms(blocked.test_residual)
-    attitude = _attitude_rms(blocked.test_residual)
-    return Verdict(
-        name,
-        random_rms,
-        blocked_rms,
-        random_rms,
-        blocked_rms,
-        attitude,
-        attitude,
-        None,
-        None,
-        False,
-        f"not fitted: {reason}",
+    attitude_rms = _attitude_rms(blocked.test_residual)
+    return GateVerdict(
+        model="",
+        random_rms=random_rms,
+        blocked_rms=blocked_rms,
+        geometric_random_rms=random_rms,
+        geometric_blocked_rms=blocked_rms,
+        blocked_attitude_rms=attitude_rms,
+        geometric_blocked_attitude_rms=attitude_rms,
     )

@@ -7,19 +7,19 @@ which some take everything for noise, so it is climbed from several starts. One 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.residuals.standardising import spread
+from pickenv.calibration.residuals.saved_arrays import SavedArrays
+from pickenv.calibration.residuals.standardising import column_std
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
 
@@ -28,7 +28,7 @@ CHUNK = 2048
 
 
 AMPLITUDES = (0.03, 30.0)
-"""Bounds of the prior standard deviation, in units of the output's spread."""
+"""Bounds of the prior standard deviation, in units of the output's own."""
 
 PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
 """Amplitude, every length scale and noise where half is noise and where almost nothing is; all inputs count alike."""
@@ -53,7 +53,7 @@ class GaussianProcessSettings:
         start_rows: Rows at most that the starts are compared on; the best two go on with all.
         iterations: Iterations of L-BFGS at most, per search.
         length_scales: Bounds of a length scale, in standardised inputs.
-        noise: Bounds of the noise's standard deviation, in units of the output's spread.
+        noise: Bounds of the noise's standard deviation, in units of the output's own.
     """
 
     rows: int = 2000
@@ -66,17 +66,17 @@ class GaussianProcessSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class GaussianProcess:
+class GaussianProcess(SavedArrays):
     """A fitted process in plain arrays; far from its rows it predicts the mean.
 
     Attributes:
         rows: Training inputs ``(M, F)``, standardised.
         length_scales: Of each output and input ``(k, F)``, in standardised inputs.
-        amplitude: Prior standard deviation s of each output ``(k,)``, in units of its spread.
-        noise: Standard deviation of the noise of each output ``(k,)``, in units of its spread.
+        amplitude: Prior standard deviation s of each output ``(k,)``, in units of the output's own.
+        noise: Standard deviation of the noise of each output ``(k,)``, in units of the output's own.
         weights: Dual weights ``(k, M)``.
         output_mean: Mean of the training outputs ``(k,)``, m and rad.
-        output_std: Their spread.
+        output_std: Their standard deviation.
     """
 
     rows: Array
@@ -89,26 +89,28 @@ class GaussianProcess:
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
+        found = self._by_output(inputs, lambda j, part: self._kernel(j, part) @ self.weights[j])
+        return found * self.output_std + self.output_mean
+
+    def predict_std(self, inputs: ArrayLike) -> Array:
+        """Standard deviation ``(..., k)`` (m, rad) of the noise-free outputs at standardised inputs ``(..., F)``."""
+
+        def unknown(j: int, part: Array) -> Array:
+            known = solve_triangular(self._factors[j], self._kernel(j, part).T, lower=True)
+            return np.sqrt(np.maximum(self.amplitude[j] ** 2 - np.sum(known**2, axis=0), 0.0))
+
+        return self._by_output(inputs, unknown) * self.output_std
+
+    def _by_output(self, inputs: ArrayLike, one: Callable[[int, Array], Array]) -> Array:
+        """What ``one`` says of each output ``(..., k)``, for so many inputs ``(..., F)`` at a time as caches hold."""
         inputs = np.asarray(inputs, dtype=float)
         flat = inputs.reshape(-1, inputs.shape[-1])
         values = np.empty((len(flat), len(self.amplitude)))
         for start in range(0, len(flat), CHUNK):
             part = slice(start, start + CHUNK)
             for j in range(values.shape[1]):
-                values[part, j] = self._kernel(j, flat[part]) @ self.weights[j]
-        return (values * self.output_std + self.output_mean).reshape(*inputs.shape[:-1], -1)
-
-    def predict_std(self, inputs: ArrayLike) -> Array:
-        """Standard deviation ``(..., k)`` (m, rad) of the noise-free outputs at standardised inputs ``(..., F)``."""
-        inputs = np.asarray(inputs, dtype=float)
-        flat = inputs.reshape(-1, inputs.shape[-1])
-        values = np.empty((len(flat), len(self.amplitude)))
-        for start in range(0, len(flat), CHUNK):
-            part = slice(start, start + CHUNK)
-            for j, factor in enumerate(self._factors):
-                known = np.sum(solve_triangular(factor, self._kernel(j, flat[part]).T, lower=True) ** 2, axis=0)
-                values[part, j] = np.sqrt(np.maximum(self.amplitude[j] ** 2 - known, 0.0))
-        return (values * self.output_std).reshape(*inputs.shape[:-1], -1)
+                values[part, j] = one(j, flat[part])
+        return values.reshape(*inputs.shape[:-1], -1)
 
     @cached_property
     def _factors(self) -> tuple[Array, ...]:
@@ -117,15 +119,6 @@ class GaussianProcess:
 
     def _kernel(self, output: int, inputs: Array) -> Array:
         return _kernel(inputs, self.rows, self.length_scales[output], float(self.amplitude[output]))
-
-    def arrays(self) -> dict[str, Array]:
-        """All numbers by name, for saving."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
-
-    @staticmethod
-    def from_arrays(named: Mapping[str, NDArray[Any]]) -> GaussianProcess:
-        """The inverse of `arrays`."""
-        return GaussianProcess(**{name: named[name] for name in GaussianProcess.__dataclass_fields__})
 
 
 def fit_gaussian_process(
@@ -148,7 +141,7 @@ def fit_gaussian_process(
     order = rng.permutation(len(inputs))
     kept = np.sort(order[: settings.rows])
     seen = np.sort(order[: settings.likelihood_rows])
-    mean, std = targets.mean(axis=0), spread(targets, 1e-12)
+    mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
     scaled = (targets - mean) / std
     lengths, amplitudes, noises, weights = [], [], [], []
     with single_threaded():

@@ -15,16 +15,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model.splits import thinned
 from pickenv.calibration.residuals.blend import Blend, fit_blend
 from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.extra_trees import ExtraTrees, fit_extra_trees
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess, fit_gaussian_process
 from pickenv.calibration.residuals.rbf import Rbf, fit_rbf
-from pickenv.calibration.residuals.standardising import spread
+from pickenv.calibration.residuals.saved_arrays import named_part, part_of
+from pickenv.calibration.residuals.standardising import column_std
 from pickenv.errors import InputError
 
 PERIODIC_SPAN = 1.5 * np.pi
 """A revolute joint whose training rows span more than this, rad, enters by sine and cosine, so that turns close."""
+
+
+SLOW_ROWS = 2000
+"""Training rows at most of the network, whose time grows too fast."""
 
 
 class Regressor(Protocol):
@@ -32,11 +38,9 @@ class Regressor(Protocol):
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Outputs ``(..., k)`` at standardised inputs ``(..., F)``."""
-        ...
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
         """All numbers by name, for saving without pickle; the class's ``from_arrays`` is the inverse."""
-        ...
 
 
 Fitter = Callable[[Array, Array, np.random.Generator], Regressor]
@@ -51,7 +55,7 @@ class JointInputs:
         periodic: For each joint, whether it enters by sine and cosine ``(n,)``.
         conditions: Number of further inputs, such as temperature or payload.
         mean: Mean of each input over the training rows ``(F,)``.
-        std: Its spread.
+        std: Its standard deviation.
     """
 
     periodic: NDArray[np.bool_]
@@ -85,7 +89,7 @@ def joint_inputs(
     periodic = ~np.asarray(prismatic, dtype=bool) & (np.ptp(joints, axis=0) > periodic_span)
     raw = _raw_inputs(joints, conditions, periodic)
     count = 0 if conditions is None else conditions.shape[-1]
-    return JointInputs(periodic, count, raw.mean(axis=0), spread(raw, 1.0))
+    return JointInputs(periodic, count, raw.mean(axis=0), column_std(raw, 1.0))
 
 
 def _raw_inputs(joints: Array, conditions: ArrayLike | None, periodic: NDArray[np.bool_]) -> Array:
@@ -138,7 +142,7 @@ class LearntResidual:
         """All numbers by name, for saving without pickle."""
         named: dict[str, NDArray[Any]] = {"kind": np.array(self.kind), "conditions": np.array(self.inputs.conditions)}
         named |= {name: getattr(self.inputs, name) for name in ("periodic", "mean", "std")}
-        return named | {f"model_{name}": value for name, value in self.model.arrays().items()}
+        return named | named_part("model_", self.model.arrays())
 
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> LearntResidual:
@@ -148,11 +152,10 @@ class LearntResidual:
             InputError: If the model is of a kind that this program does not know.
         """
         kind = str(named["kind"])
-        if kind not in REGRESSORS:
-            raise InputError(f"unknown residual model '{kind}' in the file; this program knows {', '.join(REGRESSORS)}")
-        parts = {name.removeprefix("model_"): value for name, value in named.items() if name.startswith("model_")}
+        if kind not in MODELS:
+            raise InputError(f"unknown residual model '{kind}' in the file; this program knows {', '.join(MODELS)}")
         inputs = JointInputs(named["periodic"], int(named["conditions"]), named["mean"], named["std"])
-        return LearntResidual(kind, inputs, REGRESSORS[kind](parts))
+        return LearntResidual(kind, inputs, MODELS[kind][1](part_of(named, "model_")))
 
 
 def _fit_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
@@ -166,40 +169,28 @@ def _fit_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
     return train_bpnn(inputs, targets, rng, settings)
 
 
-FITTERS: Mapping[str, Fitter] = MappingProxyType(
-    {"bpnn": _fit_bpnn, "rbf": fit_rbf, "gp": fit_gaussian_process, "trees": fit_extra_trees, "blend": fit_blend}
-)
-"""The residual models by name."""
-
-SLOW_ROWS: Mapping[str, int] = MappingProxyType({"bpnn": 2000})
-"""Training rows at most of the models whose time grows too fast."""
+def _fit_some_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
+    """The network, on no more rows than its time allows."""
+    chosen = thinned(len(inputs), SLOW_ROWS)
+    return _fit_bpnn(inputs[chosen], targets[chosen], rng)
 
 
-def _thinned(fitter: Fitter, rows: int) -> Fitter:
-    """A fitter on so many rows at most, taken evenly."""
-
-    def fit_some(inputs: Array, targets: Array, rng: np.random.Generator) -> Regressor:
-        chosen = np.unique(np.linspace(0, len(inputs) - 1, rows).astype(int))
-        return fitter(inputs[chosen], targets[chosen], rng)
-
-    return fit_some
-
-
-QUICK_FITTERS: Mapping[str, Fitter] = MappingProxyType(
-    {name: _thinned(FITTERS[name], rows) for name, rows in SLOW_ROWS.items()}
-)
-"""The slow residual models, trained on rows taken evenly where there are too many."""
-
-REGRESSORS: Mapping[str, Callable[[dict[str, Any]], Regressor]] = MappingProxyType(
+MODELS: Mapping[str, tuple[Fitter, Callable[[Mapping[str, NDArray[Any]]], Regressor]]] = MappingProxyType(
     {
-        "bpnn": Bpnn.from_arrays,
-        "rbf": Rbf.from_arrays,
-        "gp": GaussianProcess.from_arrays,
-        "trees": ExtraTrees.from_arrays,
-        "blend": Blend.from_arrays,
+        "bpnn": (_fit_bpnn, Bpnn.from_arrays),
+        "rbf": (fit_rbf, Rbf.from_arrays),
+        "gp": (fit_gaussian_process, GaussianProcess.from_arrays),
+        "trees": (fit_extra_trees, ExtraTrees.from_arrays),
+        "blend": (fit_blend, Blend.from_arrays),
     }
 )
-"""How each is read back."""
+"""The residual models by name: how each is fitted, and how it is read back."""
+
+FITTERS: Mapping[str, Fitter] = MappingProxyType({name: fitter for name, (fitter, _) in MODELS.items()})
+"""How each is fitted."""
+
+QUICK_FITTERS: Mapping[str, Fitter] = MappingProxyType({"bpnn": _fit_some_bpnn})
+"""The slow residual models, trained on rows taken evenly where there are too many."""
 
 
 def fit_residual(

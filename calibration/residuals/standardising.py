@@ -10,7 +10,7 @@ CONSTANT = 1e-9
 """A column that varies by less than this share of its largest value is constant; the rest is rounding."""
 
 
-def spread(values: Array, constant: float) -> Array:
+def column_std(values: Array, constant: float) -> Array:
     """Standard deviation of each column of ``values`` ``(N, F)``, or ``constant`` where a column does not vary.
 
     Give 1 for inputs, so that a later change stays in proportion, and something tiny for outputs, so that a model's

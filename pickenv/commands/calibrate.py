@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from pickenv.commands.handing_over import deliver
 from pickenv.errors import InputError
+from pickenv.files import separate, write_json
+from pickenv.provenance import command_line
 
 if TYPE_CHECKING:
     from pickenv.calibration.pipeline.result import Result
@@ -64,7 +65,6 @@ def calibrate(
     from pickenv.calibration.model.measurements import Measurements
     from pickenv.calibration.pipeline.stages import Choices
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
-    from pickenv.files import separate, write_text
     from pickenv.inspect.reports.calibration_report import write_calibration_report
 
     separate(
@@ -87,20 +87,18 @@ def calibrate(
             source, kind = result.train.source, result.train.kind
             raise InputError(f"{option} shows poses and positions, but {source} holds {kind}; leave it out")
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
-    written = []
-    if out is not None:
-        written.append(result.calibration.save(out))
-    if report is not None:
-        written.append(write_calibration_report(report, result, seeds))
-    if run is not None:
-        options = {"columns": columns, "frames": frames, "test-rows": test_rows, "split": split, "seed": seed}
-        options |= {"terms": terms, "residual": residual, "force": force or None, "robust": robust or None}
-        written += write_run(run, _command(files, arm, test or [], options | {"unit": unit}), seed, result, seeds)
-    if json_file is not None:
-        written.append(write_text(json_file, json.dumps(result.as_dict(), indent=2) + "\n"))
-    print(result.report())
-    for path in written:
-        print(f"wrote {path}")
+    options = {"columns": columns, "frames": frames, "test_rows": test_rows, "split": split, "seed": seed}
+    options |= {"terms": terms, "residual": residual, "force": force, "robust": robust, "unit": unit}
+    command = command_line("pickenv", "calibrate", *files, arm=arm, test=test, **options)
+    deliver(
+        [
+            (out, result.calibration.save),
+            (report, lambda path: write_calibration_report(path, result, seeds)),
+            (run, lambda folder: write_run(folder, command, seed, result, seeds)),
+            (json_file, lambda path: write_json(path, result.as_dict())),
+        ],
+        lambda: print(result.report()),
+    )
     if result.quality.grade == "do not use":
         raise typer.Exit(DO_NOT_USE)
 
@@ -108,7 +106,6 @@ def calibrate(
 def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
     from pickenv.calibration.model.measurements import Measurements
-    from pickenv.files import write_text
     from pickenv.inspect.reports.calibration_report import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_trace
@@ -123,7 +120,7 @@ def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict
         return [
             result.calibration.save(folder / "calibration"),
             save_trace(folder, trace, seed),
-            write_text(folder / "figures.json", json.dumps(result.as_dict(), indent=2) + "\n"),
+            write_json(folder / "figures.json", result.as_dict()),
             write_calibration_report(folder / REPORT, result, seeds),
         ]
 
@@ -131,14 +128,3 @@ def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict
 def _npz(path: Path | None) -> Path | None:
     """The file that a calibration saved under this name goes to."""
     return path if path is None or path.suffix == ".npz" else path.with_name(f"{path.name}.npz")
-
-
-def _command(files: list[Path], arm: str, test: list[Path], options: dict[str, Any]) -> str:
-    """The command line that makes the same calibration, quoted; options that are None were not given."""
-    words = ["pickenv", "calibrate", *map(str, files), "--arm", arm]
-    for path in test:
-        words += ["--test", str(path)]
-    for key, value in options.items():
-        if value is not None:
-            words += [f"--{key}"] if value is True else [f"--{key}", str(value)]
-    return shlex.join(words)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from collections.abc import Callable, Mapping
@@ -12,7 +11,10 @@ from typing import Annotated
 
 import typer
 
+from pickenv.container import read_container, refusing_damage
 from pickenv.errors import InputError
+from pickenv.files import write_json
+from pickenv.sealed import check_sealed_parquet
 
 REFUSED = 3
 """Exit code where something is damaged or foreign."""
@@ -58,8 +60,6 @@ def check(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found to this file.")] = None,
 ) -> None:
     """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign."""
-    from pickenv.files import write_text
-
     findings = []
     for path in paths:
         for finding in findings_of(path):
@@ -69,7 +69,7 @@ def check(
     print(f"{len(findings)} checked, {refused} refused")
     if json_file is not None:
         content = {"sound": refused == 0, "files": [asdict(finding) for finding in findings]}
-        print(f"wrote {write_text(json_file, json.dumps(content, indent=2) + chr(10))}")
+        print(f"wrote {write_json(json_file, content)}")
     if refused:
         sys.exit(REFUSED)
 
@@ -80,8 +80,6 @@ def findings_of(path: Path) -> list[Finding]:
     Raises:
         InputError: If there is no such file or folder.
     """
-    from pickenv.container import refusing_damage
-
     with refusing_damage(path, "a path", "give the path of a file or a folder"):
         folder, missing = path.is_dir(), not path.exists()
     if missing:
@@ -134,8 +132,6 @@ def file_finding(path: Path) -> Finding:
 
 def _kind_of(path: Path) -> str:
     """What a file is; an archive says so itself."""
-    from pickenv.container import read_container
-
     if path.suffix == ".parquet":
         return "chunk of a study"
     if path.suffix == ".pt":
@@ -179,8 +175,6 @@ def _checkpoint(path: Path) -> tuple[int | None, str]:
 
 
 def _chunk(path: Path) -> tuple[int | None, str]:
-    from pickenv.container import refusing_damage
-    from pickenv.sealed import check_sealed_parquet
 
     remake = "run the study again to make it anew"
     with refusing_damage(path, "a chunk", remake):
@@ -190,16 +184,15 @@ def _chunk(path: Path) -> tuple[int | None, str]:
 
 
 def _saved(path: Path) -> tuple[int | None, str]:
-    from pickenv.agents.evaluation.grid import Grid
-    from pickenv.container import read_container
+    from pickenv.agents.evaluation.grid import PolicyGrid
     from pickenv.inspect.runs import saved
     from pickenv.inspect.runs.calibration_trace import CalibrationTrace
     from pickenv.inspect.runs.comparison import Comparison
     from pickenv.inspect.runs.harvest_trace import HarvestTrace
 
-    kinds: tuple[type, ...] = (CalibrationTrace, Comparison, Grid, HarvestTrace)
+    kinds: tuple[type, ...] = (CalibrationTrace, Comparison, PolicyGrid, HarvestTrace)
     name = read_container(path, None, remake=REMAKE).kind
-    saved.load(path, next(kind for kind in kinds if kind.__name__ == name), "the command that wrote it")
+    saved.load_numbers(path, next(kind for kind in kinds if kind.__name__ == name), "the command that wrote it")
     return saved.FORMAT, "the numbers behind figures"
 
 
@@ -208,6 +201,6 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
     "policy": _policy,
     "checkpoint": _checkpoint,
     "chunk of a study": _chunk,
-    **dict.fromkeys(("CalibrationTrace", "Comparison", "Grid", "HarvestTrace"), _saved),
+    **dict.fromkeys(("CalibrationTrace", "Comparison", "PolicyGrid", "HarvestTrace"), _saved),
 }
 """How each kind of file is verified: its version, and a few words about it."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import typer
 
+from pickenv.commands.handing_over import deliver
+from pickenv.files import separate, write_json
 from pickenv.reservations import DO_NOT_USE, obey
 
 ARM = typer.Option(help="Arm name or arm file (.toml, .urdf).", show_default=False)
@@ -44,7 +45,6 @@ def plan_poses(
     from pickenv.calibration.model.error_model import complete_model, link_model
     from pickenv.calibration.planning.plan import plan_poses as plan
     from pickenv.calibration.reading.targets import joints_of, read_targets
-    from pickenv.files import separate, write_text
 
     separate({"--at": at, "--arm": arm}, {"--out": out, "--json": json_file})
     chosen = load_arm(arm)
@@ -58,11 +58,11 @@ def plan_poses(
         criterion=criterion,
         test_joints=None if at is None else joints_of(read_targets(at, chosen.nominal), chosen.nominal),
     )
-    print(planned.report())
-    if out is not None:
-        print(f"wrote {planned.write_csv(out, chosen.nominal.prismatic)}")
-    if json_file is not None:
-        print(f"wrote {write_text(json_file, json.dumps(planned.as_dict(), indent=2) + chr(10))}")
+    saves = [
+        (out, lambda path: planned.write_csv(path, chosen.nominal.prismatic)),
+        (json_file, lambda path: write_json(path, planned.as_dict())),
+    ]
+    deliver(saves, lambda: print(planned.report()))
 
 
 def apply(
@@ -90,7 +90,6 @@ def apply(
     from pickenv.calibration.pipeline.apply import apply_calibration
     from pickenv.calibration.pipeline.calibration import Calibration
     from pickenv.calibration.reading.targets import read_targets
-    from pickenv.files import separate
 
     separate({"CALIBRATION": calibration, "TARGETS": targets, "--arm": arm}, {"--out": out})
     chosen = load_arm(arm)
@@ -123,7 +122,6 @@ def export(
     from pickenv.arm import load_arm
     from pickenv.calibration.pipeline.calibration import Calibration
     from pickenv.calibration.pipeline.export import export as exported
-    from pickenv.files import separate
 
     separate(
         {"CALIBRATION": calibration, "--arm": arm},

@@ -18,6 +18,7 @@ from typing import Any
 
 from pickenv import __version__
 from pickenv.errors import InputError
+from pickenv.texts import shortened
 
 BAD_INPUT, FAULT, NOT_PRINTED, INTERRUPTED = 2, 70, 74, 130
 
@@ -54,7 +55,7 @@ def guarded(command: Callable[[], Any]) -> int:
         raise
     except OSError as error:
         if error.filename is not None:
-            return _end(BAD_INPUT, f"error: cannot use {_short(str(error.filename))}: {error.strerror}")
+            return _end(BAD_INPUT, f"error: cannot use {shortened(error.filename, SHOWN)}: {error.strerror}")
         return _unheard(error) if error.errno in UNHEARD else _fault(error)
     except Exception as error:
         return _fault(error)
@@ -79,7 +80,7 @@ def _unheard(error: OSError) -> int:
 
 def _fault(error: Exception) -> int:
     """Say that this program is at fault, and where the details are."""
-    words = f"error: pickenv met a fault of its own ({_short(f'{type(error).__name__}: {error}')})"
+    words = f"error: pickenv met a fault of its own ({shortened(f'{type(error).__name__}: {error}', SHOWN)})"
     details = f"pickenv {__version__}, Python {sys.version}\n{shlex.join(sys.argv)}\n\n"
     details += "".join(traceback.format_exception(error))
     for folder in (tempfile.gettempdir, os.getcwd):
@@ -91,12 +92,6 @@ def _fault(error: Exception) -> int:
             continue
         return _end(FAULT, f"{words}; please report it with {Path(name)}, which says where")
     return _end(FAULT, f"{details}\n{words}; please report it with the lines above, which no folder could take")
-
-
-def _short(text: str) -> str:
-    """The first line of ``text``, or what a sentence can hold of it."""
-    line = (text.strip().splitlines() or [""])[0]
-    return line if len(line) <= SHOWN else f"{line[:SHOWN]}…"
 
 
 def _end(code: int, words: str) -> int:

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TypeAlias
+
+Save: TypeAlias = tuple[Path | None, Callable[[Path], Path | Iterable[Path]]]
+"""A file or folder, None where it was not asked for, and what writes it and returns what it wrote."""
 
 
-def deliver(save: Iterable[Callable[[], Path | Iterable[Path]]], show: Callable[[], object]) -> None:
+def deliver(saves: Iterable[Save], show: Callable[[], object]) -> None:
     """Save results, then print them; where saving fails they are printed all the same, before the error is raised.
 
     Args:
-        save: One call per file, or per group of files; each returns what it wrote.
+        saves: What is written, and where.
         show: Prints the results; "wrote …" follows for every file.
     """
     written: list[Path] = []
     try:
-        for write in save:
-            found = write()
+        for path, write in saves:
+            found = () if path is None else write(path)
             written += [found] if isinstance(found, Path) else found
     finally:
         show()

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Iterable
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from pickenv.commands.handing_over import deliver
+from pickenv.commands.showing import print_table, progress_bars
 from pickenv.errors import InputError
+from pickenv.files import separate, write_json
 
 if TYPE_CHECKING:
-    from pickenv.agents.training.training import Training
+    from pickenv.agents.evaluation.grid import PolicyGrid
+    from pickenv.agents.training.training_setup import Training
 
 
 NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
@@ -50,9 +53,9 @@ def train(
     ] = False,
 ) -> None:
     """Train a policy; the folder gets its file, checkpoints, evaluations in millimetres and TensorBoard's logs."""
-    from pickenv.agents.training.training import Training, resumed
+    from pickenv.agents.training.training import resumed
     from pickenv.agents.training.training import train as run
-    from pickenv.files import separate
+    from pickenv.agents.training.training_setup import Training
 
     written = [out / name for name in ("policy.npz", "checkpoint.pt", "evaluations.json")]
     separate({"--compensate": compensate, "--plant": plant}, {"--out": written})
@@ -64,23 +67,20 @@ def train(
             raise InputError(NO_CAMERA)
         if (out / "checkpoint.pt").exists():
             raise InputError(f"{out} holds a training already; go on with --resume, or give another --out")
-        arguments: dict[str, Any] = {}
-        if plant is not None:
-            arguments["plant"] = plant
-        if feedback != "encoders":
-            arguments["feedback"] = feedback
-        if camera_noise:
-            arguments["camera_noise_mm"] = camera_noise
-        if camera_noise or fruit_noise:
-            arguments["fruit_noise_mm"] = fruit_noise
-        if randomise is not None:
-            arguments |= {"arms": "per_episode", "tolerances": randomise}
+        given: dict[str, Any] = {
+            "plant": plant,
+            "feedback": None if feedback == "encoders" else feedback,
+            "camera_noise_mm": camera_noise or None,
+            "fruit_noise_mm": fruit_noise if camera_noise or fruit_noise else None,
+            "arms": None if randomise is None else "per_episode",
+            "tolerances": randomise,
+        }
         training = Training(
             algorithm=algo,
             env_id=env,
             steps=steps,
             seed=seed,
-            arguments=arguments,
+            arguments={name: value for name, value in given.items() if value is not None},
             compensate=None if compensate is None else str(compensate),
             allow=allow or [],
             checkpoint_every=checkpoint_every,
@@ -162,11 +162,9 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit."""
-    from pickenv.agents.evaluation.calibrated import Protocol
+    from pickenv.agents.evaluation.calibrated import CalibrationPlan
     from pickenv.agents.evaluation.grid import GridSettings, kind_of, run_grid
-    from pickenv.agents.evaluation.grid_tables import GRID, ROWS, print_grid, write_grid, write_json, write_rows
-    from pickenv.commands.handing_over import deliver
-    from pickenv.files import separate
+    from pickenv.agents.evaluation.grid_tables import GRID, ROWS, content_of, write_grid, write_rows
     from pickenv.inspect.runs.run_folder import RECORD
 
     separate(
@@ -183,7 +181,7 @@ def evaluate(
         tolerances=tolerances,
         camera_noise_mm=camera_noise,
         fruit_noise_mm=fruit_noise,
-        protocol=Protocol(epochs=epochs, seed=seed),
+        protocol=CalibrationPlan(epochs=epochs, seed=seed),
         **names,
     )
 
@@ -191,23 +189,37 @@ def evaluate(
     if _was_given(context, "camera_noise") and not seen:
         raise InputError(NO_CAMERA)
 
-    def report(stage: str, done: int, total: int) -> None:
-        if sys.stderr.isatty():
-            end = "\n" if done == total else "\r"
-            print(f"{stage:<40} {done}/{total}", end=end, file=sys.stderr, flush=True)
+    with progress_bars() as report:
+        grid = run_grid(settings, cache, report)
+    content = content_of(grid)
+    deliver(
+        [
+            (json_file, lambda path: write_json(path, content)),
+            (table, lambda path: write_rows(path, content["rows"])),
+            (out, lambda folder: write_grid(grid, folder)),
+            (figures, lambda folder: _draw(grid, folder)),
+        ],
+        lambda: _print(**content),
+    )
 
-    grid = run_grid(settings, cache, report)
-    rows, comparisons = grid.rows(), grid.comparisons()
-    files: list[Callable[[], Path | Iterable[Path]]] = []
-    if json_file is not None:
-        files.append(partial(write_json, json_file, grid))
-    if table is not None:
-        files.append(partial(write_rows, table, rows))
-    if out is not None:
-        files.append(partial(write_grid, grid, out))
-    if figures is not None:
-        from pickenv.agents.evaluation.grid_figures import grid_drawings
-        from pickenv.inspect.figures.run_drawings import write_drawings
 
-        files.append(lambda: write_drawings(grid_drawings(grid), figures))
-    deliver(files, lambda: print_grid(rows, comparisons))
+def _draw(grid: PolicyGrid, folder: Path) -> list[Path]:
+    from pickenv.agents.evaluation.grid_figures import grid_drawings
+    from pickenv.inspect.figures.run_drawings import write_drawings
+
+    return write_drawings(grid_drawings(grid), folder)
+
+
+def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]) -> None:
+    """Print the rows, and what each compensation is worth."""
+    from pickenv.agents.evaluation.grid_tables import KEYS, cells_of
+
+    title = f"{rows[0]['episodes']} reaches per cell on {rows[0]['arms']} arms, seed {rows[0]['seeds'][0]}"
+    heads = (*KEYS, "mean [mm]", "95 %", "p95 [mm]", "success", "cycle [s]")
+    print_table(title, heads, map(cells_of, rows), words=KEYS)
+    for line in comparisons:
+        print(
+            f"{line['policy']}, {line['feedback']}, {line['plant']}: {line['from']} to {line['to']} "
+            f"{line['difference_mm']:+.3f} mm ({line['ci95'][0]:+.3f} to {line['ci95'][1]:+.3f}), "
+            f"{'significant' if line['significant'] else 'not significant'}"
+        )

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import shlex
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from pickenv.commands.handing_over import deliver
+from pickenv.files import separate, write_json
 from pickenv.limits import check_limit
+from pickenv.provenance import command_line
 from pickenv.reservations import obey
 
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
@@ -30,8 +30,6 @@ def effects(
     from pickenv.arm import load_plant
     from pickenv.arm.plant.effect_shares import draw_reaches, effect_shares
     from pickenv.arm.plant.motion import Pace
-    from pickenv.commands.handing_over import deliver
-    from pickenv.files import separate, write_text
 
     check_limit("--reaches", reaches, "reaches")
     check_limit("--dwell", dwell, "dwell_s")
@@ -40,9 +38,7 @@ def effects(
     chosen = load_plant(plant)
     joints = draw_reaches(chosen, reaches, np.random.default_rng(seed))
     shares = effect_shares(chosen, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
-    text = json.dumps(shares.as_dict(), indent=2) + "\n"
-    files = [] if json_file is None else [partial(write_text, json_file, text)]
-    deliver(files, lambda: print(shares.report()))
+    deliver([(json_file, lambda path: write_json(path, shares.as_dict()))], lambda: print(shares.report()))
 
 
 def iso9283(
@@ -66,8 +62,6 @@ def iso9283(
     from pickenv.arm.plant.iso9283 import iso9283 as test
     from pickenv.arm.plant.motion import Pace
     from pickenv.calibration import Calibration
-    from pickenv.commands.handing_over import deliver
-    from pickenv.files import separate, write_text
     from pickenv.inspect.runs.run_folder import ISO9283, RECORD, recorded_run
 
     check_limit("--cycles", cycles, "cycles")
@@ -87,15 +81,14 @@ def iso9283(
         settings=Iso9283Settings(cycles=cycles, pace=Pace(speed=speed, dwell=dwell)),
         reference=fitted.nominal if fitted is not None else None,
     )
-    text = json.dumps(result.as_dict(), indent=2) + "\n"
-    words = ["pickenv", "iso9283", "--plant", plant]
-    words += [] if calibration is None else ["--calibration", str(calibration)]
-    words += ["--cycles", str(cycles), "--speed", str(speed), "--dwell", str(dwell), "--seed", str(seed)]
+    settings = {"cycles": cycles, "speed": speed, "dwell": dwell, "seed": seed}
+    command = command_line("pickenv", "iso9283", plant=plant, calibration=calibration, **settings)
 
     def write_run(folder: Path) -> Path:
-        with recorded_run(folder, "iso9283", shlex.join(words), seed):
-            return write_text(folder / ISO9283, text)
+        with recorded_run(folder, "iso9283", command, seed):
+            return write_json(folder / ISO9283, result.as_dict())
 
-    files = [] if json_file is None else [partial(write_text, json_file, text)]
-    files += [] if out is None else [partial(write_run, out)]
-    deliver(files, lambda: print(result.report()))
+    deliver(
+        [(json_file, lambda path: write_json(path, result.as_dict())), (out, write_run)],
+        lambda: print(result.report()),
+    )

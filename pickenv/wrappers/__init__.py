@@ -1,5 +1,25 @@
-"""Wrappers of the environments."""
+"""Around environments: a calibration between policy and arm, and Stable-Baselines3's way of asking for many at once.
 
-from pickenv.wrappers.compensation import CompensationVectorWrapper, CompensationWrapper, Compensator
+    env = CompensationWrapper(gymnasium.make("pickenv/Reach-v0"), calibration.compensator())
+    model = PPO("MlpPolicy", make_sb3_vec("pickenv/Reach-v0", 16))
 
-__all__ = ["CompensationVectorWrapper", "CompensationWrapper", "Compensator"]
+stable-baselines3 is loaded when `make_sb3_vec` or `Sb3Vec` is first asked for.
+"""
+
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+
+from pickenv.faces import offered as _offered
+
+if _TYPE_CHECKING:
+    from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper, CompensationWrapper
+    from pickenv.wrappers.sb3 import Sb3Vec, make_sb3_vec
+
+__all__ = ["Compensate", "CompensationVectorWrapper", "CompensationWrapper", "Sb3Vec", "make_sb3_vec"]
+
+__getattr__, __dir__ = _offered(
+    "pickenv.wrappers",
+    {
+        "compensation": ("Compensate", "CompensationVectorWrapper", "CompensationWrapper"),
+        "sb3": ("Sb3Vec", "make_sb3_vec"),
+    },
+)

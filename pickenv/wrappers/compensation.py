@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from typing import Any, Protocol, TypeVar
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, TypeAlias, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -18,12 +18,8 @@ Observation = TypeVar("Observation")
 Action = TypeVar("Action")
 
 
-class Compensator(Protocol):
-    """Maps joint targets ``(..., n)`` for the nominal arm to joint commands ``(..., n)`` for the real one (rad, m)."""
-
-    def __call__(self, joints: NDArray[np.float64], /) -> NDArray[np.float64]:
-        """The joint commands."""
-        ...
+Compensate: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""Maps joint targets ``(..., n)`` for the nominal arm to joint commands ``(..., n)`` for the real one (rad, m)."""
 
 
 class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
@@ -45,9 +41,7 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
      * v0.1.0 - Added.
     """
 
-    def __init__(
-        self, env: gym.Env[Observation, Action], compensator: Compensator, allow: Collection[str] = ()
-    ) -> None:
+    def __init__(self, env: gym.Env[Observation, Action], compensator: Compensate, allow: Collection[str] = ()) -> None:
         """Install ``compensator`` in ``env``.
 
         Args:
@@ -84,7 +78,7 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
      * v0.1.0 - Added.
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, Any], compensator: Compensator, allow: Collection[str] = ()) -> None:
+    def __init__(self, env: VectorEnv[Any, Any, Any], compensator: Compensate, allow: Collection[str] = ()) -> None:
         """Install ``compensator`` in every environment of ``env``.
 
         Args:
@@ -112,7 +106,7 @@ def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:
     return [single.unwrapped for single in inner.envs] if hasattr(inner, "envs") else [inner]
 
 
-def _install(seams: Sequence[Any], compensator: Compensator, allow: Collection[str]) -> None:
+def _install(seams: Sequence[Any], compensator: Compensate, allow: Collection[str]) -> None:
     obey(getattr(compensator, "reservations", {}), allow)
     for seam in seams:
         if not hasattr(seam, "compensator"):

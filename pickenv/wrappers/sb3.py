@@ -14,12 +14,12 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.errors import InputError
-from pickenv.wrappers.compensation import CompensationVectorWrapper, Compensator
+from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper
 
 NUMBERS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
 
 
-class Scaling(Protocol):
+class GapScale(Protocol):
     """How a policy wants to see flat observations, and what its actions mean there; `agents.policies.gap` has one."""
 
     @property
@@ -36,7 +36,7 @@ class Scaling(Protocol):
         ...
 
 
-def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensator | None = None, **arguments: Any) -> Sb3Vec:
+def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = None, **arguments: Any) -> Sb3Vec:
     """A registered environment, N at once, as a Stable-Baselines3 `VecEnv`.
 
     Args:
@@ -74,7 +74,7 @@ class Sb3Vec(VecEnv):
             never was.
     """
 
-    def __init__(self, envs: VectorEnv[Any, Any, Any], scaling: Scaling | None = None) -> None:
+    def __init__(self, envs: VectorEnv[Any, Any, Any], scaling: GapScale | None = None) -> None:
         self.envs, self.scaling = envs, scaling
         self.mode: AutoresetMode = envs.metadata["autoreset_mode"]
         if self.mode is AutoresetMode.NEXT_STEP:

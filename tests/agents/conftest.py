@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from pickenv.agents.training.training import Training, train
+from pickenv.agents.training.training import train
+from pickenv.agents.training.training_setup import Training
 
 
 @pytest.fixture

@@ -13,7 +13,8 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from pickenv.agents.training.checkpoints import check_checkpoint, read_checkpoint, save_checkpoint
-from pickenv.agents.training.training import Inputs, Training, check_inputs, inputs_of, make_model, resumed, train
+from pickenv.agents.training.training import resumed, train
+from pickenv.agents.training.training_setup import Inputs, Training, check_inputs, inputs_of, make_model
 from pickenv.arm import load_plant
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.calibration import fit, random_joints, simulated_tracker

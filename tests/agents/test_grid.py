@@ -9,7 +9,7 @@ import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
-from pickenv.agents.evaluation.calibrated import Protocol, compensators
+from pickenv.agents.evaluation.calibrated import CalibrationPlan, compensators
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_figures import grid_drawings
 from pickenv.agents.evaluation.grid_tables import command_of, read_grid, write_grid, write_rows
@@ -27,7 +27,7 @@ SMALL = GridSettings(
     plants=("qiao2026",),
     arms=3,
     episodes=8,
-    protocol=Protocol(60, 100, 10),
+    protocol=CalibrationPlan(60, 100, 10),
 )
 
 
@@ -92,7 +92,7 @@ def test_a_kept_calibration_is_of_its_own_arm_and_protocol(tmp_path):
     assert any(str(path) in str(caught.value) for path in before)
     first.write_bytes(before[first])
     second.write_bytes(before[second])
-    run_grid(replace(settings, protocol=Protocol(40, 100, 10)), tmp_path)
+    run_grid(replace(settings, protocol=CalibrationPlan(40, 100, 10)), tmp_path)
     assert len(list(tmp_path.glob("*.npz"))) == 4
     for path in before:
         path.write_bytes(next(p for p in tmp_path.glob("*.npz") if p not in before).read_bytes())
@@ -103,7 +103,7 @@ def test_a_kept_calibration_is_of_its_own_arm_and_protocol(tmp_path):
 @pytest.mark.parametrize("changed", ["code", "plant"])
 def test_a_kept_calibration_is_left_alone_when_code_or_plant_have_changed(tmp_path, monkeypatch, changed):
     plant = load_plant("qiao2026")
-    protocol = Protocol(30)
+    protocol = CalibrationPlan(30)
     compensators(plant, "ls", protocol, tmp_path)
     if changed == "code":
         monkeypatch.setattr("pickenv.agents.evaluation.calibrated.code_fingerprint", lambda: "another")
@@ -116,7 +116,7 @@ def test_a_kept_calibration_is_left_alone_when_code_or_plant_have_changed(tmp_pa
 
 def test_a_plant_of_any_name_keeps_to_the_folder(tmp_path):
     plant = replace(load_plant("qiao2026"), name="../../x/y")
-    compensators(plant, "ls", Protocol(30), tmp_path / "cache")
+    compensators(plant, "ls", CalibrationPlan(30), tmp_path / "cache")
     assert [path.parent for path in tmp_path.rglob("*.npz")] == [tmp_path / "cache"]
 
 

@@ -14,7 +14,8 @@ import pytest
 from pickenv.agents.policies.learned import load_policy
 from pickenv.agents.training.checkpoints import check_checkpoint
 from pickenv.agents.training.hyperparams import tuned
-from pickenv.agents.training.training import Training, make_model, resumed, train
+from pickenv.agents.training.training import resumed, train
+from pickenv.agents.training.training_setup import Training, make_model
 from pickenv.arm import load_plant
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
@@ -92,7 +93,8 @@ def test_a_population_of_arms_is_resumed_too(short, tmp_path, monkeypatch):
 @pytest.mark.parametrize("hows", [[signal.SIGKILL], [signal.SIGINT], [signal.SIGTERM, signal.SIGKILL, signal.SIGKILL]])
 def test_a_killed_training_goes_on(tmp_path, hows):
     code = (
-        "import sys; from pickenv.agents.training.training import Training, train;"
+        "import sys; from pickenv.agents.training.training import train;"
+        "from pickenv.agents.training.training_setup import Training;"
         "train(Training('ppo', steps=60000, arguments={'plant': 'geometry_only'}, checkpoint_every=3840,"
         " evaluate_every=30000, parameters={'n_envs': 64}), sys.argv[1], resume=len(sys.argv) > 2)"
     )
@@ -124,7 +126,7 @@ def test_a_killed_training_goes_on(tmp_path, hows):
     assert evaluations[0] == evaluations[1]
 
 
-def test_sac_learns_from_flat_observations_too(tmp_path):
+def test_sac_learns_from_joined_observations_too(tmp_path):
     parameters = {"n_envs": 4, "learning_starts": 100, "gradient_steps": 1}
     done = train(Training("sac", steps=400, arguments={"plant": "ideal"}, parameters=parameters), tmp_path)
     assert np.isfinite(done.evaluations[-1]["mean_mm"]) and not done.policy.scaling.goal
@@ -155,7 +157,7 @@ def test_what_the_native_environment_shows_is_what_the_policy_file_sees(short):
     training = short()
     model, env = make_model(training)
     shown = env.reset()
-    from pickenv.agents.training.training import actor_of
+    from pickenv.agents.training.training_setup import actor_of
 
     policy = actor_of(model, training, env)
     predicted, _ = model.predict(shown, deterministic=True)

@@ -9,10 +9,11 @@ import pytest
 
 from pickenv.arm import load_plant
 from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure, unit_of
 from pickenv.calibration.identification.least_squares import is_angle
-from pickenv.calibration.pipeline.result import assess
-from pickenv.calibration.residuals.gate import GateReport, Verdict
+from pickenv.calibration.pipeline.result import GEOMETRIC, assess
+from pickenv.calibration.residuals.gate import GateReport, GateVerdict
 from pickenv.inspect.reports.calibration_report import calibration_page, write_calibration_report
 from pickenv.inspect.reports.report_page import Bar
 from pickenv.inspect.reports.report_words import parameter_words
@@ -21,7 +22,7 @@ VOID = {"meta"}
 
 
 def verdict(model, accepted, blocked, reason):
-    return Verdict(model, 2e-4, blocked, 6e-4, 7e-4, None, None, None, None, accepted, reason)
+    return GateVerdict(model, 2e-4, blocked, 6e-4, 7e-4, None, None, None, None, accepted, reason)
 
 
 GATE = GateReport(
@@ -123,7 +124,7 @@ def test_every_parameter_is_there_with_its_uncertainty_or_what_absorbs_it(page, 
 
 def test_axes_gate_poses_and_origin_are_there(page, evidence):
     text = Page(page).text
-    for axis, row in zip(("x", "y", "z"), evidence.quality.calibrated, strict=False):
+    for axis, row in zip(("x", "y", "z"), axis_errors(evidence.errors[GEOMETRIC]), strict=False):
         assert f"{axis} (mm)" in text and figure(row.rmse) in text
     assert "'gp' is used" in text and "no gain: raises" in text and "0.2500" in text
     assert "The poses tell all 24 parameters" in text and "the poses tell all 24 parameters" in text

@@ -50,13 +50,13 @@ AGGREGATES = {"plant": {"mean": {"scripted": {"raw": Measure(2.0, 1.0, 3.0), "LS
 CYCLES = [CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)), CycleCurve("ppo", "LS", np.geomspace(300, 0.5, 50))]
 
 PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
-    "per pose": (lambda: plot_errors.error_per_pose(ERRORS, tolerance_mm=5.0), ("(number)", "(mm)")),
+    "per pose": (lambda: plot_errors.error_per_pose(ERRORS), ("(number)", "(mm)")),
     "box": (lambda: plot_errors.error_by_method(ERRORS), ("(mm)",)),
     "box, attitude": (
         lambda: plot_errors.error_by_method(ERRORS, quantity="attitude error", unit="deg", logarithmic=True),
         ("(deg)",),
     ),
-    "histogram": (lambda: plot_errors.error_histogram(ERRORS, tolerance=5.0), ("(mm)", "(%)")),
+    "histogram": (lambda: plot_errors.error_histogram(ERRORS), ("(mm)", "(%)")),
     "cumulative": (lambda: plot_errors.error_cumulative(ERRORS, tolerance=5.0), ("(mm)", "(%)")),
     "against": (lambda: plot_errors.error_against(X, ERRORS, name="extension", unit="m"), ("extension (m)", "(mm)")),
     "least squares": (
@@ -64,7 +64,7 @@ PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
         ("(number)", "(mm)", "(deg)"),
     ),
     "network": (
-        lambda: plot_calibration.network_convergence([1.0, 0.3], [1.1, 0.4], best_epoch=1),
+        lambda: plot_calibration.network_convergence([1.0, 0.3]),
         ("(number)", "(–)"),
     ),
     "diagonal of R": (
@@ -85,7 +85,7 @@ PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
         ("(number)", "(1/h)"),
     ),
     "workspace": (lambda: plot_harvest.workspace_cloud(GRID[:, None], [((0, 1), (0, 1), (0, 1))]), ("x (m)", "z (m)")),
-    "joint curves": (lambda: plot_harvest.joint_curves(CURVES), ("(s)", "(mm)", "(deg)")),
+    "joint curves": (lambda: plot_harvest.joint_displacements(CURVES), ("(s)", "(mm)", "(deg)")),
     "aggregates": (lambda: plot_policies.aggregates(AGGREGATES), ("(mm)",)),
     "success": (
         lambda: plot_policies.success_against_misalignment(gripper_curves(), {"raw": {"li_cup": (2.0, 1.0)}}),

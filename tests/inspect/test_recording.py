@@ -309,8 +309,8 @@ def test_a_gain_of_nothing_is_refused(comparison: Comparison, tmp_path: Path) ->
 def test_importing_the_room_loads_neither_rerun_nor_matplotlib() -> None:
     script = """
 import sys
-import pickenv.inspect.recordings.comparison_recording, pickenv.inspect.recordings.blueprint
-import pickenv.inspect.figures.style, pickenv.inspect.figures.field_figure
+import pickenv.inspect
+from pickenv.inspect import Comparison, PolicyErrors, read_run
 sys.exit(bool({"rerun", "matplotlib"} & set(sys.modules)))
 """
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}

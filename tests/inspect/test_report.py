@@ -13,12 +13,21 @@ import numpy as np
 import pytest
 
 from pickenv.calibration.assessment.metrics import error_statistics, wilson_interval
-from pickenv.inspect.figures.run_drawings import Drawing, LeftOut, trace_drawings
+from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn, trace_drawings
 from pickenv.inspect.figures.style import new_figure
+from pickenv.inspect.reports.demo_report import demo_verdict
 from pickenv.inspect.reports.demo_report import page as demo_report
-from pickenv.inspect.reports.demo_report import verdict
 from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
-from pickenv.inspect.reports.report_page import Interactive, PageTable, Pair, Part, Picture, Section, Verdict, html_of
+from pickenv.inspect.reports.report_page import (
+    Interactive,
+    PageTable,
+    PageVerdict,
+    Pair,
+    Part,
+    Picture,
+    Section,
+    html_of,
+)
 from pickenv.inspect.reports.report_page import Page as ReportPage
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
@@ -175,7 +184,7 @@ def test_the_verdict_follows_the_share_and_its_interval(
 ) -> None:
     last = comparison.policies[-1]
     picked = np.arange(len(last.success)) < round(successes / 100 * len(last.success))
-    found = verdict(replace(comparison, policies=(comparison.policies[0], replace(last, success=picked))))
+    found = demo_verdict(replace(comparison, policies=(comparison.policies[0], replace(last, success=picked))))
     assert found.tone == tone
     assert words in found.headline
 
@@ -183,7 +192,7 @@ def test_the_verdict_follows_the_share_and_its_interval(
 def test_a_calibration_that_does_not_help_is_said_not_to(comparison: Comparison) -> None:
     raw, *_, last = comparison.policies
     same = replace(last, position_error_mm=raw.position_error_mm + 0.1)
-    found = verdict(replace(comparison, policies=(raw, same)))
+    found = demo_verdict(replace(comparison, policies=(raw, same)))
     assert "does not lower the mean position error" in found.text
     assert "+0.10 mm" in found.text
 
@@ -235,7 +244,7 @@ def test_figures_that_the_data_do_not_allow_are_left_out_with_a_reason(demo_run:
     trace = load_trace(demo_run)
 
     def left(found: CalibrationTrace) -> dict[str, str]:
-        return {d.name: d.reason for d in trace_drawings(found) if isinstance(d, LeftOut)}
+        return {d.name: d.reason for d in trace_drawings(found) if isinstance(d, NotDrawn)}
 
     reasons = left(trace)
     assert set(reasons) == {"error_against_payload", "error_against_temperature", "network_convergence"}
@@ -279,7 +288,7 @@ def test_names_and_values_are_text_wherever_they_stand_in_a_block(name: str) -> 
 
 
 def test_names_and_values_are_text_in_every_part_of_a_page() -> None:
-    verdict = Verdict("good", HOSTILE, HOSTILE, [("note", HOSTILE)])
+    verdict = PageVerdict("good", HOSTILE, HOSTILE, [("note", HOSTILE)])
     page = html_of(
         ReportPage(
             HOSTILE, HOSTILE, verdict, [Section(HOSTILE, ["text"], HOSTILE)], {}, {HOSTILE: HOSTILE}, contents=True
@@ -291,12 +300,12 @@ def test_names_and_values_are_text_in_every_part_of_a_page() -> None:
 
 
 def report(section: Section) -> str:
-    return html_of(ReportPage("title", "", Verdict("note", "", ""), [section], {}))
+    return html_of(ReportPage("title", "", PageVerdict("note", "", ""), [section], {}))
 
 
 def test_what_is_empty_is_left_out() -> None:
     page = html_of(
-        ReportPage("t", "", Verdict("note", "", ""), [Section("Nothing", ["", None])], {"a": "b"}, contents=True)
+        ReportPage("t", "", PageVerdict("note", "", ""), [Section("Nothing", ["", None])], {"a": "b"}, contents=True)
     )
     assert "Nothing" not in page
     assert Page(page).values("href") == ["#origin"]

@@ -18,10 +18,10 @@ from typer.testing import CliRunner
 from pickenv.arm import load_plant
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.cli import app
-from pickenv.commands.reports import drawings_of, page_of
 from pickenv.errors import InputError
 from pickenv.harvester.harvest_summary import Measure
-from pickenv.inspect.figures.run_drawings import Drawing, LeftOut
+from pickenv.inspect import drawings_of, page_of
+from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
 from pickenv.inspect.runs.run_folder import ISO9283, KINDS, Run, read_run, recorded_run, save_harvest
@@ -134,7 +134,7 @@ def test_every_figure_of_the_literature_is_drawn_or_left_out_with_a_reason(demo_
     found = {d.name: d for d in drawings_of(demo_run)}
     assert set(found) >= LITERATURE
     assert {d.name for d in drawings_of(harvest)} == HARVESTING
-    left_out = {name for name, drawing in found.items() if isinstance(drawing, LeftOut)}
+    left_out = {name for name, drawing in found.items() if isinstance(drawing, NotDrawn)}
     assert left_out == {"error_against_payload", "error_against_temperature", "network_convergence"}
 
 
@@ -177,7 +177,7 @@ def test_reports_of_iso_9283_say_what_was_found(iso: Run) -> None:
 
 
 def test_reports_of_a_harvest_say_what_was_found(harvest: Run) -> None:
-    page = page_of(read_run(harvest.folder), picture=False)
+    page = page_of(read_run(harvest.folder))
     for number in (
         "74 to 96 % of the fruit",
         "74.3 % (70.0 to 80.0)",

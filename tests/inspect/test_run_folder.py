@@ -191,7 +191,7 @@ def test_a_path_that_is_no_folder_is_refused(tmp_path: Path) -> None:
 
 def test_what_holds_code_cannot_be_saved(tmp_path: Path, comparison: Comparison) -> None:
     with pytest.raises(TypeError, match="function cannot be saved"):
-        saved.save(tmp_path / "x.npz", replace(comparison, plant=replace(comparison.plant, ready=lambda x: x)))
+        saved.save_numbers(tmp_path / "x.npz", replace(comparison, plant=replace(comparison.plant, ready=lambda x: x)))
     assert list(tmp_path.iterdir()) == []
 
 

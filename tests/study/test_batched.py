@@ -9,7 +9,7 @@ import pytest
 from pickenv.arm.plant.tolerances import TOLERANCES
 from pickenv.errors import InputError
 from pickenv.study.design.config import Noise, load_study
-from pickenv.study.design.protocol import prepare
+from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.row_table import OK
 from pickenv.study.running import batched, batched_identification
 from pickenv.study.running.arm_by_arm import evaluate_chunk
@@ -23,7 +23,7 @@ AGREEMENT = 1e-9
 
 def compare(config):
     """Both executors' rows; they must agree. Returns the reference's."""
-    protocol = prepare(config)
+    protocol = prepared_study(config)
     for chunk in config.chunks():
         one, other = evaluate_chunk(protocol, chunk), evaluate_batch(protocol, chunk)
         assert one.schema == other.schema and one.num_rows == other.num_rows
@@ -78,7 +78,7 @@ def test_an_arm_is_handed_over_rather_than_left_unconverged(study_file, monkeypa
 
 
 def test_blocks_change_nothing_but_rounding(study_file, monkeypatch):
-    protocol = prepare(replace(load_study(study_file()), chunk=12, it_grades=(12,)))
+    protocol = prepared_study(replace(load_study(study_file()), chunk=12, it_grades=(12,)))
     whole = evaluate_batch(protocol, 0)
     monkeypatch.setitem(batched.BLOCKS, "cpu", 50)  # two arms at a time
     parts = evaluate_batch(protocol, 0)

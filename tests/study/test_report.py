@@ -12,15 +12,15 @@ from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import random_columns
 from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.errors import InputError
-from pickenv.inspect.figures.run_drawings import Drawing, LeftOut
+from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.run_folder import read_run
 from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
 from pickenv.study.analysis.study_drawings import gather, specification, study_drawings
 from pickenv.study.analysis.study_recording import arms_compared, record_study
-from pickenv.study.analysis.study_report import page, study_page, verdict, write_outputs
+from pickenv.study.analysis.study_report import page, study_page, study_verdict, write_outputs
 from pickenv.study.design.config import load_study
-from pickenv.study.design.protocol import prepare
+from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.study_folder import read_rows, study_at, write_record
 from pickenv.study.running.arm_by_arm import evaluate_arm
 from pickenv.study.running.run_study import run_study
@@ -103,7 +103,7 @@ def test_the_verdict_comes_first_and_every_yield_is_in_the_table(html, found):
     assert html.index('class="verdict') < html.index("<table")
     for row in rows:
         assert f"{100 * row['yield_low']:.1f} to {100 * row['yield_high']:.1f}" in text
-    assert verdict(found.config, rows).headline in text
+    assert study_verdict(found.config, rows).headline in text
 
 
 def test_the_page_names_seed_hashes_and_versions(html, folder):
@@ -126,25 +126,25 @@ def rows_with(within, arms=400, **changes):
 
 def test_the_verdict_names_the_least_demanding_way_that_suffices(found):
     rows = [rows_with(398), rows_with(396, it_grade=12, setting=1), rows_with(300, it_grade=14, setting=2)]
-    said = verdict(found.config, rows)
+    said = study_verdict(found.config, rows)
     assert said.tone == "good" and said.headline.startswith("IT12 (medium) and 30 poses")
     assert "99.0 %" in said.text and specification(found.config) in said.text
 
 
 def test_a_way_must_suffice_at_every_payload(found):
     rows = [rows_with(398), rows_with(200, payload_kg=0.25, setting=1)]
-    said = verdict(found.config, rows)
+    said = study_verdict(found.config, rows)
     assert said.tone == "bad" and "carrying 0.25 kg" in said.text and "Without payload it is 99.5 %" in said.text
 
 
 def test_too_few_arms_to_tell_is_said(found):
-    said = verdict(found.config, [rows_with(19, arms=20)])
+    said = study_verdict(found.config, [rows_with(19, arms=20)])
     assert said.tone == "care" and "too few arms to tell" in said.headline
 
 
 def test_figures_that_the_study_does_not_allow_are_named(found):
     drawings = study_drawings(found)
-    left_out = {d.name: d.reason for d in drawings if isinstance(d, LeftOut)}
+    left_out = {d.name: d.reason for d in drawings if isinstance(d, NotDrawn)}
     assert left_out == {
         "yield_by_poses": "the study does not vary the number of calibration poses",
         "yield_by_noise_mm": "the study does not vary the tracker's noise",
@@ -163,7 +163,7 @@ def test_the_sensitivities_of_the_raw_arm_are_those_of_its_geometry(found):
 
 
 def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
-    protocol, rows = prepare(found.config), read_rows(folder)
+    protocol, rows = prepared_study(found.config), read_rows(folder)
     setting = protocol.settings[4]  # the coarser grade, not the first of the table
     placement = place(protocol, rows, setting, protocol.design, "itself")
     (outcome,) = evaluate_arm(protocol, [setting], protocol.design, 10**6)  # a raw arm meets no tracker
@@ -174,7 +174,7 @@ def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
 
 
 def test_a_drawn_arm_stands_at_its_own_rank(folder, found):
-    protocol, rows = prepare(found.config), read_rows(folder)
+    protocol, rows = prepared_study(found.config), read_rows(folder)
     worst, _ = ranked(rows, 0)["worst"]
     arm = plant_at(protocol.draw(protocol.settings[0], range(worst, worst + 1)), 0)
     placement = place(protocol, rows, protocol.settings[0], arm, "the worst")
@@ -194,7 +194,7 @@ def test_the_recorded_arms_miss_their_fruit_as_the_rows_say(folder):
 
 def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, found, tmp_path):
     """Angles explain the raw arms, stiffness the calibrated ones, whichever way it is found."""
-    protocol, settings = prepare(found.config), list(found.sensitivities)
+    protocol, settings = prepared_study(found.config), list(found.sensitivities)
     path = write_sobol(folder, settings, 128)
     try:
         raw, calibrated = read_sobol(folder).values()
@@ -214,8 +214,8 @@ def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, fou
 
 
 def test_groups_name_each_random_number_of_the_effects_that_are_on(found):
-    groups = tolerance_groups(prepare(found.config).design)
-    columns = random_columns(prepare(found.config).design)
+    groups = tolerance_groups(prepared_study(found.config).design)
+    columns = random_columns(prepared_study(found.config).design)
     used = ("geometry", "joint_stiffness", "flexural_rigidity", "lead", "transmission_error", "phase")
     assert sorted(i for group in groups.values() for i in group) == sorted(i for key in used for i in columns[key])
 

@@ -10,7 +10,7 @@ from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import TOLERANCES, it_tolerance
 from pickenv.errors import InputError
 from pickenv.study.design.config import Noise, load_study
-from pickenv.study.design.protocol import carrying, prepare
+from pickenv.study.design.protocol import carrying, prepared_study
 from pickenv.study.results.outcomes import NOT_FINITE, Outcomes, chunk_table, figures, reach_status
 from pickenv.study.results.row_table import FIGURES, OK
 from pickenv.study.running.arm_by_arm import evaluate_arm, evaluate_chunk
@@ -18,7 +18,7 @@ from pickenv.study.running.arm_by_arm import evaluate_arm, evaluate_chunk
 
 def rows(config):
     """All rows of a study, as columns."""
-    protocol = prepare(config)
+    protocol = prepared_study(config)
     tables = [evaluate_chunk(protocol, chunk) for chunk in config.chunks()]
     return {name: np.concatenate([table[name].to_numpy() for table in tables]) for name in tables[0].column_names}
 
@@ -44,7 +44,7 @@ def test_there_is_a_row_for_every_arm_and_setting(config):
 
 def test_a_row_is_what_the_arm_does_at_the_fruit(config):
     config = replace(config, methods=("raw",))
-    protocol = prepare(config)
+    protocol = prepared_study(config)
     found = rows(config)
     for setting in protocol.settings:
         plants = protocol.draw(setting, range(config.arms))
@@ -66,7 +66,7 @@ def test_a_row_is_what_the_arm_does_at_the_fruit(config):
 
 
 def test_the_tool_is_upright_at_the_fruit_and_joints_keep_off_their_limits(config):
-    protocol = prepare(replace(config, fruit=200))
+    protocol = prepared_study(replace(config, fruit=200))
     nominal = protocol.nominal
     assert protocol.fruit.shape == (200, 6)
     assert np.all(protocol.wanted.rotation[:, 2, 2] >= np.cos(np.radians(30.0)))
@@ -113,7 +113,7 @@ def test_an_arm_deviates_in_the_same_direction_in_every_grade(config):
 def test_deviations_are_those_of_the_drawn_arms(config):
     config = replace(config, methods=("raw",))
     found = rows(config)
-    protocol = prepare(config)
+    protocol = prepared_study(config)
     setting = protocol.settings[0]
     plants = protocol.draw(setting, range(config.arms))
     here = found["setting"] == setting.number
@@ -205,12 +205,12 @@ def test_an_arm_that_cannot_reach_or_be_calibrated_is_a_row_with_its_reason(stud
 
 def test_too_few_poses_are_refused_before_anything_is_computed(study_file):
     with pytest.raises(InputError, match=r"2 poses give 12 equations, too few"):
-        prepare(load_study(study_file(("[12, 20]", "[2, 20]"))))
+        prepared_study(load_study(study_file(("[12, 20]", "[2, 20]"))))
 
 
 def test_the_design_itself_can_be_judged_by_the_same_protocol(config):
     """The paper's arm, Table 1, against its population: its own geometry, the settings' calibration and fruit."""
-    protocol = prepare(config)
+    protocol = prepared_study(config)
     outcomes = evaluate_arm(protocol, protocol.settings, protocol.design, config.arms)
     assert [outcome.setting for outcome in outcomes] == list(protocol.settings)
     raw, calibrated = outcomes[0].position.mean(), outcomes[4].position.mean()
@@ -234,7 +234,7 @@ def test_the_figures_are_those_of_a_hundred_and_one_fruit_known_by_heart():
 
 
 def test_an_arm_without_a_finite_pose_is_not_judged_and_an_earlier_reason_stays(config):
-    protocol = prepare(config)
+    protocol = prepared_study(config)
     (setting, *_), arms = protocol.populations()[0], range(3)
     position = np.full((3, config.fruit), 5e-4)
     position[1:, 0] = np.nan

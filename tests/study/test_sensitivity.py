@@ -6,7 +6,7 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.study.analysis.sensitivity import kind_of, sensitivities_of, sobol_table
+from pickenv.study.analysis.sensitivity import sensitivities_of, sobol_table, tolerance_kind
 
 
 def rows_of(columns, squared_error, arm=None):
@@ -81,8 +81,10 @@ def test_too_few_arms_and_nothing_that_varies_are_said():
 
 
 def test_kinds():
-    assert kind_of("delta_alpha3_deg") == "angles" and kind_of("delta_d2_mm") == "lengths"
-    assert kind_of("size_joint_stiffness_4") == "joint stiffness" and kind_of("rise_K") == "temperature rise"
+    assert tolerance_kind("delta_alpha3_deg") == "angles" and tolerance_kind("delta_d2_mm") == "lengths"
+    assert (
+        tolerance_kind("size_joint_stiffness_4") == "joint stiffness" and tolerance_kind("rise_K") == "temperature rise"
+    )
 
 
 def test_sobol_indices_of_ishigami():

@@ -18,9 +18,6 @@ from pickenv.arm.kinematics.backend import chosen, possible
 from pickenv.arm.kinematics.forward import Frame, Scalar, frame_of, pose_of
 from pickenv.arm.kinematics.geometry import Array, Pose
 
-TINY = 1e-7
-"""Below this sine of its angle a small rotation's vector is the sine vector, to the last digit."""
-
 REVERSED = -0.99
 """Below this cosine, from 172 degrees, the rotation's axis is read from the symmetric part: the sine has lost it."""
 
@@ -59,10 +56,10 @@ def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequenc
     cosine = 0.5 * (xx + yy + zz - 1.0)
     sine = m.sqrt(sx * sx + sy * sy + sz * sz)
     angle = m.atan2(sine, cosine)
-    scale = chosen(m, sine <= TINY, 1.0, angle / (sine + 1e-30))
+    scale = angle / (sine + 1e-30)
     vector = scale * sx, scale * sy, scale * sz
     reverse = cosine < REVERSED
-    if not possible(m, reverse):
+    if reverse is False or not possible(m, reverse):
         return vector
     # Half of R + R^T, less the cosine on its diagonal, is (1 - cosine) a a^T: its largest column gives the axis a.
     xy = 0.5 * (axx * bxy + ayx * byy + azx * bzy + axy * bxx + ayy * byx + azy * bzx)

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -136,8 +136,8 @@ class Plant:
         gear = _gear(self, m, self._target(m, q), None)
         rise = (self.thermal_growth.final_rise,) if self.thermal_growth is not None else ()
         sinkage: Components = ()
-        if self.base_tilt is not None and gear.tilt is not None:
-            sinkage = long_run(self.base_tilt, gear.tilt)
+        if self.base_tilt is not None and gear[3] is not None:
+            sinkage = long_run(self.base_tilt, gear[3])
         return _tool(self, m, self.warm_chain, gear, (), rise, sinkage)
 
     def initial_state(self, m: ModuleType, q: Sequence[Scalar]) -> PlantState:
@@ -179,8 +179,8 @@ class Plant:
         if self.thermal_growth is not None:
             rise = (warmed(m, self.thermal_growth, rise[0], dt),)
             chain = grown_chain(self.thermal_growth, chain, rise[0])
-        if self.base_tilt is not None and gear.tilt is not None:
-            sinkage = sunk(m, self.base_tilt, sinkage, gear.tilt, dt)
+        if self.base_tilt is not None and gear[3] is not None:
+            sinkage = sunk(m, self.base_tilt, sinkage, gear[3], dt)
         new = _state(self, motor, gear, swings, rise, sinkage)
         return new, _tool(self, m, chain, gear, swings, rise, sinkage)
 
@@ -216,22 +216,18 @@ class Plant:
 EFFECTS = tuple(part.name for part in fields(Plant) if part.name not in ("name", "arm", "geometry", "load", "ready"))
 
 
-class _Gear(NamedTuple):
-    """Joint displacements on their way from motor to link, and the loads on them."""
-
-    friction: Sequence[Scalar]
-    backlash: Sequence[Scalar]
-    torques: list[Scalar] | None
-    tilt: tuple[Scalar, Scalar] | None
+_Gear: TypeAlias = tuple[Sequence[Scalar], Sequence[Scalar], list[Scalar] | None, tuple[Scalar, Scalar] | None]
+"""Joint displacements behind friction and behind backlash, and the loads on them: torques, and the base's tilt."""
 
 
 def _state(
     plant: Plant, motor: Sequence[Scalar], gear: _Gear, swings: Sequence[Swing], rise: Components, sinkage: Components
 ) -> PlantState:
+    friction, backlash, *_ = gear
     return PlantState(
         motor=tuple(motor) if plant.servo is not None else (),
-        friction=tuple(gear.friction) if plant.stick_band is not None else (),
-        backlash=tuple(gear.backlash) if plant.backlash is not None else (),
+        friction=tuple(friction) if plant.stick_band is not None else (),
+        backlash=tuple(backlash) if plant.backlash is not None else (),
         profile=tuple(swing.profile for swing in swings),
         vibration=tuple(swing.vibration for swing in swings),
         rate=tuple(swing.rate for swing in swings),
@@ -263,7 +259,7 @@ def _gear(plant: Plant, m: ModuleType, motor: Sequence[Scalar], state: PlantStat
     if plant.backlash is not None:
         before = friction if state is None else state.backlash
         backlash = hysteresis.joints_behind_backlash(m, plant.backlash, torques, friction, before)
-    return _Gear(friction, backlash, torques, tilt)
+    return friction, backlash, torques, tilt
 
 
 def _tool(
@@ -276,16 +272,16 @@ def _tool(
     sinkage: Components,
 ) -> Frame:
     """From displacements behind the gears to the tool."""
-    joints = gear.backlash
-    if plant.joint_compliance is not None and gear.torques is not None:
-        joints = structure.yielded_joints(plant.joint_compliance, gear.torques, joints)
+    _, joints, torques, tilt = gear
+    if plant.joint_compliance is not None and torques is not None:
+        joints = structure.yielded_joints(plant.joint_compliance, torques, joints)
     if swings:
         joints = [value + swing.vibration for value, swing in zip(joints, swings, strict=True)]
     if plant.thermal_growth is not None:
         joints = grown_joints(plant.thermal_growth, chain, joints, rise[0])
     frame = tool_frame(m, chain, joints, _flexure(plant, joints))
-    if plant.base_tilt is not None and gear.tilt is not None:
-        frame = tilted_frame(plant.base_tilt, gear.tilt, sinkage, frame)
+    if plant.base_tilt is not None and tilt is not None:
+        frame = tilted_frame(plant.base_tilt, tilt, sinkage, frame)
     return frame
 
 

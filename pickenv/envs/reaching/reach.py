@@ -237,8 +237,8 @@ class ReachEnv(ArmEnv):
         plant, scene = simulation.look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
         self._state, self._scene = state._replace(plant=plant), scene
         observation, reward = self._observe(scene)
-        information = {
-            **dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True)),
+        information: Information = dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True))
+        information |= {
             "is_success": bool(scene.success),
             "pose_error": np.array(plain(scene.error)),
             "joint_command": np.array(plain(scene.command)),

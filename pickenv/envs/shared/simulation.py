@@ -158,10 +158,9 @@ def begin(
 
 def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> Components:
     """The nominal joint target after an action: clipped shares of the largest increments, kept in the joint limits."""
-    return tuple(
-        clipped(x.m, value + clipped(x.m, share, -1.0, 1.0) * most, low, high)
-        for value, share, most, low, high in zip(target, action, task.increment, task.lower, task.upper, strict=True)
-    )
+    m, limits = x.m, zip(target, action, task.increment, task.lower, task.upper, strict=True)
+    moved = [clipped(m, q + clipped(m, share, -1.0, 1.0) * most, low, high) for q, share, most, low, high in limits]
+    return tuple(moved)
 
 
 def look(
@@ -240,15 +239,14 @@ def nominal_readings(
 
 def scaled(x: Executor, task: Task, joints: Sequence[Scalar]) -> Components:
     """Joints scaled to their limits, -1 to 1."""
-    return tuple(
-        clipped(x.m, (2.0 * q - (low + high)) / (high - low), -1.0, 1.0)
-        for q, low, high in zip(joints, task.lower, task.upper, strict=True)
-    )
+    m, limits = x.m, zip(joints, task.lower, task.upper, strict=True)
+    return tuple([clipped(m, (2.0 * q - (low + high)) / (high - low), -1.0, 1.0) for q, low, high in limits])
 
 
 def length(x: Executor, vector: Sequence[Scalar]) -> Scalar:
     """Length of a vector of three components."""
-    return x.m.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
+    along_x, along_y, along_z = vector
+    return x.m.sqrt(along_x * along_x + along_y * along_y + along_z * along_z)
 
 
 def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:

@@ -6,9 +6,15 @@ The projection is orthographic and done here, so that arrows are drawn from far 
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
@@ -16,14 +22,9 @@ from pickenv.errors import InputError
 from pickenv.inspect.colours import viridis, viridis_map
 from pickenv.inspect.figures.style import INK, RULE, SOFT, WIDTH, new_figure
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
-from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, colour_scale_mm, field_mm, spread, ticks
+from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, colour_scale_mm, error_spread, field_mm, ticks
 from pickenv.inspect.runs.links import nominal_points
 from pickenv.inspect.runs.view import eye_direction, shown_box
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 PANEL_WIDTH, BESIDE_PANELS = WIDTH / 3.0, 1.5
 """Inches; the latter is the height of the titles and the colour bar."""
@@ -57,7 +58,7 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         for axes, policy in zip(panels, policies, strict=True):
             _panel(axes, comparison, policy, shown, gain, top)
             axes.set_title(policy.label, fontsize=12, weight="bold", pad=15.0)
-            numbers = spread(field_mm(policy))
+            numbers = error_spread(field_mm(policy))
             text = f"mean {numbers.mean:.2f} mm, max {numbers.largest:.2f} mm"
             axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
         cast("ConstrainedLayoutEngine", figure.get_layout_engine()).set(h_pad=0.11)
@@ -117,8 +118,6 @@ class _View:
 def _panel(
     axes: Axes, comparison: Comparison, policy: PolicyErrors, shown: NDArray[np.intp], gain: float, top: float
 ) -> None:
-    from matplotlib.collections import PolyCollection
-
     view = _View(comparison)
     _box(axes, comparison, view)
     _ghost_arm(axes, comparison, view)
@@ -221,9 +220,6 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
 
 def colour_bar(figure: Figure, panels: Any, top: float) -> None:
     """The one scale of all panels, Viridis from 0 to ``top`` mm, below them."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     scale = ScalarMappable(Normalize(0.0, top), viridis_map())
     bar = figure.colorbar(
         scale, ax=list(np.ravel(panels)), location="bottom", aspect=60, shrink=0.8, pad=0.02, extend="max"

@@ -6,18 +6,18 @@ Each function takes plain arrays and returns a matplotlib figure.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.errors import InputError
 from pickenv.inspect.colours import OTHERS, RED, policy_colours, viridis_map
 from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, finite_series, new_figure, plain_decades, rgb
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
@@ -27,8 +27,6 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
         residual_rms_mm: Position residual RMS ``(I + 1,)``, mm.
         attitude_rms_deg: Attitude residual RMS ``(I + 1,)``, degrees, in a panel of its own.
     """
-    from matplotlib.ticker import MaxNLocator
-
     curves = {"position residual, RMS (mm)": residual_rms_mm}
     if attitude_rms_deg is not None:
         curves["attitude residual, RMS (deg)"] = attitude_rms_deg
@@ -50,25 +48,17 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
     return figure
 
 
-def network_convergence(
-    training_loss: ArrayLike, validation_loss: ArrayLike | None = None, *, best_epoch: int | None = None
-) -> Figure:
-    """Loss of a residual network per epoch, on a logarithmic axis.
+def network_convergence(loss: ArrayLike) -> Figure:
+    """Training loss of a residual network per epoch, on a logarithmic axis.
 
     Args:
-        training_loss: Mean squared error ``(E,)`` on normalised targets, without unit.
-        validation_loss: The same on held-out poses.
-        best_epoch: Epoch (from 0) whose weights were kept; marked when given.
+        loss: Mean squared error ``(E,)`` on normalised targets, without unit.
     """
-    losses = {"training": training_loss} | ({} if validation_loss is None else {"validation": validation_loss})
-    series, colours = finite_series(losses), rgb([*policy_colours(["ls_bpnn"]), OTHERS[0]])
+    (values,) = finite_series({"training": loss}).values()
     with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel="epoch (number)", ylabel="loss, MSE of normalised targets (–)")
         axes.set_title("Convergence of the residual network")
-        for (label, values), colour in zip(series.items(), colours, strict=False):
-            axes.semilogy(values, color=colour, label=label)
-        if best_epoch is not None:
-            axes.axvline(best_epoch, color=SOFT, linestyle=":", linewidth=1.2, label=f"kept: epoch {best_epoch}")
+        axes.semilogy(values, color=rgb(policy_colours(["ls_bpnn"]))[0], label="training")
         plain_decades(axes.yaxis)
         axes.legend()
     return figure
@@ -80,7 +70,6 @@ def parameter_spectrum(
     *,
     names: Sequence[str] | None = None,
     threshold: float | None = None,
-    quantity: str | None = None,
 ) -> Figure:
     """What the poses can tell about each parameter: the diagonal of R of a pivoted QR, or singular values.
 
@@ -89,7 +78,6 @@ def parameter_spectrum(
         kept: Whether each one was kept ``(P,)``.
         names: Parameter names in the same order, for a diagonal of R; none for singular values.
         threshold: Value below which one is dropped; drawn when given.
-        quantity: Name and unit for the axis; chosen by whether there are names when left out.
     """
     values, kept = finite_series({"magnitudes": magnitudes})["magnitudes"], np.asarray(kept, dtype=bool)
     if kept.shape != values.shape or (names is not None and len(names) != len(values)):
@@ -99,7 +87,7 @@ def parameter_spectrum(
     blue, red = rgb([*policy_colours(["ls"]), RED])
     diagonal = names is not None
     with new_figure(WIDTH, 3.1) as figure:
-        axes = figure.add_subplot(ylabel=quantity or f"{'|R_ii|' if diagonal else 'singular value'} (scaled, –)")
+        axes = figure.add_subplot(ylabel=f"{'|R_ii|' if diagonal else 'singular value'} (scaled, –)")
         axes.set_xlabel("parameter" if diagonal else "singular value (number)")
         condition = float(values[kept].max() / values[kept].min()) if kept.any() else np.inf
         told = (
@@ -185,8 +173,6 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
         geometry: Gives the joints' names, kinds and limits, which frame the plots.
         sets: For each set, by label (identification, training, test), its joints ``(N, n)``, rad or m.
     """
-    from matplotlib.lines import Line2D
-
     n = geometry.joints
     scale = _scale(geometry)
     lower, upper, units = _limits(geometry)

@@ -5,10 +5,10 @@ Each function takes plain arrays and returns a matplotlib figure.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
@@ -28,16 +28,12 @@ from pickenv.inspect.figures.style import (
 )
 from pickenv.inspect.runs.comparison_summary import round_step
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
-
-def error_per_pose(errors_mm: Mapping[str, ArrayLike], *, tolerance_mm: float | None = None) -> Figure:
+def error_per_pose(errors_mm: Mapping[str, ArrayLike]) -> Figure:
     """Position error at each test pose, one curve per method: before and after calibration.
 
     Args:
         errors_mm: For each method, by label, its errors ``(N,)``, mm.
-        tolerance_mm: Drawn as a line when given.
     """
     series = finite_series(errors_mm)
     with new_figure(WIDTH, 2.9) as figure:
@@ -47,7 +43,6 @@ def error_per_pose(errors_mm: Mapping[str, ArrayLike], *, tolerance_mm: float | 
             number = np.arange(1, len(values) + 1)
             name = f"{label}: mean {values.mean():.2f} mm, max {values.max():.2f} mm"
             axes.plot(number, values, "o-", color=colour, label=name, markersize=3.0, linewidth=1.1)
-        _tolerance(axes.axhline, tolerance_mm)
         longest = max(len(values) for values in series.values())
         axes.set(xlim=(0.5, longest + 0.5), ylim=(0.0, None))
         figure.legend(loc="outside lower center", ncols=2)
@@ -102,25 +97,16 @@ def error_by_method(
     return figure
 
 
-def error_histogram(
-    errors: Mapping[str, ArrayLike],
-    *,
-    quantity: str = "position error",
-    unit: str = "mm",
-    tolerance: float | None = None,
-) -> Figure:
+def error_histogram(errors_mm: Mapping[str, ArrayLike]) -> Figure:
     """Histogram of errors, one outline per method over the same bins of round width.
 
     Args:
-        errors: For each method, by label, its errors ``(N,)`` in ``unit``.
-        quantity: What the errors are, for the axis.
-        unit: Their unit.
-        tolerance: Drawn as a line when given.
+        errors_mm: For each method, by label, its errors ``(N,)``, mm.
     """
-    series = finite_series(errors)
+    series = finite_series(errors_mm)
     width = round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
     with new_figure(COLUMN, 2.9) as figure:
-        axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"share of poses in {width:g} {unit} (%)")
+        axes = figure.add_subplot(xlabel="position error (mm)", ylabel=f"share of poses in {width:g} mm (%)")
         axes.set_title("Distribution")
         for label, values, colour in coloured(series):
             edges = width * np.arange(int(values.max() / width) + 2)
@@ -129,7 +115,6 @@ def error_histogram(
                 values, edges.tolist(), weights=share, color=(*colour, 0.35), edgecolor=colour, histtype="stepfilled"
             )
             axes.plot([], [], color=colour, linewidth=5.0, alpha=0.7, label=label)
-        _tolerance(axes.axvline, tolerance, unit)
         axes.set_xlim(left=0.0)
         figure.legend(loc="outside lower center", ncols=2)
     return figure
@@ -161,7 +146,9 @@ def error_cumulative(
         axes.set_xscale("log")
         axes.set_yticks(np.linspace(0.0, 1.0, 6), ["0", "20", "40", "60", "80", "100"])
         plain_decades(axes.xaxis)
-        _tolerance(axes.axvline, tolerance, unit)
+        if tolerance is not None:
+            label = f"tolerance {tolerance:g} {unit}"
+            axes.axvline(tolerance, color=rgb([RED])[0], linestyle="--", linewidth=1.2, label=label)
         figure.legend(loc="outside lower center", ncols=2)
     return figure
 
@@ -211,10 +198,3 @@ def _groups(x: Array, most: int) -> list[NDArray[np.intp]]:
     if len(values) <= most:
         return [np.flatnonzero(x == value) for value in values]
     return np.array_split(np.argsort(x, kind="stable"), most)
-
-
-def _tolerance(line: Callable[..., Any], tolerance: float | None, unit: str = "mm") -> None:
-    """The tolerance as a red line, where there is one."""
-    if tolerance is not None:
-        label = f"tolerance {tolerance:g} {unit}"
-        line(tolerance, color=rgb([RED])[0], linestyle="--", linewidth=1.2, label=label)

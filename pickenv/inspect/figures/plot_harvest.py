@@ -6,9 +6,10 @@ Each function takes plain arrays and returns a matplotlib figure.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from pickenv.errors import InputError
@@ -16,9 +17,6 @@ from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect import colours
 from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, new_figure, rgb
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 (RED,) = rgb([colours.RED])
 
@@ -142,7 +140,7 @@ def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]]
     return figure
 
 
-def joint_curves(curves: JointCurves) -> Figure:
+def joint_displacements(curves: JointCurves) -> Figure:
     """Displacement of each joint over time: sliding joints left, turning ones right; a pattern per joint of an arm."""
     parts: dict[str, list[str]] = {}
     for name in curves.moved:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
@@ -30,9 +31,6 @@ from pickenv.inspect.figures.style import (
     plain_decades,
     rgb,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SMALLEST_MM = 1e-3
 """Errors below a micrometre are drawn there."""

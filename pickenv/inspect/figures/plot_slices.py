@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
@@ -14,9 +15,6 @@ from pickenv.inspect.colours import viridis
 from pickenv.inspect.figures.field_figure import colour_bar, round_down
 from pickenv.inspect.figures.style import SOFT, WIDTH, new_figure
 from pickenv.inspect.runs.comparison_summary import scale_end
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def error_slices(

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
@@ -18,9 +19,6 @@ from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.gripping import gripped, gripper_curves
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
 CAPTIONS = {
@@ -65,7 +63,7 @@ class Drawing:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class NotDrawn:
     """A figure that the run's numbers do not allow.
 
     Attributes:
@@ -77,7 +75,7 @@ class LeftOut:
     reason: str
 
 
-Drawings = Sequence[Drawing | LeftOut]
+Drawings = Sequence[Drawing | NotDrawn]
 
 
 def write_drawings(
@@ -119,15 +117,15 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
     mm = {policy.label: policy.position_error_mm for policy in comparison.policies}
     degrees = {policy.label: policy.attitude_error_deg for policy in comparison.policies}
     look: dict[str, Any] = {"counted": "reaches"}
-    found: list[Drawing | LeftOut] = []
+    found: list[Drawing | NotDrawn] = []
     if len(comparison.field_points):
         points, step = comparison.field_points, comparison.grid_step
         found.append(captioned("error_fields", lambda: error_fields(comparison)))
         found.append(captioned("error_slices", lambda: error_slices(points, fields, step=step)))
     else:
-        found.append(LeftOut("error_fields", "the comparison has no field points; take a finer grid"))
+        found.append(NotDrawn("error_fields", "the comparison has no field points; take a finer grid"))
     if not len(comparison.fruit):
-        return [*found, LeftOut("reach_errors", "the comparison has no reaches; run some")]
+        return [*found, NotDrawn("reach_errors", "the comparison has no reaches; run some")]
     attitude = {"quantity": "attitude error", "unit": "deg", **look}
     return [
         *found,
@@ -166,7 +164,7 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
             "least_squares_convergence",
             lambda: plot_calibration.least_squares_convergence(trace.position_rms * 1e3, attitude),
         ),
-        LeftOut("network_convergence", "no network was trained")
+        NotDrawn("network_convergence", "no network was trained")
         if loss is None
         else captioned("network_convergence", lambda: plot_calibration.network_convergence(loss)),
         captioned(
@@ -177,11 +175,11 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
     ]
 
 
-def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str, Array]) -> Drawing | LeftOut:
+def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str, Array]) -> Drawing | NotDrawn:
     """Errors against a condition; left out where it was not recorded or never changed."""
     drawing = f"error_against_{name}"
     if values is None:
-        return LeftOut(drawing, f"no {name} was recorded with the held-out poses; measure it with them")
+        return NotDrawn(drawing, f"no {name} was recorded with the held-out poses; measure it with them")
     if name in CONDITIONS and not np.ptp(values) > 0.0:
-        return LeftOut(drawing, f"every held-out pose had the same {name}, {values[0]:g} {unit}; vary it")
+        return NotDrawn(drawing, f"every held-out pose had the same {name}, {values[0]:g} {unit}; vary it")
     return captioned(drawing, lambda: plot_errors.error_against(values, errors_mm, name=name, unit=unit))

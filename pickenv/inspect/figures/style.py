@@ -8,18 +8,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib
 import numpy as np
+from matplotlib.backend_bases import FigureCanvasBase
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.files import write_whole
 from pickenv.inspect.colours import Rgb, policy_colours
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 PIXELS_PER_INCH = 220
 COLUMN, WIDTH = 3.5, 7.2
@@ -72,8 +73,6 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 
 def check_format(suffix: str, path: str | Path) -> None:
     """Refuse a picture format that matplotlib does not know; ``path`` is what could not be written."""
-    from matplotlib.backend_bases import FigureCanvasBase
-
     known = sorted(FigureCanvasBase.get_supported_filetypes())
     if suffix.lower() not in known:
         raise InputError(f"cannot write {path}: '{suffix}' is no picture format; give one of {', '.join(known)}")
@@ -82,8 +81,6 @@ def check_format(suffix: str, path: str | Path) -> None:
 @contextmanager
 def style(**more: Any) -> Iterator[None]:
     """Draw in the house's style, and leave matplotlib's settings as they were."""
-    import matplotlib
-
     settings: Any = {**STYLE, **more}
     with matplotlib.rc_context(settings):
         yield
@@ -92,8 +89,6 @@ def style(**more: Any) -> Iterator[None]:
 @contextmanager
 def new_figure(width: float, height: float, **more: Any) -> Iterator[Figure]:
     """An empty figure of ``width`` by ``height`` inches that belongs to no window, to be drawn in the house's style."""
-    from matplotlib.figure import Figure
-
     with style(**more):
         yield Figure(figsize=(width, height), layout="constrained")
 
@@ -111,8 +106,6 @@ def finite_series(curves: Mapping[str, ArrayLike]) -> dict[str, Array]:
 
 def plain_decades(axis: Any) -> None:
     """Write a logarithmic axis's ticks as plain numbers: 0.5 instead of 5 × 10 to the power of −1."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     low, high = axis.get_view_interval()
     decades = float(np.log10(high / low))
     subs = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0) if decades < 1.0 else (1.0, 2.0, 5.0) if decades < 2.2 else (1.0,)

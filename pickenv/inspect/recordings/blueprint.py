@@ -5,20 +5,21 @@ All 3D views start with the same eye, and all fields share one colour scale and 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import rerun.blueprint as rrb
+from rerun.blueprint.components import ComponentColumnSelector
+from rerun.components import Colormap
+from rerun.encodings import TensorDimensionIndexSelection
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.inspect.recordings.blueprint_views import BACKGROUND, ghost, space, with_colour_bar
+from pickenv.inspect.recordings.blueprint_views import ghost, layout, seen_from, space, with_colour_bar
 from pickenv.inspect.recordings.detail_tabs import detail_tabs
 from pickenv.inspect.recordings.details import Details
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
-from pickenv.inspect.runs.comparison_summary import colour_scale_mm, field_mm, spread
+from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm
 from pickenv.inspect.runs.view import eye_direction
-
-if TYPE_CHECKING:
-    import rerun.blueprint as rrb
 
 REACHES_PER_SECOND = 2.0
 
@@ -31,8 +32,6 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
         details: From `details_of`.
         gain: As given to `record_comparison`.
     """
-    import rerun.blueprint as rrb
-
     policies = comparison.policies
     top = colour_scale_mm(comparison)
     has_reaches = len(comparison.fruit) > 0
@@ -49,7 +48,7 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
         )
         for policy in policies
     ]
-    slices = [_slice(rrb, comparison, policy) for policy in policies]
+    slices = [_slice(comparison, policy) for policy in policies]
     if details.removed is not None:
         fields.append(_removed(comparison, details.removed, gain))
     meaning = f"Colour: position error, 0 to {top:.2f} mm"
@@ -63,41 +62,30 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
     ]
     tabs += detail_tabs(comparison, details, gain)
     if has_reaches:
-        tabs.insert(1, _picking(rrb, comparison, gain))
-        tabs.append(_table(rrb, policies))
-        below = [_reaches(rrb, comparison), _histogram(rrb), *below]
-    return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Tabs(*tabs, active_tab=0),
-            rrb.Horizontal(*below, column_shares=[3.0, 2.0, 3.0][-len(below) :]),
-            row_shares=[5.6, 4.4],
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(
-            state="collapsed",
-            timeline="reach" if has_reaches else None,
-            fps=REACHES_PER_SECOND,
-            loop_mode="all",
-            play_state="paused",
-        ),
-        auto_views=False,
+        tabs.insert(1, _picking(comparison, gain))
+        tabs.append(_table(policies))
+        below = [_reaches(comparison), _histogram(), *below]
+    content = rrb.Vertical(
+        rrb.Tabs(*tabs, active_tab=0),
+        rrb.Horizontal(*below, column_shares=[3.0, 2.0, 3.0][-len(below) :]),
+        row_shares=[5.6, 4.4],
     )
+    return layout(content, "reach" if has_reaches else None, fps=REACHES_PER_SECOND)
 
 
 def _removed(comparison: Comparison, removed: Array, gain: float) -> Any:
     """What the last policy takes away from the error that the one before it leaves; beside the fields themselves."""
     before, last = comparison.policies[-2:]
-    mean = spread(np.linalg.norm(1e3 * removed, axis=-1)).mean
+    mean = error_spread(np.linalg.norm(1e3 * removed, axis=-1)).mean
     title = f"{before.label} minus {last.label} | mean {mean:.2f} mm | ×{gain:g}"
     return space(comparison, title, ["+ /world/field/removed/vectors", *ghost(comparison)])
 
 
 def _field_title(policy: PolicyErrors, gain: float) -> str:
-    return f"{policy.label} | mean {spread(field_mm(policy)).mean:.2f} mm | arrows ×{gain:g}"
+    return f"{policy.label} | mean {error_spread(field_mm(policy)).mean:.2f} mm | arrows ×{gain:g}"
 
 
-def _picking(rrb: Any, comparison: Comparison, gain: float) -> Any:
+def _picking(comparison: Comparison, gain: float) -> Any:
     arms = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/arm/true"]
     scene = space(
         comparison,
@@ -108,23 +96,18 @@ def _picking(rrb: Any, comparison: Comparison, gain: float) -> Any:
     largest = max(float(policy.position_error_mm.max()) for policy in comparison.policies)
     distance = 1.7 * max(largest, comparison.tolerance_mm)
     aim = 500.0 * (comparison.policies[0].reach_positions - comparison.fruit).mean(axis=0)
-    shots = rrb.Spatial3DView(
-        origin="/target",
-        contents=["+ /target/**"],
-        name=f"All misses seen from the fruit, true size; capture region, {comparison.tolerance_mm:g} mm (red)",
-        background=BACKGROUND,
-        eye_controls=rrb.EyeControls3D(
-            position=aim + distance * eye_direction(comparison), look_target=aim, eye_up=[0.0, 0.0, 1.0]
-        ),
-        line_grid=rrb.LineGrid3D(visible=False),
+    shots = seen_from(
+        aim + distance * eye_direction(comparison),
+        aim,
+        "/target",
+        ["+ /target/**"],
+        f"All misses seen from the fruit, true size; capture region, {comparison.tolerance_mm:g} mm (red)",
+        ground=False,
     )
     return rrb.Horizontal(scene, shots, column_shares=[3.0, 2.0], name="Picking")
 
 
-def _slice(rrb: Any, comparison: Comparison, policy: PolicyErrors) -> Any:
-    from rerun.components import Colormap
-    from rerun.encodings import TensorDimensionIndexSelection
-
+def _slice(comparison: Comparison, policy: PolicyErrors) -> Any:
     middle = comparison.grid_shape[2] // 2
     entity = f"/field/{policy.key}/magnitude_mm"
     return rrb.TensorView(
@@ -138,7 +121,7 @@ def _slice(rrb: Any, comparison: Comparison, policy: PolicyErrors) -> Any:
     )
 
 
-def _reaches(rrb: Any, comparison: Comparison) -> Any:
+def _reaches(comparison: Comparison) -> Any:
     largest = max(float(policy.position_error_mm.max()) for policy in comparison.policies)
     errors = rrb.TimeSeriesView(
         origin="/metrics",
@@ -151,13 +134,11 @@ def _reaches(rrb: Any, comparison: Comparison) -> Any:
     return rrb.Vertical(errors, outcome, row_shares=[1.0, 1.0])
 
 
-def _histogram(rrb: Any) -> Any:
+def _histogram() -> Any:
     return rrb.BarChartView(origin="/hist", contents=["+ /hist/**"], name="Reaches by final position error, mm")
 
 
-def _table(rrb: Any, policies: tuple[PolicyErrors, ...]) -> Any:
-    from rerun.blueprint.components import ComponentColumnSelector
-
+def _table(policies: tuple[PolicyErrors, ...]) -> Any:
     sources = (
         ("metrics/error_mm", "Scalars:scalars"),
         ("metrics/attitude_deg", "Scalars:scalars"),

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import rerun.blueprint as rrb
+
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.view import eye_direction, shown_box
 
@@ -15,20 +18,38 @@ MOST_ABREAST = 4
 """Views side by side before there is another row of them."""
 
 
-def space(comparison: Comparison, name: str, contents: list[str], **options: Any) -> Any:
-    """The workspace in 3D, always seen by the same eye at first; each view can be orbited on its own."""
-    import rerun.blueprint as rrb
+def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
+    """A blueprint without panels but the time line, which loops and stands still at first."""
+    return rrb.Blueprint(
+        content,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=time_line, loop_mode="all", play_state="paused", **time),
+        auto_views=False,
+    )
 
-    centre, radius = shown_box(comparison)
-    eye = centre + EYE_DISTANCE * radius * eye_direction(comparison)
+
+def seen_from(
+    eye: Array, look: Array, origin: str, contents: list[str], name: str, *, ground: bool = True, **more: Any
+) -> Any:
+    """A view in 3D from ``eye`` to ``look`` ``(3,)``, above a grid on the ground or not."""
+    grid = {"visible": True, "spacing": 0.5, "stroke_width": 0.5, "color": (255, 255, 255, 30)}
     return rrb.Spatial3DView(
-        **{"origin": "/world", **options},
-        contents=[*contents, "+ /world/workspace", "+ /world/axes"],
+        origin=origin,
+        contents=contents,
         name=name,
         background=BACKGROUND,
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=centre, eye_up=[0.0, 0.0, 1.0]),
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, stroke_width=0.5, color=(255, 255, 255, 30)),
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=look, eye_up=[0.0, 0.0, 1.0]),
+        line_grid=rrb.LineGrid3D(**(grid if ground else {"visible": False})),
+        **more,
     )
+
+
+def space(comparison: Comparison, name: str, contents: list[str], origin: str = "/world", **more: Any) -> Any:
+    """The workspace in 3D, always seen by the same eye at first; each view can be orbited on its own."""
+    centre, radius = shown_box(comparison)
+    eye = centre + EYE_DISTANCE * radius * eye_direction(comparison)
+    return seen_from(eye, centre, origin, [*contents, "+ /world/workspace", "+ /world/axes"], name, **more)
 
 
 def ghost(comparison: Comparison) -> list[str]:
@@ -38,8 +59,6 @@ def ghost(comparison: Comparison) -> list[str]:
 
 def with_colour_bar(views: list[Any], key: str, meaning: str, name: str) -> Any:
     """A tab: ``views`` side by side, in rows where they are many, and below them the colour bar `/legend/key`."""
-    import rerun.blueprint as rrb
-
     bar = rrb.Spatial2DView(
         origin=f"/legend/{key}",
         contents=[f"+ /legend/{key}/**"],

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rerun as rr
 
 from pickenv.errors import InputError
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, policy_colours, policy_key
@@ -22,6 +23,7 @@ from pickenv.inspect.recordings.scribe import (
     reading_columns,
     send_arm,
     send_arrows,
+    send_capture,
     send_colour_bar,
     send_voxels,
     write_recording,
@@ -58,8 +60,6 @@ def record_comparison(comparison: Comparison, path: str | Path, *, gain: float =
         InputError: If there is no policy or a key repeats or cannot be part of an entity path, if the gain is not above
             zero, or if the file cannot be written.
     """
-    import rerun as rr
-
     _check(comparison, gain)
     details = details_of(comparison)
     times = [rr.TimeColumn(TIME_LINE, sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
@@ -108,8 +108,6 @@ def _colours(comparison: Comparison) -> list[Rgb]:
 
 
 def _send_properties(scribe: Scribe, comparison: Comparison, gain: float) -> None:
-    import rerun as rr
-
     made_with: Any = {f"{name}_version": version for name, version in {**versions(), "rerun": rr.__version__}.items()}
     scribe.stream.send_property(
         "pickenv",
@@ -129,8 +127,6 @@ def _send_properties(scribe: Scribe, comparison: Comparison, gain: float) -> Non
 
 def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
-    import rerun as rr
-
     size = np.asarray(comparison.grid_shape) * comparison.grid_step
     corner = comparison.grid_origin - comparison.grid_step / 2.0
     scribe.still(
@@ -168,8 +164,6 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
 
 def _send_field(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, gain: float) -> None:
     """One policy's error field three times: arrows, voxels, and a tensor for slices."""
-    import rerun as rr
-
     entity, top, magnitude = f"world/field/{policy.key}", colour_scale_mm(comparison), field_mm(policy)
     errors, step = policy.field_errors, comparison.grid_step
     send_arrows(scribe, f"{entity}/vectors", comparison.field_points, gain * errors, 1e3 * errors, top)
@@ -187,8 +181,6 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, ga
 
 def _send_reaches(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, gain: float) -> None:
     """One policy's reaches along the time line: the miss as an arrow, the errors as numbers, and pick or miss."""
-    import rerun as rr
-
     if not scribe.times:
         return
     colour = dict(zip((p.key for p in comparison.policies), _colours(comparison), strict=True))[policy.key]
@@ -213,8 +205,6 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, 
 
 def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The gripper's capture region: a line on the error plot and, enlarged like the errors, a ball around the fruit."""
-    import rerun as rr
-
     if not scribe.times:
         return
     line = rr.SeriesLines(names=[f"tolerance {comparison.tolerance_mm:g} mm"], colors=[RED], widths=[1.5])
@@ -225,13 +215,7 @@ def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None
         half_sizes=[[radius] * 3], colors=[(*RED, 160)], line_radii=rr.Radius.ui_points(0.6), fill_mode="majorwireframe"
     )
     scribe.still("world/capture", ball)
-    sphere = rr.Ellipsoids3D(
-        half_sizes=[[comparison.tolerance_mm] * 3],
-        colors=[(*RED, 200)],
-        line_radii=rr.Radius.ui_points(0.8),
-        fill_mode="majorwireframe",
-    )
-    scribe.still("target/capture", sphere)
+    send_capture(scribe, comparison.tolerance_mm)
     axes = rr.Arrows3D(
         origins=np.zeros((3, 3)),
         vectors=comparison.tolerance_mm * np.eye(3),
@@ -245,8 +229,6 @@ def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None
 
 def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
     """Reach errors in bins that all policies share; within a bin the policies' bars stand side by side."""
-    import rerun as rr
-
     edges, count = histogram_edges_mm(comparison), len(comparison.policies)
     width = float(edges[1] - edges[0]) * 0.9 / count
     for i, (policy, colour) in enumerate(zip(comparison.policies, _colours(comparison), strict=True)):
@@ -260,7 +242,5 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
 
 def _send_legend(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The colour bar with its unit, and the summary."""
-    import rerun as rr
-
     send_colour_bar(scribe, "legend/position", colour_scale_mm(comparison), "mm")
     scribe.still("summary", rr.TextDocument(summary_markdown(comparison, gain), media_type="text/markdown"))

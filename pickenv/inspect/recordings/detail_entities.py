@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rerun as rr
 
 from pickenv.arm.files.urdf import write_urdf
 from pickenv.arm.kinematics.geometry import Array, Geometry
@@ -64,8 +65,6 @@ def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array
 
 def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
     """Mean and 95th percentile over all fruit at every time of the day, as the policies' commands leave them."""
-    import rerun as rr
-
     times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day.hours)]
     hours = Scribe(scribe.stream, times)
     colours = policy_colours([policy.key for policy in comparison.policies])
@@ -82,8 +81,6 @@ def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:
     """An arm as it is exported, moved along the reaches by the joint commands ``(R, n)``."""
-    import rerun as rr
-
     with tempfile.TemporaryDirectory() as folder:
         tree = rr.urdf.UrdfTree.from_file_path(
             write_urdf(geometry, Path(folder) / f"{name}.urdf", name),

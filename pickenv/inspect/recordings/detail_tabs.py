@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import rerun.blueprint as rrb
 
 from pickenv.inspect.recordings.blueprint_views import ghost, space, with_colour_bar
 from pickenv.inspect.recordings.details import FLOOR, Day, Details, attitude_length
@@ -12,8 +13,8 @@ from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.comparison_summary import (
     attitude_scale_deg,
     colour_scale_mm,
+    error_spread,
     field_mm,
-    spread,
     uncertainty_scale_mm,
 )
 
@@ -26,15 +27,13 @@ def detail_tabs(comparison: Comparison, details: Details, gain: float) -> list[A
     if comparison.field_uncertainty is not None:
         tabs.append(_uncertainty(comparison))
     if details.day is not None:
-        tabs.append(_day(comparison, details.day))
+        tabs.append(_day(details.day))
     if len(comparison.fruit):
         tabs.insert(0, _arms(comparison, gain))
     return tabs
 
 
 def _arms(comparison: Comparison, gain: float) -> Any:
-    import rerun.blueprint as rrb
-
     first = comparison.policies[0].label
     exaggerated = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/fruit", "+ /world/miss/**"]
     urdf = ["+ /urdf_nominal/**", "+ /urdf_true/**"]
@@ -48,7 +47,7 @@ def _arms(comparison: Comparison, gain: float) -> Any:
 def _effects(comparison: Comparison, details: Details, gain: float) -> Any:
     views = []
     for name, field in details.effects.items():
-        mean = spread(1e3 * np.linalg.norm(field, axis=-1)).mean
+        mean = error_spread(1e3 * np.linalg.norm(field, axis=-1)).mean
         title = f"{name.replace('_', ' ')} | mean {mean:.2f} mm | ×{gain:g}"
         views.append(space(comparison, title, [f"+ /world/effect/{name}", *ghost(comparison)]))
     meaning = f"Colour: position error, 0 to {colour_scale_mm(comparison):.2f} mm"
@@ -61,7 +60,7 @@ def _attitude(comparison: Comparison, details: Details) -> Any:
     top, length = attitude_scale_deg(details.attitude), attitude_length(comparison, details.attitude)
     views = []
     for key, field in details.attitude.items():
-        mean = spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
+        mean = error_spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
         title = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree"
         views.append(space(comparison, title, [f"+ /world/attitude/{key}", *ghost(comparison)]))
     meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
@@ -81,9 +80,7 @@ def _uncertainty(comparison: Comparison) -> Any:
     return with_colour_bar(views, "uncertainty", meaning, "Predicted uncertainty")
 
 
-def _day(comparison: Comparison, day: Day) -> Any:
-    import rerun.blueprint as rrb
-
+def _day(day: Day) -> Any:
     largest = max(float(np.percentile(errors, 95, axis=1).max()) for errors in day.errors_mm.values())
     plot = rrb.TimeSeriesView(
         origin="/day",

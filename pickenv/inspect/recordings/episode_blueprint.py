@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import rerun.blueprint as rrb
 
 from pickenv.arm.kinematics.forward import forward
-from pickenv.inspect.recordings.blueprint_views import BACKGROUND
+from pickenv.inspect.recordings.blueprint_views import layout, seen_from
 from pickenv.inspect.recordings.episodes import UNITS, Scene, has_arm, has_fruit, number_groups
-
-if TYPE_CHECKING:
-    import rerun.blueprint as rrb
 
 EYE = np.array([0.75, -1.0, 0.55])
 """From the middle of the scene to the eye, in units of the arm's reach at mid-range."""
@@ -22,8 +20,6 @@ SHOWN_TOLERANCES = 5.0
 
 def episode_blueprint(scene: Scene, info: Mapping[str, Any]) -> rrb.Blueprint:
     """The layout for environments whose infos are like ``info``."""
-    import rerun.blueprint as rrb
-
     views = _space_views(scene, info)
     plots: list[Any] = []
     for unit in number_groups(info):
@@ -38,18 +34,10 @@ def episode_blueprint(scene: Scene, info: Mapping[str, Any]) -> rrb.Blueprint:
     if "is_success" in info:
         plots.append(rrb.StateTimelineView(origin="/outcome", contents=["+ /outcome/**"], name="Success"))
     columns = [rrb.Vertical(*views)] if views else []
-    return rrb.Blueprint(
-        rrb.Horizontal(*columns, rrb.Vertical(*plots)),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="sim_time", loop_mode="all", play_state="paused"),
-        auto_views=False,
-    )
+    return layout(rrb.Horizontal(*columns, rrb.Vertical(*plots)), "sim_time")
 
 
 def _space_views(scene: Scene, info: Mapping[str, Any]) -> list[Any]:
-    import rerun.blueprint as rrb
-
     views: list[Any] = []
     if has_arm(scene, info):
         assert scene.nominal is not None
@@ -58,26 +46,10 @@ def _space_views(scene: Scene, info: Mapping[str, Any]) -> list[Any]:
         middle = (base + tool) / 2.0
         eye = middle + 1.6 * float(np.linalg.norm(tool - base)) * EYE
         fruit = ["+ /world/fruit/**", "+ /world/miss/**"] if has_fruit(info) else []
-        views.append(
-            rrb.Spatial3DView(
-                origin="/world",
-                contents=["+ /world/arm/**", *fruit],
-                name="True arm, and the nominal arm (wire) under the same command; miss (red)",
-                background=BACKGROUND,
-                eye_controls=rrb.EyeControls3D(position=eye, look_target=middle, eye_up=[0.0, 0.0, 1.0]),
-                line_grid=rrb.LineGrid3D(visible=True, spacing=0.5, stroke_width=0.5, color=(255, 255, 255, 30)),
-            )
-        )
+        name = "True arm, and the nominal arm (wire) under the same command; miss (red)"
+        views.append(seen_from(eye, middle, "/world", ["+ /world/arm/**", *fruit], name))
     if has_fruit(info) and scene.tolerance_mm is not None:
         eye = SHOWN_TOLERANCES * scene.tolerance_mm * EYE
-        views.append(
-            rrb.Spatial3DView(
-                origin="/target",
-                contents=["+ /target/**"],
-                name=f"True tool seen from the fruit, mm; capture region, {scene.tolerance_mm:g} mm (red)",
-                background=BACKGROUND,
-                eye_controls=rrb.EyeControls3D(position=eye, look_target=np.zeros(3), eye_up=[0.0, 0.0, 1.0]),
-                line_grid=rrb.LineGrid3D(visible=False),
-            )
-        )
+        name = f"True tool seen from the fruit, mm; capture region, {scene.tolerance_mm:g} mm (red)"
+        views.append(seen_from(eye, np.zeros(3), "/target", ["+ /target/**"], name, ground=False))
     return views

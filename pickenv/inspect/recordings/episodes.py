@@ -9,17 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import rerun as rr
 
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, policy_colours
-from pickenv.inspect.recordings.scribe import Scribe, f32, move_arm, reading_columns, send_arm
+from pickenv.inspect.recordings.scribe import Scribe, f32, move_arm, reading_columns, send_arm, send_capture
 from pickenv.inspect.runs.links import drawn_parts, nominal_points, true_points
-
-if TYPE_CHECKING:
-    import rerun as rr
 
 Trigger = Callable[[int], bool]
 
@@ -158,8 +156,6 @@ def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
 
 def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, row: Row) -> None:
     """Send what holds for all steps of one environment, given one of its rows."""
-    import rerun as rr
-
     scribe, info = Scribe(stream), row.info
     (colour,) = policy_colours([scene.policy])
     if has_arm(scene, info):
@@ -172,13 +168,7 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, row: Row) -> 
         scribe.still(f"world/miss/{key}", arrow)
         scribe.still(f"target/{key}", rr.Points3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(4.0)))
         if scene.tolerance_mm is not None:
-            region = rr.Ellipsoids3D(
-                half_sizes=[[scene.tolerance_mm] * 3],
-                colors=[(*RED, 200)],
-                line_radii=rr.Radius.ui_points(0.8),
-                fill_mode="majorwireframe",
-            )
-            scribe.still("target/capture", region)
+            send_capture(scribe, scene.tolerance_mm)
     for unit, names in number_groups(info).items():
         scribe.still(f"metrics/{unit}/{key}", rr.SeriesLines(names=[name.replace("_", " ") for name in names]))
     if "is_success" in info:
@@ -190,8 +180,6 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, row: Row) -> 
 
 def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row]) -> None:
     """Send ``rows`` of one environment as whole columns."""
-    import rerun as rr
-
     moments = np.array([row.moment for row in rows])
     scribe = Scribe(
         stream,

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
@@ -19,12 +20,8 @@ from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.joint_motion import master_time, profile
 from pickenv.harvester.machine import Machine
 from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL, Rgb, arm_colour
-from pickenv.inspect.recordings.blueprint_views import BACKGROUND
+from pickenv.inspect.recordings.blueprint_views import layout, seen_from
 from pickenv.inspect.recordings.scribe import Scribe, f32, write_recording
-
-if TYPE_CHECKING:
-    import rerun as rr
-    import rerun.blueprint as rrb
 
 STEP = 0.05
 """s, between two pictures."""
@@ -60,8 +57,6 @@ def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Pat
 
 
 def _send(stream: rr.RecordingStream, machine: Machine, harvest: Harvest, shown: Round) -> None:
-    import rerun as rr
-
     arrival = float(master_time(machine, machine.master_start, shown.master))
     at = np.arange(0.0, arrival + shown.times.makespan + 1.0, STEP)
     masters = machine.master_start + profile(
@@ -78,8 +73,6 @@ def _send(stream: rr.RecordingStream, machine: Machine, harvest: Harvest, shown:
 
 def _send_machine(scribe: Scribe, machine: Machine, masters: Array, slaves: Array) -> None:
     """Column, boom with the slaves' rail, and slaves, for master ``(T, 3)`` and slave joints ``(T, A, 3)``."""
-    import rerun as rr
-
     drawn_in = slaves.copy()
     drawn_in[..., 1:] = 0.0
     tips, pivots, frame = machine.tips(masters, slaves), machine.tips(masters, drawn_in), machine.frame3(masters)
@@ -96,16 +89,12 @@ def _send_machine(scribe: Scribe, machine: Machine, masters: Array, slaves: Arra
 
 
 def _send_strip(scribe: Scribe, entity: str, points: Array, colour: Rgb, radius: float) -> None:
-    import rerun as rr
-
     scribe.still(entity, rr.LineStrips3D.from_fields(colors=[colour], radii=[radius]))
     scribe.along(entity, rr.LineStrips3D.columns(strips=list(f32(points))))
 
 
 def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: float) -> None:
     """One Gantt lane: carried by the master, travelling, out, and how the pick ended."""
-    import rerun as rr
-
     mine = np.flatnonzero(shown.times.arm == arm)
     moments, states = [0.0, arrival], ["carried", "travel"]
     for pick in mine[np.argsort(shown.times.start[mine])]:
@@ -123,8 +112,6 @@ def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: floa
 
 def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arrival: float) -> None:
     """Fruit of the zone; it changes colour when its pick ends."""
-    import rerun as rr
-
     numbers = np.flatnonzero(shown.zone.holds(harvest.tree.fruit))
     moments = np.concatenate([[0.0], arrival + np.sort(shown.times.end)])
     colours = fates(shown, numbers, moments - arrival)
@@ -148,8 +135,6 @@ def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint
 
 def _send_distances(scribe: Scribe, machine: Machine, slaves: Array) -> None:
     """Distance between every two slaves, mm, and the least that is allowed."""
-    import rerun as rr
-
     if machine.arms < 2:
         return
     near = 1e3 * arm_distances(machine, slaves)
@@ -170,21 +155,12 @@ def _blueprint(shown: Array, frame: Array, arms: int) -> rrb.Blueprint:
         frame: Frame 3 at the pick point, which tells where ahead is ``(3,)``, m.
         arms: Number of slaves.
     """
-    import rerun.blueprint as rrb
-
     low, high = shown.min(axis=0), shown.max(axis=0)
     look, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
     ahead = frame * (1.0, 1.0, 0.0) / np.linalg.norm(frame[:2])
     eye = look + 1.8 * radius * (0.8 * np.array([ahead[1], -ahead[0], 0.0]) - 0.6 * ahead + (0.0, 0.0, 0.5))
     views = [
-        rrb.Spatial3DView(
-            origin="/world",
-            contents=["+ /world/**"],
-            name="Master, slaves and fruit, m",
-            background=BACKGROUND,
-            eye_controls=rrb.EyeControls3D(position=eye, look_target=look, eye_up=[0.0, 0.0, 1.0]),
-            line_grid=rrb.LineGrid3D(visible=False),
-        ),
+        seen_from(eye, look, "/world", ["+ /world/**"], "Master, slaves and fruit, m", ground=False),
         rrb.StateTimelineView(
             origin="/arms", contents=["+ /arms/**"], name="Slaves: travel, out and collected, out and missed (red)"
         ),
@@ -192,10 +168,4 @@ def _blueprint(shown: Array, frame: Array, arms: int) -> rrb.Blueprint:
     if arms > 1:
         name = "Distance between slaves, mm"
         views.append(rrb.TimeSeriesView(origin="/distance", contents=["+ /distance/**"], name=name))
-    return rrb.Blueprint(
-        rrb.Vertical(*views, row_shares=[4.0, 1.4, 2.0][: len(views)]),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="sim_time", loop_mode="all", play_state="paused"),
-        auto_views=False,
-    )
+    return layout(rrb.Vertical(*views, row_shares=[4.0, 1.4, 2.0][: len(views)]), "sim_time")

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pickenv.arm import Arm, Plant, forward, pose_error
 from pickenv.arm.kinematics.geometry import Array
@@ -16,44 +14,15 @@ from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.uncertainty import held_out_errors, uncertainty_from
 from pickenv.errors import InputError
-from pickenv.inspect.colours import policy_key
 from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
+from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors
 from pickenv.inspect.runs.comparison_summary import round_step
-from pickenv.inspect.runs.field_grid import field_grid
+from pickenv.inspect.runs.episode_ends import Reaches
+from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 
 GAIN = 20.0
 CELLS = 10
 """Cells along the longest side of a field whose points lie on no grid."""
-
-
-class Ends(Protocol):
-    """How the episodes of an evaluation ended, as `pickenv.agents.evaluation.reaches.Reaches` says it; R of them."""
-
-    @property
-    def pose_error(self) -> Array:
-        """True tool against fruit ``(R, 6)``, m and rad."""
-        ...
-
-    @property
-    def success(self) -> NDArray[np.bool_]:
-        """Whether the fruit was inside the capture region ``(R,)``."""
-        ...
-
-    @property
-    def joint_command(self) -> Array:
-        """What the drives got at the end ``(R, n)``, rad or m."""
-        ...
-
-    @property
-    def tool_position(self) -> Array:
-        """True tool positions ``(R, 3)``, m."""
-        ...
-
-    @property
-    def fruit_position(self) -> Array:
-        """Fruit ``(R, 3)``, m."""
-        ...
 
 
 def inspect_calibration(
@@ -87,7 +56,7 @@ def inspect_calibration(
 
 
 def inspect_evaluation(
-    runs: Mapping[str, Ends],
+    runs: Mapping[str, Reaches],
     plant: Plant,
     path: str | Path,
     *,
@@ -111,7 +80,7 @@ def inspect_evaluation(
     return record_comparison(evaluation_compared(runs, plant, tolerance_mm, seed), path, gain=gain)
 
 
-def evaluation_compared(runs: Mapping[str, Ends], plant: Plant, tolerance_mm: float, seed: int) -> Comparison:
+def evaluation_compared(runs: Mapping[str, Reaches], plant: Plant, tolerance_mm: float, seed: int) -> Comparison:
     """The comparison that `inspect_evaluation` records: the field's points are the fruit."""
     if not runs:
         raise InputError("there are no episodes to show; give the ends of at least one policy's episodes")
@@ -119,36 +88,16 @@ def evaluation_compared(runs: Mapping[str, Ends], plant: Plant, tolerance_mm: fl
     for other, ends in runs.items():
         if not np.array_equal(ends.fruit_position, first.fruit_position):
             raise InputError(f"'{other}' did not reach for the same fruit as '{label}'; evaluate both with equal seeds")
-    shape, origin, step, index = _cells(first.fruit_position)
     policies = [
-        PolicyErrors(
-            key=policy_key(name),
-            label=name,
-            field_errors=ends.tool_position - ends.fruit_position,
-            reach_joints=ends.joint_command,
-            reach_positions=ends.tool_position,
-            position_error_mm=1e3 * np.linalg.norm(ends.pose_error[:, :3], axis=1),
-            attitude_error_deg=np.degrees(np.linalg.norm(ends.pose_error[:, 3:], axis=1)),
-            success=ends.success,
-            field_attitude=ends.pose_error[:, 3:],
+        policy_errors(
+            name,
+            np.concatenate([ends.tool_position - ends.fruit_position, ends.pose_error[:, 3:]], axis=1),
+            *(ends.joint_command, ends.tool_position, ends.pose_error, ends.success),
         )
         for name, ends in runs.items()
     ]
-    return Comparison(
-        plant=plant,
-        nominal=plant.arm.nominal,
-        identified=plant.arm.nominal,
-        seed=seed,
-        tolerance_mm=tolerance_mm,
-        grid_shape=shape,
-        grid_origin=origin,
-        grid_step=step,
-        field_index=index,
-        field_points=first.fruit_position,
-        field_joints=first.joint_command,
-        fruit=first.fruit_position,
-        policies=tuple(policies),
-    )
+    grid = _grid_around(first.fruit_position, first.joint_command)
+    return compared(plant, grid, policies, seed=seed, fruit=first.fruit_position, tolerance_mm=tolerance_mm)
 
 
 def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: int) -> Comparison:
@@ -167,8 +116,7 @@ def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: i
         label: pose_error(wanted, plant.tool_pose(grid.joints if send is None else send(grid.joints)))
         for label, send in stages.items()
     }
-    where = (grid.shape, grid.origin, grid.step, grid.index)
-    return _without_reaches(calibration, plant, errors, grid.points, grid.joints, where, seed)
+    return _without_reaches(calibration, plant, errors, grid, seed)
 
 
 def _measured(calibration: Calibration, data: Measurements, seed: int) -> Comparison:
@@ -185,7 +133,7 @@ def _measured(calibration: Calibration, data: Measurements, seed: int) -> Compar
     arm = Arm(calibration.arm_name, data.source, calibration.nominal, None, unknown)
     plant = Plant(f"{calibration.arm_name}, measured", arm, calibration.identified)
     points = forward(calibration.nominal, data.joints).position
-    return _without_reaches(calibration, plant, errors, points, data.joints, _cells(points), seed)
+    return _without_reaches(calibration, plant, errors, _grid_around(points, data.joints), seed)
 
 
 def _best(calibration: Calibration) -> str:
@@ -193,58 +141,27 @@ def _best(calibration: Calibration) -> str:
     return f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
 
 
-Cells = tuple[tuple[int, int, int], Array, float, NDArray[np.int64]]
-"""Shape, centre of the first cell, step and each point's index of a grid."""
-
-
 def _without_reaches(
-    calibration: Calibration,
-    plant: Plant,
-    errors: Mapping[str, Array],
-    points: Array,
-    joints: Array,
-    cells: Cells,
-    seed: int,
+    calibration: Calibration, plant: Plant, errors: Mapping[str, Array], grid: FieldGrid, seed: int
 ) -> Comparison:
-    shape, origin, step, index = cells
-    uncertainty = uncertainty_from(calibration.record)
-    none, vectors = np.empty(0), np.empty((0, 3))
-    return Comparison(
-        plant=plant,
-        nominal=calibration.nominal,
-        identified=calibration.identified,
+    known, joints = uncertainty_from(calibration.record), grid.joints
+    none = (joints[:0], np.empty((0, 3)), np.empty((0, 6)), np.empty(0, dtype=np.bool_))
+    return compared(
+        plant,
+        grid,
+        (policy_errors(label, error, *none) for label, error in errors.items()),
         seed=seed,
-        tolerance_mm=0.0,
-        grid_shape=shape,
-        grid_origin=origin,
-        grid_step=step,
-        field_index=index,
-        field_points=points,
-        field_joints=joints,
-        fruit=vectors,
-        policies=tuple(
-            PolicyErrors(
-                key=policy_key(label),
-                label=label,
-                field_errors=error[:, :3],
-                reach_joints=np.empty((0, joints.shape[1])),
-                reach_positions=vectors,
-                position_error_mm=none,
-                attitude_error_deg=none,
-                success=np.empty(0, dtype=np.bool_),
-                field_attitude=error[:, 3:] if error.shape[1] == 6 else None,
-            )
-            for label, error in errors.items()
-        ),
-        field_uncertainty=None if uncertainty is None else uncertainty.standard(calibration.model, joints)[0],
+        identified=calibration.identified,
+        uncertainty=None if known is None else known.standard(calibration.model, joints)[0],
     )
 
 
-def _cells(points: Array) -> Cells:
+def _grid_around(points: Array, joints: Array) -> FieldGrid:
     """A grid around points that lie on none: cells of a round size, some `CELLS` along the longest side."""
     low, high = points.min(axis=0), points.max(axis=0)
     step = round_step(max(float((high - low).max()), 1e-3) / CELLS)
     shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
     corner = (low + high - shape * step) / 2.0
     index = np.clip(((points - corner) / step).astype(np.int64), 0, shape - 1)
-    return (int(shape[0]), int(shape[1]), int(shape[2])), corner + step / 2.0, step, index
+    shape3 = (int(shape[0]), int(shape[1]), int(shape[2]))
+    return FieldGrid(shape3, corner + step / 2.0, step, index, points, joints)

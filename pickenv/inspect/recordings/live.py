@@ -9,14 +9,12 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from pickenv.errors import InputError
+import rerun as rr
+import rerun.blueprint as rrb
 
-if TYPE_CHECKING:
-    import rerun as rr
-    import rerun.blueprint as rrb
+from pickenv.errors import InputError
 
 VIEWER_PORT = 9876
 """Where rerun's viewer listens unless told otherwise."""
@@ -54,8 +52,6 @@ def open_live(live: Live, recording_id: str, blueprint: rrb.Blueprint) -> rr.Rec
     Raises:
         InputError: If there is no screen for a viewer, or no viewer answers at the address.
     """
-    import rerun as rr
-
     from pickenv.inspect.recordings.scribe import APPLICATION_ID
 
     stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar
+from typing import Any, SupportsFloat, TypeVar
 
 import gymnasium as gym
 import numpy as np
+import rerun as rr
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
@@ -28,9 +29,6 @@ from pickenv.inspect.recordings.episodes import (
 from pickenv.inspect.recordings.live import PATIENCE, Live, open_live
 from pickenv.inspect.recordings.scribe import write_recording
 
-if TYPE_CHECKING:
-    import rerun as rr
-
 Observation = TypeVar("Observation")
 Action = TypeVar("Action")
 GROWTH = 2.0
@@ -50,20 +48,23 @@ class _Recorder:
         recording_length: int,
         name_prefix: str,
         policy: str,
-        live: Live,
+        spawn: bool,
+        connect: str | None,
+        serve: int | None,
     ) -> None:
         if policy != policy_key(policy) or not policy:
             raise InputError(f"policy '{policy}' cannot name an entity; use lower-case letters, digits and underscores")
         if recording_length < 0:
             raise InputError(f"recording_length is {recording_length}; give a number of steps, or 0 for whole episodes")
-        if save_path is None and not live:
+        self._live = Live(spawn, connect, serve)
+        if save_path is None and not self._live:
             raise InputError("nothing would be logged; give save_path, spawn, connect or serve")
         if episode_trigger is None and step_trigger is None:
             episode_trigger = capped_cubic
         self.path = None if save_path is None else Path(save_path) / f"{name_prefix}-{policy}.rrd"
         length = float(recording_length) or np.inf
         self.logs = [EpisodeLog(key, episode_trigger, step_trigger, length) for key in keys]
-        self._env, self._live, self._policy = env, live, policy
+        self._env, self._policy = env, policy
         self._scene: Scene | None = None
         self._identity = ""
         self._in_file = 0
@@ -141,8 +142,6 @@ class _Recorder:
 
     def _send(self, stream: rr.RecordingStream, start: Sequence[int], *, first: bool) -> None:
         """Send each environment's rows from ``start`` on, and before the ``first`` of them what holds for all."""
-        import rerun as rr
-
         assert self._scene is not None
         if first:
             facts: dict[str, Any] = {"pickenv_version": pickenv.__version__, "rerun_version": rr.__version__}
@@ -207,21 +206,20 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         Raises:
             InputError: If an argument is impossible; later, if a file cannot be written or a viewer not be reached.
         """
-        RecordConstructorArgs.__init__(
-            self,
-            save_path=save_path,
-            episode_trigger=episode_trigger,
-            step_trigger=step_trigger,
-            recording_length=recording_length,
-            name_prefix=name_prefix,
-            policy=policy,
-            spawn=spawn,
-            connect=connect,
-            serve=serve,
-        )
+        settings: dict[str, Any] = {
+            "save_path": save_path,
+            "episode_trigger": episode_trigger,
+            "step_trigger": step_trigger,
+            "recording_length": recording_length,
+            "name_prefix": name_prefix,
+            "policy": policy,
+            "spawn": spawn,
+            "connect": connect,
+            "serve": serve,
+        }
+        RecordConstructorArgs.__init__(self, **settings)
         gym.Wrapper.__init__(self, env)
-        given = (save_path, episode_trigger, step_trigger, recording_length, name_prefix, policy)
-        self._recorder = _Recorder(env, [policy], *given, Live(spawn, connect, serve))
+        self._recorder = _Recorder(env, [policy], **settings)
         self._log = self._recorder.logs[0]
 
     def reset(
@@ -278,25 +276,23 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         Raises:
             InputError: If an argument is impossible; later, if a file cannot be written or a viewer not be reached.
         """
-        RecordConstructorArgs.__init__(
-            self,
-            save_path=save_path,
-            episode_trigger=episode_trigger,
-            step_trigger=step_trigger,
-            recording_length=recording_length,
-            name_prefix=name_prefix,
-            indices=indices,
-            policy=policy,
-            spawn=spawn,
-            connect=connect,
-            serve=serve,
-        )
+        settings: dict[str, Any] = {
+            "save_path": save_path,
+            "episode_trigger": episode_trigger,
+            "step_trigger": step_trigger,
+            "recording_length": recording_length,
+            "name_prefix": name_prefix,
+            "policy": policy,
+            "spawn": spawn,
+            "connect": connect,
+            "serve": serve,
+        }
+        RecordConstructorArgs.__init__(self, indices=indices, **settings)
         VectorWrapper.__init__(self, env)
         if not indices or not all(0 <= i < env.num_envs for i in indices) or len(set(indices)) != len(indices):
             raise InputError(f"indices are {list(indices)}; give different numbers from 0 to {env.num_envs - 1}")
         keys = [f"{policy}/env_{i}" for i in indices]
-        given = (save_path, episode_trigger, step_trigger, recording_length, name_prefix, policy)
-        self._recorder = _Recorder(env, keys, *given, Live(spawn, connect, serve))
+        self._recorder = _Recorder(env, keys, **settings)
         self._logged = list(zip(indices, self._recorder.logs, strict=True))
         self._over = np.zeros(env.num_envs, dtype=np.bool_)
 

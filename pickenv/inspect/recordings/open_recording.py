@@ -13,6 +13,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
+import rerun as rr
+from rerun.chunk import RrdReader
+
 from pickenv.errors import InputError
 from pickenv.inspect.recordings.live import (
     LOCAL,
@@ -35,9 +38,6 @@ def check_recording(path: str | Path) -> None:
         InputError: If the file is missing, no recording, damaged, or written by a rerun that is newer than the one
             installed or older by more than one minor version, which is as far as rerun promises to read back.
     """
-    import rerun as rr
-    from rerun.chunk import RrdReader
-
     path = Path(path)
     try:
         with path.open("rb") as file:
@@ -94,9 +94,6 @@ def send(paths: Sequence[Path], url: str) -> None:
     Raises:
         InputError: If none answers at ``url``, or it does not take everything.
     """
-    import rerun as rr
-    from rerun.chunk import RrdReader
-
     check_answers(url)
     for path in paths:
         (entry, *_) = RrdReader(path).recordings()

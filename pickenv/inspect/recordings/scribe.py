@@ -7,21 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.files import write_whole
-from pickenv.inspect.colours import WHITE, Rgb, viridis
+from pickenv.inspect.colours import RED, WHITE, Rgb, viridis
 from pickenv.inspect.runs.comparison_summary import ticks
 from pickenv.inspect.runs.links import capsules
-
-if TYPE_CHECKING:
-    import rerun as rr
-    import rerun.blueprint as rrb
 
 APPLICATION_ID = "pickenv"
 BASE_RADIUS, TOOL_RADIUS = 0.030, 0.012
@@ -55,8 +53,6 @@ def recording_bytes(recording_id: str, blueprint: rrb.Blueprint, send: Callable[
     Raises:
         InputError: If the variable RERUN switches rerun off.
     """
-    import rerun as rr
-
     stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
     memory = stream.memory_recording()
     if not rr.is_enabled(stream):
@@ -76,8 +72,6 @@ class Scribe:
 
     def still(self, entity: str, *content: rr.AsComponents) -> None:
         """Send archetypes that hold for all time, all of an entity in one chunk."""
-        import rerun as rr
-
         columns: list[rr.ComponentColumn] = []
         for archetype in content:
             for batch in archetype.as_component_batches():
@@ -99,21 +93,15 @@ def f32(values: ArrayLike) -> Any:
 
 def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:
     """What a click on an arrow reads out: length and components of ``vectors`` ``(N, 3)``, in ``unit``."""
-    import rerun as rr
-
     return rr.DynamicArchetype("PickError", components=_readings(vectors, unit))
 
 
 def reading_columns(vectors: Array, unit: str = "mm") -> Iterable[rr.ComponentColumn]:
     """`reading` with one row per moment."""
-    import rerun as rr
-
     return rr.DynamicArchetype.columns("PickError", components=_readings(vectors, unit))
 
 
 def _readings(vectors: Array, unit: str) -> dict[str, Any]:
-    import rerun as rr
-
     lengths = f32(np.linalg.norm(vectors, axis=-1))
     return {f"norm_{unit}": lengths, f"xyz_{unit}": rr.components.Vector3DBatch(f32(vectors))}
 
@@ -132,8 +120,6 @@ def send_arrows(
         top: Upper end of the colour scale, in ``unit``.
         unit: Unit of ``values``.
     """
-    import rerun as rr
-
     colours = viridis(np.linalg.norm(values, axis=-1) / top)
     drawn = rr.Arrows3D(origins=f32(origins), vectors=f32(arrows), colors=colours, radii=rr.Radius.ui_points(1.6))
     scribe.still(entity, drawn, reading(values, unit))
@@ -143,8 +129,6 @@ def send_arm(
     scribe: Scribe, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0
 ) -> None:
     """An arm that stands at another pose at every moment; ``points`` ``(T, K, 3)`` and ``parts`` as in `links`, m."""
-    import rerun as rr
-
     count = len(parts)
     scribe.still(
         entity,
@@ -160,8 +144,6 @@ def send_arm(
 
 def move_arm(scribe: Scribe, entity: str, points: Array, parts: list[int]) -> None:
     """Where an arm stands at every moment, for one whose looks were sent by `send_arm`."""
-    import rerun as rr
-
     rods = capsules(points, parts)
     moving = rr.Capsules3D.columns(
         lengths=f32(rods.length.ravel()),
@@ -171,12 +153,21 @@ def move_arm(scribe: Scribe, entity: str, points: Array, parts: list[int]) -> No
     scribe.along(entity, moving.partition([len(parts)] * len(points)))
 
 
+def send_capture(scribe: Scribe, tolerance_mm: float) -> None:
+    """The gripper's capture region as seen from the fruit, a ball of that radius, mm."""
+    ball = rr.Ellipsoids3D(
+        half_sizes=[[tolerance_mm] * 3],
+        colors=[(*RED, 200)],
+        line_radii=rr.Radius.ui_points(0.8),
+        fill_mode="majorwireframe",
+    )
+    scribe.still("target/capture", ball)
+
+
 def send_voxels(
     scribe: Scribe, entity: str, index: NDArray[np.int64], values: Array, top: float, step: float, corner: Array
 ) -> None:
     """Cells ``index`` ``(C, 3)`` of a grid of ``step`` m that begins at ``corner``, coloured by ``values`` ``(C,)``."""
-    import rerun as rr
-
     scribe.still(
         entity,
         rr.VoxelGridMap(
@@ -192,8 +183,6 @@ def send_voxels(
 
 def send_colour_bar(scribe: Scribe, entity: str, top: float, unit: str) -> None:
     """A colour scale from 0 to ``top`` with its unit: an image and its ticks below ``entity``."""
-    import rerun as rr
-
     width, height = COLOUR_BAR_PIXELS
     bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
     scribe.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))

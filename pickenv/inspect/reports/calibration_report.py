@@ -22,8 +22,8 @@ from pickenv.files import write_text
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings
-from pickenv.inspect.reports.report_page import Bar, Page, PageTable, Pair, Section, Verdict, html_of
-from pickenv.inspect.reports.report_words import axis_table, listed, parameter_words
+from pickenv.inspect.reports.report_page import Bar, Page, PageTable, PageVerdict, Pair, Section, html_of
+from pickenv.inspect.reports.report_words import axis_table, named_values, parameter_words
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_trace, written_report
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
@@ -91,7 +91,7 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     )
 
 
-def _verdict(r: Result, test: Measurements) -> Verdict:
+def _verdict(r: Result, test: Measurements) -> PageVerdict:
     quality, final = r.quality, r.best
     interval = " to ".join(map(figure, final.mean_ci95))
     sentence = (
@@ -105,7 +105,7 @@ def _verdict(r: Result, test: Measurements) -> Verdict:
         sentence += f" The attitude error falls from {figure(was)} to {figure(now)} deg."
     text = "\n".join((_sentence(quality.reason), sentence, _sentence(r.frames_text)))
     findings = [(finding.weight, _sentence(finding.text)) for finding in quality.others]
-    return Verdict(TONES[quality.grade], VERDICTS[quality.grade], text, findings)
+    return PageVerdict(TONES[quality.grade], VERDICTS[quality.grade], text, findings)
 
 
 def _tiles(r: Result) -> dict[str, str]:
@@ -225,6 +225,6 @@ def _origin(r: Result, train: Measurements, test: Measurements, seeds: Mapping[s
         "Arm": f"{r.arm.name}, nominal fingerprint {r.calibration.arm_fingerprint}",
         "Unit": str(record.get("unit") or "not named"),
         "Scatter of one reach": f"{repeat} mm per coordinate, beside the parameters'",
-        "Reproduce": listed(seeds) or "no random choice was made",
-        "Versions": listed(record.get("versions", {})),
+        "Reproduce": named_values(seeds) or "no random choice was made",
+        "Versions": named_values(record.get("versions", {})),
     }

@@ -26,14 +26,14 @@ from pickenv.inspect.reports.report_page import (
     Interactive,
     Page,
     PageTable,
+    PageVerdict,
     Pair,
     Part,
     Picture,
     Section,
-    Verdict,
     html_of,
 )
-from pickenv.inspect.reports.report_words import axis_table, estimated, listed, percent
+from pickenv.inspect.reports.report_words import axis_table, estimated, named_values, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.gripping import gripped
@@ -78,7 +78,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
             f"Calibration and picking: {comparison.plant.name}",
             f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
             f"seed {comparison.seed}",
-            verdict(comparison),
+            demo_verdict(comparison),
             sections,
             _origin(run, comparison, trace, calibration),
             _tiles(comparison, trace),
@@ -87,7 +87,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     )
 
 
-def verdict(comparison: Comparison) -> Verdict:
+def demo_verdict(comparison: Comparison) -> PageVerdict:
     """What the last policy's calibration is worth against the first."""
     first, last = comparison.policies[0], comparison.policies[-1]
     before, after = error_statistics(first.position_error_mm), error_statistics(last.position_error_mm)
@@ -117,7 +117,7 @@ def verdict(comparison: Comparison) -> Verdict:
         f"{name} {100 * held[first.label].success[name].mean():.0f} % {first.label}, {100 * p.mean():.0f} % calibrated"
         for name, p in held[last.label].success.items()
     )
-    return Verdict(
+    return PageVerdict(
         tone,
         headline,
         f"{removed} What remains is {_mean(after)} mm in the mean and at most {after.max:.2f} mm. {picked} of "
@@ -250,10 +250,10 @@ def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibrati
     return {
         "Reproduce": run.command,
         "Seed": str(run.seed),
-        "Versions": listed({**run.versions, **calibration.record.get("versions", {})}),
+        "Versions": named_values({**run.versions, **calibration.record.get("versions", {})}),
         "Arm": f"{plant.arm.name}, nominal geometry {plant.arm.fingerprint()}. {plant.arm.source}",
         "Simulated true arm": f"{plant.name}: {effects or 'true geometry alone'}",
-        "Poses": listed(trace.fingerprints),
+        "Poses": named_values(trace.fingerprints),
         "Calibration": f"calibration.npz, {Path(str(calibration.record['source'])).name}",
         "Kind of numbers": "simulated throughout; nothing here was measured on a machine",
     }

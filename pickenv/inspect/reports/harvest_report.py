@@ -9,7 +9,7 @@ from pickenv.harvester.joint_motion import dense_workspace
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, Verdict
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.reports.report_words import estimated, percent
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_harvest
 
@@ -44,7 +44,7 @@ def drawings(run: Run) -> Drawings:
         Drawing(
             "joint_curves",
             "How the joints move from the start to a pick point and on to three fruit.",
-            lambda: plot_harvest.joint_curves(trace.curves),
+            lambda: plot_harvest.joint_displacements(trace.curves),
         ),
     ]
 
@@ -54,7 +54,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     trace = load_harvest(run)
     names = list(trace.measures)
     before, after = (trace.measures[name] for name in (names[0], names[-1]))
-    verdict = Verdict(
+    verdict = PageVerdict(
         "note",
         f"From {names[0]} to {names[-1]}: {100 * before['harvested'].value:.0f} to "
         f"{100 * after['harvested'].value:.0f} % of the fruit",

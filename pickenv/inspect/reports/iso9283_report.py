@@ -5,7 +5,7 @@ from __future__ import annotations
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, Verdict
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_iso9283
 
 CONTROLLERS = ("raw", "calibrated")
@@ -44,7 +44,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         for name, found in controllers.items()
     )
     best = list(controllers.values())[-1]
-    verdict = Verdict(
+    verdict = PageVerdict(
         "note",
         f"Accuracy AP {best['worst_accuracy_mm']:.2f} mm, repeatability RP {best['worst_repeatability_mm']:.2f} mm",
         f"Worst of five test poses, {worst}. The standard sets no limit: compare with what the task needs.",

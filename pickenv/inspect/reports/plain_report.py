@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
-from pickenv.inspect.reports.report_page import Page, PageTable, Section, Verdict, html_of
-from pickenv.inspect.reports.report_words import listed
+from pickenv.inspect.reports.report_page import Page, PageTable, PageVerdict, Section, html_of
+from pickenv.inspect.reports.report_words import named_values
 from pickenv.inspect.runs.run_folder import Run
 
 
 def plain_report(
-    run: Run, title: str, subtitle: str, verdict: Verdict, tables: Sequence[PageTable], drawings: Drawings
+    run: Run, title: str, subtitle: str, verdict: PageVerdict, tables: Sequence[PageTable], drawings: Drawings
 ) -> str:
     """A page of a verdict, tables, figures and the run's origin.
 
@@ -29,5 +29,5 @@ def plain_report(
         Section("Figures", [d for d in drawings if isinstance(d, Drawing)]),
         Section("Left out", [left_out]),
     )
-    origin = {"Reproduce": run.command, "Seed": str(run.seed), "Versions": listed(run.versions)}
+    origin = {"Reproduce": run.command, "Seed": str(run.seed), "Versions": named_values(run.versions)}
     return html_of(Page(title, subtitle, verdict, sections, origin))

@@ -21,7 +21,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures.field_figure import arrow_gain, thinned
 from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.comparison_summary import colour_scale_mm, field_mm, round_step, spread
+from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
 from pickenv.inspect.runs.view import eye_direction
 
 MOST_ARROWS = 3000
@@ -63,7 +63,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
         end["marker"]["showscale"] = i == 1
         data += [shaft | {"scene": scene}, end | {"scene": scene, "name": policy.label}]
         layout[scene] = axes
-        numbers = spread(field_mm(policy))
+        numbers = error_spread(field_mm(policy))
         title = f"<b>{escape(policy.label)}</b>, ×{gain:g}: mean {numbers.mean:.2f}, max {numbers.largest:.2f} mm"
         layout["annotations"].append({"text": title})
     return {"data": data, "layout": layout}

@@ -26,7 +26,7 @@ TONES = ("good", "care", "bad", "note")
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PageVerdict:
     """What a reader should take away.
 
     Attributes:
@@ -159,7 +159,7 @@ class Page:
 
     title: str
     subtitle: str
-    verdict: Verdict
+    verdict: PageVerdict
     sections: Sequence[Section]
     origin: Mapping[str, str]
     tiles: Mapping[str, str] = field(default_factory=dict)

@@ -5,15 +5,12 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from pickenv.inspect.colours import BLUE, GREEN, RED
 from pickenv.inspect.figures.style import INK, PAPER, RULE, SOFT, style
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 THEME = {INK: "--ink", SOFT: "--soft", RULE: "--rule", PAPER: "--paper"} | {
     "#{:02x}{:02x}{:02x}".format(*colour): variable

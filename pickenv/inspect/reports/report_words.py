@@ -43,7 +43,7 @@ def percent(share: float, low: float, high: float, digits: int = 0) -> str:
     return estimated(100 * share, 100 * low, 100 * high, digits, " %")
 
 
-def listed(values: Mapping[str, object]) -> str:
+def named_values(values: Mapping[str, object]) -> str:
     """Names and values in a line: numpy 2.0, scipy 1.15."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 

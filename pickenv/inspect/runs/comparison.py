@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,8 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Plant
 from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.inspect.colours import policy_key
+from pickenv.inspect.runs.field_grid import FieldGrid
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,3 +78,66 @@ class Comparison:
     fruit: Array
     policies: tuple[PolicyErrors, ...]
     field_uncertainty: Array | None = None
+
+
+def policy_errors(
+    label: str,
+    field: Array,
+    joints: Array,
+    positions: Array,
+    errors: Array,
+    success: NDArray[np.bool_],
+    key: str | None = None,
+) -> PolicyErrors:
+    """A policy's errors, from pose errors.
+
+    Args:
+        label: Its name for people.
+        field: True against wanted pose at the field's points ``(F, 6)``, or positions alone ``(F, 3)``, m and rad.
+        joints: Final joint commands of the reaches ``(R, n)``, rad or m.
+        positions: Final true tool positions ``(R, 3)``, m.
+        errors: Final pose errors ``(R, 6)``, m and rad.
+        success: Whether the fruit was inside the capture region ``(R,)``.
+        key: Its short name; made from the label when left out.
+    """
+    return PolicyErrors(
+        key=key or policy_key(label),
+        label=label,
+        field_errors=field[:, :3],
+        reach_joints=joints,
+        reach_positions=positions,
+        position_error_mm=1e3 * np.linalg.norm(errors[:, :3], axis=1),
+        attitude_error_deg=np.degrees(np.linalg.norm(errors[:, 3:], axis=1)),
+        success=success,
+        field_attitude=field[:, 3:] if field.shape[1] == 6 else None,
+    )
+
+
+def compared(
+    plant: Plant,
+    grid: FieldGrid,
+    policies: Iterable[PolicyErrors],
+    *,
+    seed: int,
+    fruit: Array | None = None,
+    tolerance_mm: float = 0.0,
+    identified: Geometry | None = None,
+    uncertainty: Array | None = None,
+) -> Comparison:
+    """A comparison over a grid; without fruit there are no reaches, and the nominal arm counts as identified."""
+    return Comparison(
+        plant=plant,
+        nominal=plant.arm.nominal,
+        identified=plant.arm.nominal if identified is None else identified,
+        seed=seed,
+        tolerance_mm=tolerance_mm,
+        grid_shape=grid.shape,
+        grid_origin=grid.origin,
+        grid_step=grid.step,
+        field_index=grid.index,
+        field_points=grid.points,
+        field_joints=grid.joints,
+        fruit=np.empty((0, 3)) if fruit is None else fruit,
+        policies=tuple(policies),
+        field_uncertainty=uncertainty,
+    )

@@ -29,7 +29,7 @@ class Spread:
     largest: float
 
 
-def spread(values: ArrayLike) -> Spread:
+def error_spread(values: ArrayLike) -> Spread:
     """The `Spread` of ``values`` ``(...)``; all of it is nan when there are none."""
     values = np.asarray(values, dtype=float).ravel()
     if not values.size:
@@ -152,7 +152,7 @@ def _better(comparison: Comparison) -> str:
 
 def _reach_cells(policy: PolicyErrors) -> list[str]:
     reach, field, attitude = (
-        spread(v) for v in (policy.position_error_mm, field_mm(policy), policy.attitude_error_deg)
+        error_spread(v) for v in (policy.position_error_mm, field_mm(policy), policy.attitude_error_deg)
     )
     return [
         f"{100.0 * float(np.mean(policy.success)):.0f} %",
@@ -165,5 +165,5 @@ def _reach_cells(policy: PolicyErrors) -> list[str]:
 
 
 def _field_cells(policy: PolicyErrors) -> list[str]:
-    field = spread(field_mm(policy))
+    field = error_spread(field_mm(policy))
     return [f"{field.mean:.2f} mm", *(f"{value:.2f}" for value in (field.rms, field.p95, field.largest))]

@@ -22,7 +22,7 @@ from pickenv.files import write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
-from pickenv.inspect.runs.saved import load, save
+from pickenv.inspect.runs.saved import load_numbers, save_numbers
 from pickenv.locks import locked
 from pickenv.provenance import code_fingerprint, file_sha256, versions
 
@@ -227,32 +227,32 @@ def _unedited(run: Run, name: str) -> Path:
 
 def save_comparison(folder: Path, comparison: Comparison) -> Path:
     """Write ``comparison`` into a run folder."""
-    return save(folder / COMPARISON, comparison, seed=comparison.seed)
+    return save_numbers(folder / COMPARISON, comparison, seed=comparison.seed)
 
 
 def load_comparison(folder: Path) -> Comparison:
-    """The comparison of a run folder, to the bit; raises `InputError` as `pickenv.inspect.runs.saved.load`."""
-    return load(folder / COMPARISON, Comparison, f"pickenv demo --out {folder}")
+    """The comparison of a run folder, to the bit; raises `InputError` as `load_numbers`."""
+    return load_numbers(folder / COMPARISON, Comparison, f"pickenv demo --out {folder}")
 
 
 def save_trace(folder: Path, trace: CalibrationTrace, seed: int | None = None) -> Path:
     """Write a calibration's trace into a run folder."""
-    return save(folder / TRACE, trace, seed=seed)
+    return save_numbers(folder / TRACE, trace, seed=seed)
 
 
 def load_trace(run: Run) -> CalibrationTrace:
-    """The calibration's trace of a run folder, to the bit; raises `InputError` as `pickenv.inspect.runs.saved.load`."""
-    return load(_unedited(run, TRACE), CalibrationTrace, run.made_by)
+    """The calibration's trace of a run folder, to the bit; raises `InputError` as `load_numbers`."""
+    return load_numbers(_unedited(run, TRACE), CalibrationTrace, run.made_by)
 
 
 def save_harvest(folder: Path, trace: HarvestTrace, seed: int) -> Path:
     """Write a harvester's trace into a run folder."""
-    return save(folder / HARVEST, trace, seed=seed)
+    return save_numbers(folder / HARVEST, trace, seed=seed)
 
 
 def load_harvest(run: Run) -> HarvestTrace:
-    """The harvester's trace of a run folder; raises `InputError` as `pickenv.inspect.runs.saved.load`."""
-    return load(_unedited(run, HARVEST), HarvestTrace, run.made_by)
+    """The harvester's trace of a run folder; raises `InputError` as `pickenv.inspect.runs.saved.load_numbers`."""
+    return load_numbers(_unedited(run, HARVEST), HarvestTrace, run.made_by)
 
 
 def load_iso9283(run: Run) -> dict[str, Any]:

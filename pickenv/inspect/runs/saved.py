@@ -22,7 +22,7 @@ FORMAT = 3
 Saved = TypeVar("Saved")
 
 
-def save(path: str | Path, value: Any, *, seed: int | None = None) -> Path:
+def save_numbers(path: str | Path, value: Any, *, seed: int | None = None) -> Path:
     """Write a frozen dataclass to ``path`` (.npz), whole or not at all; equal values give equal bytes.
 
     Args:
@@ -38,8 +38,8 @@ def save(path: str | Path, value: Any, *, seed: int | None = None) -> Path:
     return write_container(path, type(value).__name__, header, arrays, version=FORMAT, compressed=True)
 
 
-def load(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
-    """Read what `save` wrote.
+def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
+    """Read what `save_numbers` wrote.
 
     Args:
         path: The file.

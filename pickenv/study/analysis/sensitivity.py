@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.bootstrap import interval95, resampled
 from pickenv.errors import InputError
 from pickenv.study.results.row_table import OK
-from pickenv.study.results.study_folder import read_rows
 from pickenv.threads import single_threaded
 
 DEVIATION = re.compile(r"delta_.+_(mm|deg)|size_.+|rise_K")
@@ -54,11 +52,6 @@ class Moments:
     def arms(self) -> int:
         """Number of arms with a result."""
         return int(self.sums[:, 0, 0].sum())
-
-
-def sensitivity_table(folder: str | Path, setting: int = 0) -> pa.Table:
-    """Sensitivities of one setting of a study; see `sensitivities_of`."""
-    return sensitivities_of(read_rows(folder), setting)
 
 
 def sensitivities_of(rows: Dataset, setting: int = 0, *, rng: np.random.Generator | None = None) -> pa.Table:
@@ -92,7 +85,9 @@ def sensitivities_of(rows: Dataset, setting: int = 0, *, rng: np.random.Generato
     weights = rng.multinomial(BLOCKS, np.full(BLOCKS, 1.0 / BLOCKS), RESAMPLES)
     whole = moments.sums.sum(axis=0)
     groups = {name: [i] for i, name in enumerate(moments.names)}
-    kinds = {kind: [i for i, n in enumerate(moments.names) if kind_of(n) == kind] for kind in map(kind_of, groups)}
+    kinds: dict[str, list[int]] = {}
+    for i, name in enumerate(moments.names):
+        kinds.setdefault(tolerance_kind(name), []).append(i)
     places = [*groups.values(), *kinds.values()]
     with single_threaded():  # small systems: threads would only wait for one another
         found = _shares(whole, places)
@@ -103,7 +98,7 @@ def sensitivities_of(rows: Dataset, setting: int = 0, *, rng: np.random.Generato
     table: list[dict[str, Any]] = [
         {
             "parameter": name,
-            "kind": name if level == "kind" else kind_of(name),
+            "kind": name if level == "kind" else tolerance_kind(name),
             "level": level,
             "share": float(found["share"][i]),
             "share_low": float(ends["share"][0, i]),
@@ -120,7 +115,7 @@ def sensitivities_of(rows: Dataset, setting: int = 0, *, rng: np.random.Generato
     return pa.Table.from_pylist(sorted(table, key=lambda row: -row["share"]))
 
 
-def kind_of(column: str) -> str:
+def tolerance_kind(column: str) -> str:
     """What kind of tolerance a deviation's column belongs to: angles, lengths, or the effect whose size it is."""
     if column.startswith("delta_"):
         return "angles" if column.endswith("_deg") else "lengths"

@@ -20,7 +20,7 @@ from pickenv.arm.plant.tolerances import plants_from, random_columns
 from pickenv.errors import InputError
 from pickenv.study.analysis.sensitivity import sobol_table
 from pickenv.study.design.config import LS, RAW, Setting
-from pickenv.study.design.protocol import Protocol, prepare
+from pickenv.study.design.protocol import Protocol, prepared_study
 from pickenv.study.results.outcomes import figures
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.study_folder import SOBOL, SOBOL_AGAIN, read_record, study_at, write_record
@@ -106,7 +106,7 @@ def write_sobol(folder: str | Path, settings: list[int], samples: int) -> Path:
         InputError: As `sobol_of`.
     """
     study = study_at(folder)
-    protocol, path = prepare(study.config), Path(folder) / SOBOL
+    protocol, path = prepared_study(study.config), Path(folder) / SOBOL
     found = {f"{number}": sobol_of(protocol, protocol.settings[number], samples) for number in settings}
     write_record(path, {"config_sha256": study.sha256, "indices": found})
     return path

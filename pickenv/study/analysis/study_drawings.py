@@ -12,12 +12,12 @@ import pyarrow as pa
 from pyarrow.dataset import Dataset
 
 from pickenv.errors import InputError
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings, LeftOut
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn
 from pickenv.study.analysis import study_figures as figures
 from pickenv.study.analysis.sensitivity import sensitivities_of
 from pickenv.study.analysis.single_arms import Placement, place
 from pickenv.study.design.config import RAW, StudyConfig
-from pickenv.study.design.protocol import Protocol, prepare
+from pickenv.study.design.protocol import Protocol, prepared_study
 from pickenv.study.results.quantiles import quantiles_of
 from pickenv.study.results.study_folder import read_rows, study_of
 from pickenv.study.results.yields import yields_of
@@ -71,7 +71,7 @@ def gather(folder: str | Path) -> Findings:
         InputError: If the folder holds no study or no rows.
     """
     config, rows = study_of(folder), read_rows(folder)
-    protocol = prepare(config)
+    protocol = prepared_study(config)
     design, yields = protocol.design, yields_of(rows, config.share)
     sensitivities: dict[int, pa.Table | str] = {}
     placements: dict[int, Placement | str] = {}
@@ -97,19 +97,19 @@ def gather(folder: str | Path) -> Findings:
     )
 
 
-def specification(config: StudyConfig) -> str:
+def specified(config: StudyConfig) -> str:
     """When an arm is good enough, in words."""
     return f"at least {100 * config.share:g} % of the fruit within {config.radius_mm:g} mm"
 
 
 def study_drawings(found: Findings) -> Drawings:
     """The figures of a study."""
-    rows, wanted = found.yields.to_pylist(), specification(found.config)
+    rows, wanted = found.yields.to_pylist(), specified(found.config)
     judged = any(row["failed"] < row["arms"] for row in rows)
-    drawings: list[Drawing | LeftOut] = []
+    drawings: list[Drawing | NotDrawn] = []
     for along, words in AXES.items():
         if along not in figures.varied(rows):
-            drawings.append(LeftOut(f"yield_by_{along}", f"the study does not vary {words}"))
+            drawings.append(NotDrawn(f"yield_by_{along}", f"the study does not vary {words}"))
             continue
         drawings.append(
             Drawing(
@@ -137,14 +137,14 @@ def study_drawings(found: Findings) -> Drawings:
     for setting, table in found.sensitivities.items():
         label, name = figures.setting_label(found.row(setting)), f"sensitivity_{_word(found.row(setting))}"
         if isinstance(table, str):
-            drawings.append(LeftOut(name, table))
+            drawings.append(NotDrawn(name, table))
         else:
             caption = f"Share of the variance between arms that each tolerance explains: {label}."
             drawings.append(Drawing(name, caption, partial(figures.tornado, table, label)))
     for setting, placement in found.placements.items():
         name = f"placement_{_word(found.row(setting))}"
         if isinstance(placement, str):
-            drawings.append(LeftOut(name, placement))
+            drawings.append(NotDrawn(name, placement))
         else:
             caption = f"Where {placement.arm} stands in its population: {figures.setting_label(found.row(setting))}."
             share = (placement.percentile, *placement.interval)

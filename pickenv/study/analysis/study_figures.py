@@ -6,17 +6,15 @@ Each takes the tables of `yields`, `quantiles` and `sensitivity` and returns a m
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from matplotlib.figure import Figure
 
 from pickenv.errors import InputError
 from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours, viridis
 from pickenv.inspect.figures.style import LINES, MARKS, SOFT, WIDTH, new_figure, plain_decades, rgb
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Row = Mapping[str, Any]
 
@@ -28,12 +26,7 @@ AXES = {
 }
 """What a study may vary along an axis, and the axis's label."""
 WORDS = {"it_grade": "IT{}", "poses": "{} poses", "noise_mm": "noise {:g} mm", "payload_kg": "payload {:g} kg"}
-QUANTITIES = {
-    "error_mean_mm": "arm's mean position error (mm)",
-    "error_p95_mm": "arm's 95th percentile of position error (mm)",
-    "error_max_mm": "arm's largest position error (mm)",
-    "attitude_mean_deg": "arm's mean attitude error (deg)",
-}
+ERROR, ERROR_LABEL = "error_mean_mm", "arm's mean position error (mm)"
 NOTE = 7.5
 """Size of the line below a figure that says how to read it, points."""
 UNCALIBRATED = "raw"
@@ -69,7 +62,7 @@ def yield_curves(yields: pa.Table, along: str, specification: str) -> Figure:
     """Share of arms within specification against one of `AXES`, with Wilson's 95 % bands.
 
     Args:
-        yields: From `yields.yield_table`.
+        yields: From `yields.yields_of`.
         along: The axis; what else varies is shown by colour and line, or held at its middle value, which is named.
         specification: When an arm is good enough, in words.
 
@@ -84,36 +77,34 @@ def yield_curves(yields: pa.Table, along: str, specification: str) -> Figure:
     return figure
 
 
-def error_curves(quantiles: pa.Table, along: str, quantity: str = "error_mean_mm") -> Figure:
+def error_curves(quantiles: pa.Table, along: str) -> Figure:
     """Median of the arms' errors against one of `AXES`; the band holds 90 % of the arms.
 
     Args:
-        quantiles: From `quantiles.quantile_table`, with probabilities 0.05, 0.5 and 0.95.
+        quantiles: From `quantiles.quantiles_of`, with probabilities 0.05, 0.5 and 0.95.
         along: The axis.
-        quantity: One of `QUANTITIES`.
 
     Raises:
         InputError: If the study did not vary ``along``.
     """
     merged: dict[int, dict[str, Any]] = {}
-    for row in _quantiles(quantiles, quantity):
+    for row in _quantiles(quantiles):
         merged.setdefault(row["setting"], dict(row))[f"q{row['probability']:g}"] = row["value"]
-    figure = _curves(list(merged.values()), along, ("q0.5", "q0.05", "q0.95"), QUANTITIES[quantity], 1.0)
+    figure = _curves(list(merged.values()), along, ("q0.5", "q0.05", "q0.95"), ERROR_LABEL, 1.0)
     figure.supxlabel("lines: median arm; bands: the middle 90 % of arms", fontsize=NOTE)
     for axes in figure.axes:
         axes.set_ylim(bottom=0.0)
     return figure
 
 
-def distributions(quantiles: pa.Table, quantity: str = "error_mean_mm", radius_mm: float | None = None) -> Figure:
+def distributions(quantiles: pa.Table, radius_mm: float | None = None) -> Figure:
     """Cumulative distribution of the arms' errors, one curve per grade and method.
 
     Args:
         quantiles: With many probabilities, such as 0.01 to 0.99.
-        quantity: One of `QUANTITIES`.
         radius_mm: The specified radius, drawn as a line when given.
     """
-    rows = _quantiles(quantiles, quantity)
+    rows = _quantiles(quantiles)
     if not rows:
         raise InputError("no arm has a result; there is no distribution to draw")
     chosen = held(rows, ("it_grade", "method"))
@@ -121,14 +112,14 @@ def distributions(quantiles: pa.Table, quantity: str = "error_mean_mm", radius_m
     grades = sorted({row["it_grade"] for row in settings.values()})
     methods = list(dict.fromkeys(row["method"] for row in settings.values()))
     with new_figure(WIDTH * 0.75, 3.7) as figure:
-        axes = figure.add_subplot(xlabel=QUANTITIES[quantity], ylabel="arms at or below it (%)")
+        axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
         axes.set_title("Errors over the population of arms")
         for setting, row in settings.items():
             points = [(r["value"], 100.0 * r["probability"]) for r in chosen if r["setting"] == setting]
             x, y = np.array(sorted(points, key=lambda point: point[1])).T
             line = LINES[methods.index(row["method"]) % len(LINES)]
             axes.plot(x, y, linestyle=line, color=_ordered(grades, row["it_grade"]))
-        if radius_mm is not None and quantity != "attitude_mean_deg":
+        if radius_mm is not None:
             axes.axvline(radius_mm, color=rgb([RED])[0], linewidth=1.0)
             axes.annotate(
                 f"specified radius {radius_mm:g} mm", (radius_mm, 3.0), (3, 0), textcoords="offset points", fontsize=8
@@ -185,9 +176,7 @@ def arm_among_population(
         name: The arm, for the label.
         percentile: Share of the population below it with its 95 % interval, 0..1.
     """
-    rows = [
-        r for r in quantiles.to_pylist() if r["setting"] == setting and r["quantity"] == "error_mean_mm" and r["arms"]
-    ]
+    rows = [row for row in _quantiles(quantiles) if row["setting"] == setting]
     if not rows:
         raise InputError(f"the quantiles have no arm of setting {setting}; give another setting")
     rows.sort(key=lambda row: row["probability"])
@@ -196,7 +185,7 @@ def arm_among_population(
     blue, red = rgb([*policy_colours(["ls"]), RED])
     share, least, most = (100.0 * p for p in percentile)
     with new_figure(WIDTH * 0.7, 3.4) as figure:
-        axes = figure.add_subplot(xlabel=QUANTITIES["error_mean_mm"], ylabel="arms at or below it (%)")
+        axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
         axes.fill_betweenx(level, low, high, color=blue, alpha=0.25, linewidth=0.0, label="95 % band")
         axes.plot(value, level, color=blue, label=f"population of {rows[0]['arms']} arms")
         label = f"{name}: {error_mm:.2f} mm, better than {100.0 - share:.0f} % ({100 - most:.0f} to {100 - least:.0f})"
@@ -207,9 +196,9 @@ def arm_among_population(
     return figure
 
 
-def _quantiles(table: pa.Table, quantity: str) -> list[dict[str, Any]]:
-    """The rows of a quantity, of settings that have any arm with a result."""
-    return [row for row in table.to_pylist() if row["quantity"] == quantity and row["arms"]]
+def _quantiles(table: pa.Table) -> list[dict[str, Any]]:
+    """The rows of the mean position error, of settings that have any arm with a result."""
+    return [row for row in table.to_pylist() if row["quantity"] == ERROR and row["arms"]]
 
 
 def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel: str, factor: float) -> Figure:

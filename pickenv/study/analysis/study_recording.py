@@ -11,13 +11,13 @@ from pickenv.arm.kinematics.pose_error import pose_error
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.errors import InputError
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
+from pickenv.inspect.runs.comparison import Comparison, PolicyErrors, compared, policy_errors
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 from pickenv.study.analysis.single_arms import ranked
 from pickenv.study.design.config import Setting
-from pickenv.study.design.protocol import Protocol, carrying, prepare
+from pickenv.study.design.protocol import Protocol, carrying, prepared_study
 from pickenv.study.results.study_folder import read_rows, study_of
-from pickenv.study.running.arm_by_arm import commands
+from pickenv.study.running.arm_by_arm import arm_commands
 
 GRID_STEP = 0.1
 """Cell size of the error fields, m."""
@@ -41,29 +41,24 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 
 def arms_compared(folder: str | Path, setting: int) -> Comparison:
     """Worst, median and best arm of a setting in the place of policies; see `record_study`."""
-    protocol = prepare(study_of(folder))
+    protocol = prepared_study(study_of(folder))
     if not 0 <= setting < len(protocol.settings):
         raise InputError(f"there is no setting {setting}; give a number from 0 to {len(protocol.settings) - 1}")
     chosen, grid = protocol.settings[setting], field_grid(protocol.nominal, GRID_STEP, protocol.config.seed)
     places = ranked(read_rows(folder), setting)
     arms = {name: plant_at(protocol.draw(chosen, range(arm, arm + 1)), 0) for name, (arm, _) in places.items()}
-    return Comparison(
-        plant=arms["worst"],
-        nominal=protocol.nominal,
-        identified=protocol.nominal,
-        seed=protocol.config.seed,
-        tolerance_mm=protocol.config.radius_mm,
-        grid_shape=grid.shape,
-        grid_origin=grid.origin,
-        grid_step=grid.step,
-        field_index=grid.index,
-        field_points=grid.points,
-        field_joints=grid.joints,
+    policies = (
+        _arm_errors(protocol, chosen, grid, arms[name], arm, f"{name} arm (number {arm})", name)
+        for name, (arm, _) in places.items()
+    )
+    config = protocol.config
+    return compared(
+        arms["worst"],
+        grid,
+        policies,
+        seed=config.seed,
         fruit=protocol.wanted.position,
-        policies=tuple(
-            _arm_errors(protocol, chosen, grid, arms[name], arm, f"{name} arm (number {arm})", name)
-            for name, (arm, _) in places.items()
-        ),
+        tolerance_mm=config.radius_mm,
     )
 
 
@@ -74,21 +69,11 @@ def _arm_errors(
     loaded = carrying(arm, setting.payload_kg)
 
     def judged(protocol: Protocol) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        joints = commands(protocol, setting, arm, number).joints
+        joints = arm_commands(protocol, setting, arm, number).joints
         reached = loaded.tool_pose(joints)
         return joints, reached.position, pose_error(protocol.wanted, reached)
 
     _, _, field = judged(replace(protocol, fruit=grid.joints))
     joints, positions, errors = judged(protocol)
-    position_mm = 1e3 * np.linalg.norm(errors[:, :3], axis=1)
-    return PolicyErrors(
-        key=key,
-        label=label,
-        field_errors=field[:, :3],
-        reach_joints=joints,
-        reach_positions=positions,
-        position_error_mm=position_mm,
-        attitude_error_deg=np.degrees(np.linalg.norm(errors[:, 3:], axis=1)),
-        success=position_mm <= protocol.config.radius_mm,
-        field_attitude=field[:, 3:],
-    )
+    success = 1e3 * np.linalg.norm(errors[:, :3], axis=1) <= protocol.config.radius_mm
+    return policy_errors(label, field, joints, positions, errors, success, key)

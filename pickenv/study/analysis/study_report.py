@@ -14,12 +14,12 @@ import pyarrow.compute as pc
 
 from pickenv.files import write_text
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, write_drawings
-from pickenv.inspect.reports.report_page import Page, PageTable, Pair, Part, Section, Verdict, html_of
-from pickenv.inspect.reports.report_words import between, estimated, listed, percent
+from pickenv.inspect.reports.report_page import Page, PageTable, PageVerdict, Pair, Part, Section, html_of
+from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
 from pickenv.inspect.runs.run_folder import Run, TakePicture
 from pickenv.study.analysis.single_arms import Placement
 from pickenv.study.analysis.sobol import read_sobol, write_sobol
-from pickenv.study.analysis.study_drawings import Findings, gather, specification, study_drawings
+from pickenv.study.analysis.study_drawings import Findings, gather, specified, study_drawings
 from pickenv.study.analysis.study_figures import Row, method_label, setting_label
 from pickenv.study.design.config import LS, RAW, StudyConfig
 from pickenv.study.results.row_table import OK
@@ -104,7 +104,7 @@ def study_page(folder: str | Path, found: Findings) -> str:
             f"Tolerance study of {found.protocol.design.name}",
             f"{config.arms} simulated arms in each of {len(found.yields)} settings, {config.fruit} fruit each, seed "
             f"{config.seed}; nothing here was measured",
-            verdict(config, found.yields.to_pylist()),
+            study_verdict(config, found.yields.to_pylist()),
             sections,
             _origin(Path(folder), config, summary),
             _tiles(config, summary),
@@ -113,7 +113,7 @@ def study_page(folder: str | Path, found: Findings) -> str:
     )
 
 
-def verdict(config: StudyConfig, rows: Sequence[Row]) -> Verdict:
+def study_verdict(config: StudyConfig, rows: Sequence[Row]) -> PageVerdict:
     """Whether some way of making and calibrating arms suffices at every payload, and which is the least demanding."""
     ways: dict[tuple[Any, ...], Row] = {}
     for row in rows:
@@ -132,7 +132,7 @@ def verdict(config: StudyConfig, rows: Sequence[Row]) -> Verdict:
     else:
         tone, chosen = "bad", max(ways.values(), key=lambda row: row["yield"])
         headline = f"Nothing that was tried gives a yield of {percent}"
-    said = [f"With {_way(chosen)}, {_share(chosen)} of arms pick {specification(config)}{_load(chosen)}."]
+    said = [f"With {_way(chosen)}, {_share(chosen)} of arms pick {specified(config)}{_load(chosen)}."]
     others = [r for r in rows if all(r[k] == chosen[k] for k in CHOICES) and r["setting"] != chosen["setting"]]
     said += [f"{_capital(_load(row)) or 'Without payload'} it is {_share(row)}." for row in others]
     uncalibrated = [
@@ -141,7 +141,7 @@ def verdict(config: StudyConfig, rows: Sequence[Row]) -> Verdict:
     ]  # fmt: skip
     if chosen["method"] != RAW and uncalibrated:
         said.append(f"Of the same arms without calibration it is {_share(uncalibrated[0])}.")
-    return Verdict(tone, headline[:1].upper() + headline[1:], " ".join(said))
+    return PageVerdict(tone, headline[:1].upper() + headline[1:], " ".join(said))
 
 
 def _ease(row: Row) -> tuple[Any, ...]:
@@ -192,7 +192,7 @@ def _yield_table(found: Findings) -> PageTable:
         for row in found.yields.to_pylist()
     ]
     heads = ("setting", "yield (%)", "95 % interval", "arms within", "arms", "without a result")
-    return PageTable(f"Arms that pick {specification(found.config)}", heads, rows)
+    return PageTable(f"Arms that pick {specified(found.config)}", heads, rows)
 
 
 def _failures(found: Findings) -> str | PageTable:
@@ -282,7 +282,7 @@ def _origin(folder: Path, config: StudyConfig, summary: Row) -> dict[str, str]:
         "Plant": config.plant,
         "Seed": f"{config.seed}",
         "pickenv": str(summary["pickenv"]),
-        "Reported with": listed({"Python": platform.python_version(), **packages}),
+        "Reported with": named_values({"Python": platform.python_version(), **packages}),
         "Configuration, SHA-256": str(summary["config_sha256"]),
         "Rows, SHA-256": str(summary["table_sha256"]),
     }

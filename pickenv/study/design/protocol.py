@@ -95,7 +95,7 @@ class Protocol:
         return _stream(self.config, purpose, arm)
 
 
-def prepare(config: StudyConfig) -> Protocol:
+def prepared_study(config: StudyConfig) -> Protocol:
     """Load and draw what all arms share.
 
     Raises:

@@ -8,7 +8,6 @@ the number of values below the true quantile is binomial.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,18 +19,12 @@ from scipy.stats import binom
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.study.results.row_table import FIGURES
 from pickenv.study.results.streaming import SETTING, grouped
-from pickenv.study.results.study_folder import read_rows
 
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 EXACT_ROWS = 2_000_000
 """Rows whose values of one column are held at once, 16 MB."""
 CENTROIDS = 5_000
 """Of each digest: a quantile's rank is then right to about one part in ten thousand."""
-
-
-def quantile_table(folder: str | Path) -> pa.Table:
-    """Quantiles of every error column and setting of a study; see `quantiles_of`."""
-    return quantiles_of(read_rows(folder))
 
 
 def quantiles_of(

@@ -6,8 +6,6 @@ whose calibration failed is not. Shares are numbers from 0 to 1.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow.dataset import Dataset
@@ -15,12 +13,6 @@ from pyarrow.dataset import Dataset
 from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.streaming import grouped
-from pickenv.study.results.study_folder import read_rows, study_of
-
-
-def yield_table(folder: str | Path) -> pa.Table:
-    """The yield of every setting of a study; see `yields_of`."""
-    return yields_of(read_rows(folder), study_of(folder).share)
 
 
 def yields_of(rows: Dataset, required_share: float) -> pa.Table:

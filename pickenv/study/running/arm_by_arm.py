@@ -32,7 +32,7 @@ from pickenv.threads import single_threaded
 
 
 @dataclass(frozen=True, eq=False)
-class Commands:
+class ArmCommands:
     """What an arm is told to reach its fruit.
 
     Attributes:
@@ -70,12 +70,12 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, nu
     Returns:
         For each setting, the outcomes of one arm.
     """
-    known: dict[tuple[Any, ...], Commands] = {}
+    known: dict[tuple[Any, ...], ArmCommands] = {}
     outcomes = []
     for setting in settings:
         key = (setting.method, setting.poses, setting.noise)
         if key not in known:  # a payload changes where the arm ends, not what it is told
-            known[key] = commands(protocol, setting, arm, number)
+            known[key] = arm_commands(protocol, setting, arm, number)
         given = known[key]
         error = pose_error(protocol.wanted, carrying(arm, setting.payload_kg).tool_pose(given.joints))
         position, attitude = (np.linalg.norm(part, axis=1)[None] for part in (error[:, :3], error[:, 3:]))
@@ -83,21 +83,21 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, nu
     return outcomes
 
 
-def commands(protocol: Protocol, setting: Setting, arm: Plant, number: int) -> Commands:
+def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, number: int) -> ArmCommands:
     """Calibrate one arm as the setting says, and correct its commands."""
     if setting.method == RAW:
-        return Commands(protocol.fruit)
+        return ArmCommands(protocol.fruit)
     try:
         compensator, iterations = _calibrated(protocol, setting, arm, number)
     except InputError as error:
-        return Commands(protocol.fruit, str(error))
+        return ArmCommands(protocol.fruit, str(error))
     except np.linalg.LinAlgError as error:
-        return Commands(protocol.fruit, f"the identification broke down: {error}")
+        return ArmCommands(protocol.fruit, f"the identification broke down: {error}")
     joints = compensator(protocol.fruit)
     miss = np.linalg.norm(compensator.predict(joints).position - protocol.wanted.position, axis=1)
     limited = ((joints <= protocol.nominal.lower) | (joints >= protocol.nominal.upper)).any(axis=1)
     missed = int(np.sum(limited & (miss > 1e-3 * protocol.config.radius_mm)))
-    return Commands(joints, reach_status(missed, protocol.config), iterations)
+    return ArmCommands(joints, reach_status(missed, protocol.config), iterations)
 
 
 def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, number: int) -> tuple[Compensator, int]:

@@ -13,7 +13,7 @@ from pickenv import __version__
 from pickenv.errors import InputError
 from pickenv.locks import locked
 from pickenv.study.design.config import LS, RAW, StudyConfig
-from pickenv.study.design.protocol import Protocol, prepare
+from pickenv.study.design.protocol import Protocol, prepared_study
 from pickenv.study.results.row_table import Study, write_chunk
 from pickenv.study.results.study_folder import (
     SUMMARY,
@@ -62,7 +62,7 @@ def run_study(
     """
     crew = (crew or Crew()).for_executor(executor)
     run = _batched_run(crew, device) if executor == BATCHED else load_executor(executor)
-    protocol = prepare(config)
+    protocol = prepared_study(config)
     work = _work(protocol, executor, device)
     with locked(folder):
         study = open_folder(folder, config, f"batched on {device}" if executor == BATCHED else "arm by arm")

@@ -21,7 +21,7 @@ from pickenv.calibration.assessment.quality import (
     base_combinations,
     completeness,
     correlated_pairs,
-    judge_quality,
+    grade_quality,
 )
 from pickenv.calibration.model.coverage import pose_coverage
 from pickenv.calibration.model.identifiability import Dropped, Identifiability
@@ -145,27 +145,27 @@ def test_verdicts(calibrated):
     found, train, test = calibrated
     trained = train.difference(found.calibration.identified)
     before, after = (test.difference(g) for g in (found.calibration.nominal, found.calibration.identified))
-    good = judge_quality(found.identification, trained, before, after)
+    good = grade_quality(found.identification, trained, before, after)
     assert good.grade == "good" and good.verdict().startswith("good: on 200 held-out rows the error falls from")
-    assert good.calibrated[2].rmse < good.nominal[2].rmse
-    worse = judge_quality(found.identification, trained, after, before)
+    assert axis_errors(after)[2].rmse < axis_errors(before)[2].rmse
+    worse = grade_quality(found.identification, trained, after, before)
     assert worse.grade == "do not use" and worse.findings[0].weight == "fail" and "no better" in worse.reason
     assert worse.findings[0] not in worse.others
-    few = judge_quality(found.identification, trained, before[:2], after[:2])
+    few = grade_quality(found.identification, trained, before[:2], after[:2])
     assert few.grade == "do not use" and "only 2 rows were held out" in few.reason
     noisy = np.random.default_rng(0).normal(size=(2, 30, 6)) * 20e-3
-    chance = judge_quality(found.identification, trained, noisy[0], 0.99 * noisy[1])
+    chance = grade_quality(found.identification, trained, noisy[0], 0.99 * noisy[1])
     assert chance.grade == "do not use" and ("cannot be told from" in chance.reason or "no better" in chance.reason)
-    unsettled = judge_quality(replace(found.identification, converged=False), trained, before, after)
+    unsettled = grade_quality(replace(found.identification, converged=False), trained, before, after)
     assert unsettled.grade == "do not use"
-    flattered = judge_quality(found.identification, trained / 3, before, after)
+    flattered = grade_quality(found.identification, trained / 3, before, after)
     assert flattered.grade == "with care" and "held-out errors" in flattered.findings[0].text
     held = train.joints.copy()
     held[:, 5] = 0.0
     hidden = pose_coverage(
         complete_model(found.calibration.nominal), found.calibration.nominal, replace(train, joints=held)
     )
-    assert judge_quality(found.identification, trained, before, after, hidden).grade == "with care"
+    assert grade_quality(found.identification, trained, before, after, hidden).grade == "with care"
 
 
 def test_predicted_uncertainty_is_what_repeated_calibration_shows(qiao, noisy, table_1):

@@ -150,7 +150,7 @@ def test_poses_that_miss_a_little_are_reported(qiao, table_1):
     seen = simulated_tracker(table_1, joints, rng)
     found = calibrate(qiao, seen, test=seen, choices=replace(PLAIN, frames="fitted"))
     assert 0 < len(found.as_dict()["lost_to_poses"]) <= 5
-    assert found.coverage.advice() in found.report() and found.quality.grade == "with care"
+    assert found.quality.coverage.advice() in found.report() and found.quality.grade == "with care"
 
 
 TRIAD = np.array([[50.0, 0.0, 20.0], [-40.0, 60.0, 0.0], [-30.0, -50.0, 35.0]]) * 1e-3

@@ -70,22 +70,22 @@ def test_the_covariance_tells_the_truth(table_1: Plant) -> None:
     nominal = table_1.arm.nominal
     model, noise = link_model(nominal), MeasurementNoise(1e-4, 1e-4)
     noisy = replace(table_1, measurement_noise=noise)
-    sizes, surprises = [], []
+    sizes, nis = [], []
     for seed in range(20):
         filtered = filter_measurements(model, nominal, tracked(noisy, 60, seed), noise=noise)
         probe = random_joints(nominal, 5, np.random.default_rng(seed))
         miss = forward(filtered.geometry, probe).position - forward(table_1.geometry, probe).position
         spread = filtered.state.pose_covariance(probe)[:, :3, :3]
         sizes += np.einsum("ni,nij,nj->n", miss, np.linalg.inv(spread), miss).tolist()
-        surprises.append(filtered.consistency)
+        nis.append(filtered.consistency)
     assert 2.0 < np.mean(sizes) < 4.5  # three coordinates
-    assert 0.8 < np.mean(surprises) < 1.2
+    assert 0.8 < np.mean(nis) < 1.2
 
 
 def test_the_covariance_stays_positive_from_a_vague_prior_and_an_exact_instrument(table_1: Plant) -> None:
     nominal, noise = table_1.arm.nominal, MeasurementNoise(1e-9, 1e-9)
     filtered = filter_measurements(link_model(nominal), nominal, tracked(table_1, 60, 0), noise=noise, prior=1e3)
-    covariance = filtered.covariance
+    covariance = filtered.state.covariance
     np.testing.assert_array_equal(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() >= -1e-12 * np.linalg.eigvalsh(covariance).max()
 

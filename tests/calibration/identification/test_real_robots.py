@@ -183,7 +183,7 @@ def test_balls_in_sockets_need_no_tracker(data_folder):
         "mukca_sockets",
         "mukca_sockets/data/panda_1/*/hole_*.csv",
     )
-    assert len(reading.groups) == 182 and len(reading.observations.pairs) == 3
+    assert len(reading.observations.joints) == 182 and len(reading.observations.pairs) == 3
     found = held_out(arm, reading, terms="auto")
     assert found.position["nominal"].mean == pytest.approx(7.8, abs=0.1)
     assert found.position["geometric"].mean < 0.53
@@ -194,5 +194,5 @@ def test_two_axes_before_a_camera(data_folder):
     """The positioner's nominal table as published; the published calibration left 1.74 mm."""
     arm, reading = read_set(data_folder, "positioner", "positioner_rct", "positioner_rct/*.yaml")
     found = held_out(arm, reading)
-    assert len(reading.groups) == 205
+    assert len(reading.observations.joints) == 205
     assert found.position["nominal"].mean < 0.5 and found.position["geometric"].mean < 0.4

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pickenv.calibration.model.splits import blocked_split, random_split
-from pickenv.calibration.residuals.gate import contiguous_folds
+from pickenv.calibration.model.splits import blocked_split, contiguous_folds, random_split
 from pickenv.errors import InputError
 
 
@@ -61,7 +60,7 @@ def test_blocks_that_would_meet_are_refused() -> None:
 
 @given(st.integers(2, 200), st.data())
 def test_folds_hold_out_every_row_once(rows: int, data: st.DataObject) -> None:
-    folds = contiguous_folds(rows, data.draw(st.integers(2, rows)))
+    folds = contiguous_folds(np.zeros(rows, dtype=int), data.draw(st.integers(2, rows)))
     np.testing.assert_array_equal(np.concatenate([held for _, held in folds]), np.arange(rows))
     for train, held in folds:
         assert not set(train) & set(held)
@@ -70,4 +69,4 @@ def test_folds_hold_out_every_row_once(rows: int, data: st.DataObject) -> None:
 
 def test_folds_that_cannot_be_are_refused() -> None:
     with pytest.raises(InputError, match="cannot be cut"):
-        contiguous_folds(3, 4)
+        contiguous_folds(np.zeros(3, dtype=int), 4)

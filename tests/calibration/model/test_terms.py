@@ -18,6 +18,7 @@ from pickenv.calibration.model.terms import (
     LeadTerm,
     PeriodicTerm,
     ThermalTerm,
+    specification,
     term_from,
 )
 from pickenv.errors import InputError
@@ -220,6 +221,6 @@ def test_terms_survive_a_file(plant):
         ComplianceTerm((0,), None),
         GravityTerm((0, 3), (0.0, 0.0, 1.0), True),
     ):
-        again = term_from(json.loads(json.dumps(term.specification())))
+        again = term_from(json.loads(json.dumps(specification(term))))
         assert again == term
         assert again.names(plant.arm.nominal) == term.names(plant.arm.nominal)

@@ -8,7 +8,8 @@ from scipy.linalg import expm
 
 from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, random_joints, read_measurements
-from pickenv.calibration.reading.read import CONVENTIONS, load_description, shipped_descriptions
+from pickenv.calibration.reading.conventions import CONVENTIONS
+from pickenv.calibration.reading.description import load_description, shipped_descriptions
 from pickenv.errors import InputError
 
 JOINTS = 'joints.columns = ["A1", "A2", "A3", "A4", "A5", "A6"]\njoints.unit = "deg"\n'

@@ -5,9 +5,10 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import random_joints
-from pickenv.calibration.identification.rows import blocks, choose
+from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import DistanceObservations, ReflectorObservations, SocketObservations
+from pickenv.calibration.model.splits import contiguous_folds
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
 
@@ -111,7 +112,8 @@ def test_sockets_by_file_and_folder(read, moved):
     assert isinstance(data, SocketObservations)
     np.testing.assert_array_equal(data.pairs, [[0, 1], [2, 3]])
     np.testing.assert_allclose(data.spacing, 0.05)
-    np.testing.assert_array_equal(data.socket, found.groups)
+    assert data.origins is not None
+    np.testing.assert_array_equal(data.socket, data.origins.file)
     with pytest.raises(InputError, match=r"'.*right' holds 1; give two files per folder"):
         read(names + JOINTS + SPACED, np.degrees(joints), None, files[:3])
 
@@ -127,7 +129,7 @@ def test_sockets_by_column(read, moved):
         train, test = choose(data, split, 8, np.random.default_rng(0))
         assert set(data.socket[train]) == set(data.socket[test]) == {0, 1, 2, 3}
         assert set(train) | set(test) == set(range(30)) and not set(train) & set(test)
-    for train, test in blocks(data, 3):
+    for train, test in contiguous_folds(data.groups, 3):
         assert set(data.socket[train]) == set(data.socket[test]) == {0, 1, 2, 3}
 
 
@@ -211,7 +213,7 @@ def test_repeated_rows_are_refused(read, moved):
     with pytest.raises(InputError, match=r"row 32 repeats row 6 to the last digit \(2 repeated rows in all\)"):
         read(description, [*rows, rows[4], rows[9]], [*NAMES, "x", "y", "z"])
     rows[5][:6] = rows[4][:6]  # the same pose measured twice is no repetition
-    assert len(read(description, rows, [*NAMES, "x", "y", "z"]).groups) == 30
+    assert len(read(description, rows, [*NAMES, "x", "y", "z"]).observations.joints) == 30
 
 
 BAD = {

@@ -13,7 +13,7 @@ from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.error_model import complete_model, frames_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.splits import blocked_split
-from pickenv.calibration.residuals.gate import judge_residuals
+from pickenv.calibration.residuals.gate import gate_residuals
 from pickenv.calibration.residuals.residual_models import Fitter
 from pickenv.errors import InputError
 
@@ -70,7 +70,7 @@ def test_noise_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(0)
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (200, 6))
     data = displaced(joints, 1e-4 * rng.normal(size=(200, 6)))
-    gate = judge_residuals(data, lambda _: qiao.nominal, rng, models=("rbf", "gp", "trees"))
+    gate = gate_residuals(data, lambda _: qiao.nominal, rng, models=("rbf", "gp", "trees"))
     assert gate.selected is None
     assert not any(verdict.accepted for verdict in gate.verdicts)
     assert all("no gain" in verdict.reason for verdict in gate.verdicts)
@@ -81,7 +81,7 @@ def test_a_smooth_residual_is_accepted(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(1)
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (200, 6))
     error = 1e-3 * np.sin(joints) + 1e-5 * rng.normal(size=(200, 6))
-    gate = judge_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf", "gp"))
+    gate = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf", "gp"))
     assert gate.selected == "gp"
     chosen = next(verdict for verdict in gate.verdicts if verdict.model == "gp")
     assert chosen.accepted
@@ -94,7 +94,7 @@ def test_winning_on_a_random_split_alone_is_no_gain(qiao: Arm, displaced: Displa
     joints, block = wandering(qiao, 40, 400, rng)
     error = np.zeros((400, 6))
     error[:, :3] = 1e-3 * rng.normal(size=(40, 3))[block]
-    gate = judge_residuals(
+    gate = gate_residuals(
         displaced(joints, error),
         lambda _: qiao.nominal,
         rng,
@@ -115,7 +115,7 @@ def test_winning_on_the_held_out_blocks_alone_is_no_gain(qiao: Arm, displaced: D
     error = np.full((200, 6), -1e-4)
     error[blocked_split(200)[1]] = 1e-4
     lucky: dict[str, Fitter] = {"rbf": lambda *_: Constant(np.full(6, 1e-4))}
-    gate = judge_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf",), fitters=lucky)
+    gate = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf",), fitters=lucky)
     (verdict,) = gate.verdicts
     assert verdict.blocked_rms < 1e-3 * verdict.geometric_blocked_rms
     assert not verdict.accepted
@@ -128,7 +128,7 @@ def test_better_positions_do_not_excuse_worse_attitudes(qiao: Arm, displaced: Di
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (100, 6))
     error = np.repeat([[1e-3] * 3 + [1e-4] * 3], 100, axis=0)
     half: dict[str, Fitter] = {"rbf": lambda *_: Constant(np.array([1e-3] * 3 + [-1e-4] * 3))}
-    (verdict,) = judge_residuals(
+    (verdict,) = gate_residuals(
         displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf",), fitters=half
     ).verdicts
     assert not verdict.accepted
@@ -151,7 +151,7 @@ def test_judged_rows_are_never_trained_on(qiao: Arm, displaced: Displaced) -> No
         trained.append(len(inputs))
         return Constant(np.full(6, 1e-4))
 
-    gate = judge_residuals(data, refit, rng, models=("gp",), fitters={"gp": fitter})
+    gate = gate_residuals(data, refit, rng, models=("gp",), fitters={"gp": fitter})
     held_out = set(joints[list(gate.held_out), 0])
     assert gate.held_out == (*range(30, 40), *range(70, 80))
     blocked, shuffled, *inner = identified
@@ -167,7 +167,7 @@ def test_judged_rows_are_never_trained_on(qiao: Arm, displaced: Displaced) -> No
 def test_a_model_that_cannot_be_fitted_is_reported(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(6)
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (30, 6))
-    gate = judge_residuals(displaced(joints, 1e-3 * np.sin(joints)), lambda _: qiao.nominal, rng, models=("bpnn",))
+    gate = gate_residuals(displaced(joints, 1e-3 * np.sin(joints)), lambda _: qiao.nominal, rng, models=("bpnn",))
     (verdict,) = gate.verdicts
     assert "not fitted: 24 poses are too few" in verdict.reason
     assert not verdict.accepted
@@ -177,7 +177,7 @@ def test_equal_generators_give_equal_verdicts(qiao: Arm, displaced: Displaced) -
     joints = np.random.default_rng(7).uniform(qiao.nominal.lower, qiao.nominal.upper, (100, 6))
     data = displaced(joints, 1e-3 * np.sin(joints))
     first, second = (
-        judge_residuals(data, lambda _: qiao.nominal, np.random.default_rng(1), models=("rbf", "trees"))
+        gate_residuals(data, lambda _: qiao.nominal, np.random.default_rng(1), models=("rbf", "trees"))
         for _ in range(2)
     )
     assert first == second
@@ -187,7 +187,7 @@ def test_verdicts_are_json_in_mm_and_degrees(dynamic: Plant, displaced: Displace
     nominal = dynamic.arm.nominal
     rng = np.random.default_rng(8)
     joints = rng.uniform(nominal.lower, nominal.upper, (100, 6))
-    gate = judge_residuals(displaced(joints, 1e-3 * np.sin(joints)), lambda _: nominal, rng, models=("rbf",))
+    gate = gate_residuals(displaced(joints, 1e-3 * np.sin(joints)), lambda _: nominal, rng, models=("rbf",))
     told = json.loads(json.dumps(gate.as_dict()))
     assert told["selected"] == gate.selected
     model = told["models"]["rbf"]
@@ -198,7 +198,7 @@ def test_verdicts_are_json_in_mm_and_degrees(dynamic: Plant, displaced: Displace
 def test_nothing_to_judge_is_refused(qiao: Arm, displaced: Displaced) -> None:
     data = displaced(np.zeros((50, 6)), np.zeros((50, 6)))
     with pytest.raises(InputError, match="no residual model was named"):
-        judge_residuals(data, lambda _: qiao.nominal, np.random.default_rng(0), models=())
+        gate_residuals(data, lambda _: qiao.nominal, np.random.default_rng(0), models=())
 
 
 @pytest.mark.slow
@@ -210,7 +210,7 @@ def test_a_measured_ur5_gains_a_quarter_on_blocks(measured_ur5: tuple[Geometry, 
         start = align(nominal, train, frames_model(nominal)).geometry
         return identify(complete_model(nominal), start, train).geometry
 
-    gate = judge_residuals(data, refit, np.random.default_rng(0), models=("rbf", "gp", "trees"))
+    gate = gate_residuals(data, refit, np.random.default_rng(0), models=("rbf", "gp", "trees"))
     assert gate.selected in ("gp", "trees")
     assert gate.blocked_rms <= 0.080e-3
     assert gate.verdicts[0].geometric_blocked_rms == pytest.approx(0.102e-3, rel=0.01)

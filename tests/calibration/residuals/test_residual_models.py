@@ -12,7 +12,7 @@ from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.error_model import link_model
 from pickenv.calibration.model.measurements import random_joints, simulated_tracker
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
-from pickenv.calibration.residuals.extra_trees import fit_extra_trees, flattened
+from pickenv.calibration.residuals.extra_trees import fit_extra_trees, flat_forest
 from pickenv.calibration.residuals.gaussian_process import fit_gaussian_process
 from pickenv.calibration.residuals.rbf import fit_rbf, k_means
 from pickenv.calibration.residuals.residual_models import FITTERS, Fitter, LearntResidual, fit_residual, joint_inputs
@@ -133,7 +133,7 @@ def test_flat_trees_predict_what_scikit_learn_predicts() -> None:
 
     joints = drawn(300)
     forest = ExtraTreesRegressor(n_estimators=10, random_state=0).fit(joints, field(joints))
-    ours = flattened([one.tree_ for one in forest.estimators_], np.ones(6), np.zeros(6))
+    ours = flat_forest([one.tree_ for one in forest.estimators_], np.ones(6), np.zeros(6))
     later = drawn(10_000, seed=1)  # more than one chunk
     np.testing.assert_allclose(ours.predict(later), forest.predict(later), rtol=1e-6, atol=1e-9)
 

@@ -1,0 +1,106 @@
+"""The one way from rows to a result: whoever asks, from files or arrays, gets the same numbers."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import pickenv
+from pickenv.calibration import Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
+from pickenv.calibration.pipeline import stages
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.cli import app
+from pickenv.errors import InputError
+
+PLAIN = Choices(terms="none", residual="none")
+
+
+@pytest.fixture(scope="module")
+def sets(dynamic):
+    rng = np.random.default_rng(0)
+    return [simulated_tracker(dynamic, random_joints(dynamic.geometry, n, rng), rng) for n in (60, 20)]
+
+
+@pytest.fixture(scope="module")
+def result(dynamic, sets):
+    return calibrate(dynamic.arm, sets[0], test=sets[1], choices=PLAIN, unit="17")
+
+
+def told(result):
+    return {key: value for key, value in result.as_dict().items() if key != "solve_seconds"}
+
+
+def test_the_stages_stand_in_the_order_of_a_calibration():
+    assert [stage.__name__ for stage in stages.STAGES] == [
+        "_check",
+        "_align",
+        "_identify",
+        "_check_again",
+        "_add_terms",
+        "_learn",
+    ]
+
+
+def test_every_stage_hands_on_a_new_draft_and_leaves_the_old(dynamic, sets):
+    draft = stages.Draft(dynamic.arm, PLAIN, *sets, np.random.default_rng(0))
+    for stage in stages.STAGES:
+        before = dict(vars(draft))
+        handed = stage(draft)
+        assert vars(draft) == before and handed.arm is dynamic.arm
+        draft = handed
+    assert list(draft.fits) == ["geometry"] and draft.coverage is not None
+
+
+def test_the_command_and_the_function_give_the_same_numbers(dynamic, sets, tmp_path):
+    files = [data.write_csv(tmp_path / f"{name}.csv") for data, name in zip(sets, ("train", "test"), strict=True)]
+    out = tmp_path / "told.json"
+    words = ["calibrate", files[0], "--arm", "qiao2026", "--test", files[1], "--terms", "none", "--residual", "none"]
+    done = CliRunner().invoke(app, [str(word) for word in [*words, "--json", out]])
+    assert done.exit_code == 0, done.output
+    mine = pickenv.calibrate("qiao2026", files[0], test=[files[1]], choices=PLAIN)
+    said = json.loads(out.read_text(encoding="utf-8"))
+    assert json.loads(json.dumps(told(mine))) == {key: value for key, value in said.items() if key != "solve_seconds"}
+    assert str(mine).splitlines()[0] in done.output
+
+
+def test_rows_are_held_out_by_the_seed(dynamic, sets):
+    def held(seed):
+        found = calibrate(dynamic.arm, sets[0], choices=replace(PLAIN, seed=seed))
+        assert (len(found.train), len(found.test)) == (48, 12)
+        return found.test.joints.tolist()
+
+    assert held(0) == held(0) != held(1)
+
+
+def test_poses_of_its_own_teach_the_named_network_as_in_the_paper(dynamic, sets):
+    settings = pickenv.calibration.BpnnSettings(epochs=3)
+    choices = Choices("none", "bpnn", frames="known", learn_from=sets[0], settings=settings)
+    found = calibrate(dynamic.arm, sets[0], test=sets[1], choices=choices)
+    assert list(found.errors) == ["nominal", "geometric", "geometry+bpnn"] and found.gate is None
+    assert found.calibration.record["residual"]["settings"]["epochs"] == 3
+
+
+def test_a_result_is_used_saved_exported_and_shown(dynamic, result, tmp_path):
+    assert str(result) == result.report() and "verdict" in str(result)
+    joints = random_joints(dynamic.geometry, 1, np.random.default_rng(1))[0]
+    saved = Calibration.load(result.save(tmp_path / "arm"), dynamic.arm, "17")
+    np.testing.assert_array_equal(result.compensator()(joints), saved.compensator()(joints))
+    (written,) = result.export(toml=tmp_path / "arm.toml")
+    assert pickenv.load_arm(written).nominal.joints == dynamic.geometry.joints
+    assert f"{result.best.mean:#.4g}" in result.write_page(tmp_path / "page.html").read_text(encoding="utf-8")
+    with pytest.raises(InputError, match="nothing to write"):
+        result.export()
+
+
+def test_wires_take_the_same_way_and_have_no_page(qiao, tmp_path):
+    rng = np.random.default_rng(0)
+    joints = random_joints(qiao.nominal, 120, rng)
+    anchor = np.array([2.0, 1.0, 0.5])
+    length = np.linalg.norm(pickenv.arm.forward(qiao.nominal, joints).position - anchor, axis=1)
+    wire = DistanceObservations(joints, length + 1e-4 * rng.normal(size=120), 1e-4)
+    found = calibrate(qiao, wire, choices=Choices(terms="none"))
+    assert found.best.mean < 0.5 and found.train.kind == wire.kind
+    with pytest.raises(InputError, match="the page shows poses and positions"):
+        found.write_page(tmp_path / "page.html")
