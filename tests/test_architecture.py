@@ -5,6 +5,7 @@ Rooms are the folders of the package; calibration and agents lie at the root of 
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from collections import Counter
@@ -320,6 +321,73 @@ def test_what_only_tests_call_does_not_stand_in_the_house() -> None:
         if used[name] == 0 and name not in prose
     ]
     assert idle == []
+
+
+UNIT = re.compile(
+    r"(?<![\w'/])(mm|um|m|deg|rad|kg|N|ms|s|h|K|px|lx|Hz|(milli|micro)?metres?|degrees?|radians?|kilograms?|newtons?|seconds?"
+    r"|hours?|kelvins?)(?![\w'])"
+)
+WITH_UNITS_IN = ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.envs")
+IN_CODE = {
+    "CONTROL_PERIOD": "an environment's period is part of what it is",
+    "STILL": "where an observation of Pick-v0 ends",
+    "MOST_CAMERA_NOISE_MM": "a bound on arguments",
+    "MOST_NUMBER": "a bound on arguments",
+    "ROD_RADIUS": "how viewers draw a link; kinematics do not look at it",
+    "SHORTEST_ROD": "the same",
+    "STEP_LIMIT": "the inverse's own",
+    "DEGREES": "a conversion",
+    "ROUNDING": "a rounding error",
+    "OVERLAP": "where pushing fruit apart ends",
+    "REVERSED": "where a formula changes",
+}
+"""Numbers with a unit that belong to the code, and why; those of instruments, arms and fruit stand in TOML files."""
+
+
+def numbers_with_units(source: str) -> list[str]:
+    """Names of a module's constant numbers whose comment, or docstring below, names a unit."""
+    body, lines, found = ast.parse(source).body, source.splitlines(), []
+    for node, after in zip(body, [*body[1:], None], strict=True):
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+            continue
+        parts = [part for part in ast.walk(node.value) if not isinstance(part, ast.operator | ast.unaryop | ast.Load)]
+        kinds = (ast.Constant, ast.Tuple, ast.BinOp, ast.UnaryOp)
+        numbers = [part.value for part in parts if isinstance(part, ast.Constant)]
+        if not all(isinstance(part, kinds) for part in parts) or not all(type(n) in (int, float) for n in numbers):
+            continue
+        said = lines[node.end_lineno - 1][node.end_col_offset :] if node.end_lineno and node.end_col_offset else ""
+        if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+            said += f" {after.value.value}"
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+        named = [name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)]
+        found += [name for name in named if name.isupper() and UNIT.search(said)]
+    return found
+
+
+def test_numbers_with_units_stand_in_files() -> None:
+    found = {
+        f"{module}.{name}"
+        for module, path in modules(ROOT).items()
+        if any(within(module, room) for room in WITH_UNITS_IN)
+        for name in numbers_with_units(path.read_text(encoding="utf-8"))
+        if name not in IN_CODE
+    }
+    assert found == set()
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("MARGIN = 3  # px around a patch", ["MARGIN"]),
+        ('ROD, SHORT = 0.015, 2 * 0.01\n"""m; of the rods."""', ["ROD", "SHORT"]),
+        ('WARM: float = -4.5\n"""K above the ground\'s."""', ["WARM"]),
+        ("TRIES = 1000  # draws until one of the arm's poses fits", []),
+        ('NAMES = ("m", "mm")  # of units, m', []),
+        ("late = 0.5  # s", []),
+    ],
+)
+def test_a_number_with_a_unit_is_found(source: str, found: list[str]) -> None:
+    assert numbers_with_units(source) == found
 
 
 def test_a_folder_holds_about_a_dozen_files() -> None:

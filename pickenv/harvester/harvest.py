@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,9 +177,10 @@ def harvest(
 
 
 def _begin(machine: Machine, tree: Tree, rng: np.random.Generator) -> Harvest:
-    flags = np.zeros((6, len(tree)), dtype=bool)  # from seen to collected
+    stages = ("seen", "reachable", "attempted", "attached", "detached", "collected")
+    none: dict[str, Any] = {stage: np.zeros(len(tree), dtype=bool) for stage in stages}
     load, start = np.zeros(machine.arms, dtype=np.int64), machine.master_start.copy()
-    return Harvest(tree, rng, *flags, by_arm=np.full(len(tree), -1), load=load, master=start)
+    return Harvest(tree, rng, **none, by_arm=np.full(len(tree), -1), load=load, master=start)
 
 
 def _plan(machine: Machine, strategy: Strategy, model: Picking, state: Harvest, zone: Zone, look: int) -> _Task | None:
@@ -223,11 +225,10 @@ def _execute(
     master = np.repeat(strategy.controller.master_command(np.array([task.master for _, task in tasks])), counts, axis=0)
     commands = strategy.controller.pick_commands(master, arm, target)
     tips = true.picking_tips(master, arm, commands)
-    results = []
-    for (i, task), first, count in zip(tasks, np.cumsum([0, *counts[:-1]]).tolist(), counts, strict=True):
-        empty = _record(true, strategy, model, states[i], task, tips[first : first + count])
-        results.append((i, empty))
-    return results
+    parts = np.split(tips, np.cumsum(counts[:-1]))
+    return [
+        (i, _record(true, strategy, model, states[i], task, part)) for (i, task), part in zip(tasks, parts, strict=True)
+    ]
 
 
 def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harvest, task: _Task, tips: Array) -> bool:

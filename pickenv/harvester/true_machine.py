@@ -6,19 +6,21 @@ compensator another. Frame 3 of the true master carries the true slaves. Units: 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Geometry, Plant, Pose, forward, load_plant
 from pickenv.arm.plant.plant import EFFECTS
 from pickenv.errors import InputError
 from pickenv.harvester.machine import SHIPPED, Machine, MachineFile, composed, shifted
 from pickenv.toml_tables import read
+
+Rows = NDArray[np.intp]
 
 ROUNDS = 3
 """Corrections; each leaves a hundredth of what was before."""
@@ -83,14 +85,11 @@ class TrueMachine:
             arm: Slave of each pick, (picks,).
             joints: Its command, (picks, 3).
         """
-        base = self.frame3(master)
-        found = np.empty((len(arm), 3))
-        for i, plant in enumerate(self.slaves):
-            mine = np.flatnonzero(arm == i)
-            if mine.size:
-                here = Pose(base.position[mine], base.rotation[mine])
-                found[mine] = composed(here, plant.tool_pose(joints[mine])).position
-        return found
+
+        def cups(i: int, base: Pose, mine: Rows) -> Array:
+            return composed(base, self.slaves[i].tool_pose(joints[mine])).position
+
+        return _arm_by_arm(self.frame3(master), arm, cups)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,13 +137,7 @@ class Controller:
     def pick_commands(self, master: Array, arm: Array, targets: Array) -> Array:
         """Slave commands (picks, 3) for targets (picks, 3), with the master at the commands ``master``."""
         base = self._master().predict(master)
-        found = np.empty((len(arm), 3))
-        for i in range(self.machine.arms):
-            mine = np.flatnonzero(arm == i)
-            if mine.size:
-                here = Pose(base.position[mine], base.rotation[mine])
-                found[mine] = self._slave_command(i, here, targets[mine])
-        return found
+        return _arm_by_arm(base, arm, lambda i, here, mine: self._slave_command(i, here, targets[mine]))
 
     def _master(self) -> Belief:
         return self.master or Nominal(self.machine.master.nominal)
@@ -163,6 +156,15 @@ class Controller:
                 aim = aim + local - self.slaves[i].predict(command).position
                 command = _local_inverse(geometry, aim)
         return np.asarray(command.clip(geometry.lower, geometry.upper))
+
+
+def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]) -> Array:
+    """What ``each`` gives for the picks of every slave (picks, 3), frame 3 at ``base``."""
+    found = np.empty((len(arm), 3))
+    for i in np.unique(arm).tolist():
+        mine = np.flatnonzero(arm == i)
+        found[mine] = each(i, Pose(base.position[mine], base.rotation[mine]), mine)
+    return found
 
 
 def _local_inverse(slave: Geometry, local: Array) -> Array:

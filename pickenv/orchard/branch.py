@@ -18,7 +18,7 @@ from pickenv.toml_tables import GRAVITY, KG, NUMBER, Unit, toml_table
 
 
 @toml_table
-class Branch:
+class Branch(checks.Preset):
     """What fruit hangs from.
 
     Attributes:
@@ -38,9 +38,6 @@ class Branch:
     damping_ratio: Annotated[float, NUMBER.not_negative]
     coupling: Annotated[float, MM.positive]
     source: str = ""
-
-    def __post_init__(self) -> None:
-        checks.bounded("a branch", self)
 
 
 def load_branch(name: str | Path) -> Branch:

@@ -79,10 +79,7 @@ class Camera:
     def __post_init__(self) -> None:
         name = f"of camera '{self.name}'"
         checks.bounded(name[3:], self)
-        if not self.nearest < self.farthest < np.inf:
-            raise InputError(
-                f"the range {name} ends at {self.farthest} m; give more than its beginning, {self.nearest} m"
-            )
+        checks.measuring_range(name[3:], self.nearest, self.farthest)
         if self.found_above < self.lost_below:
             raise InputError(f"found_above {name} is {self.found_above}; give at least lost_below, {self.lost_below}")
 

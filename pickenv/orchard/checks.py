@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -24,6 +25,20 @@ def bounded(what: str, thing: Any) -> None:
         for value in np.ravel(getattr(thing, name)).tolist():
             if not unit.holds(value):
                 raise InputError(f"{name} of {what} is {value}; give {unit.wanted}")
+
+
+def measuring_range(what: str, nearest: float, farthest: float) -> None:
+    """Refuse a camera whose range has no end, or ends before it begins, m."""
+    if not nearest < farthest < np.inf:
+        raise InputError(f"the range of {what} ends at {farthest} m; give more than its beginning, {nearest} m")
+
+
+class Preset:
+    """Numbers that stay within the bounds of their annotations, in whatever way they are given."""
+
+    def __post_init__(self) -> None:
+        words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
+        bounded(f"{words} '{name}'" if (name := getattr(self, "name", "")) else f"a {words}", self)
 
 
 def positive(what: str, value: float) -> None:

@@ -20,7 +20,7 @@ QUANTILE_95 = 1.6448536269514722  # of the standard normal
 
 
 @toml_table
-class Detachment:
+class Detachment(checks.Preset):
     """Distribution of what holds the fruit.
 
     Attributes:
@@ -36,9 +36,6 @@ class Detachment:
     spread: Annotated[float, NUMBER.positive]
     stem: Annotated[float, MM.not_negative]
     source: str = ""
-
-    def __post_init__(self) -> None:
-        checks.bounded("a fruit's detachment", self)
 
 
 @dataclass(frozen=True, eq=False)

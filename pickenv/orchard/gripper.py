@@ -22,7 +22,7 @@ KIND = Check(lambda value: value in ("cup", "hand"), "'cup' or 'hand'")
 
 
 @toml_table
-class Cup:
+class Cup(checks.Preset):
     """A rigid cup: it takes the fruit if every misalignment stays within its tolerance.
 
     Attributes:
@@ -43,12 +43,9 @@ class Cup:
     angle: Annotated[float, DEG.positive]
     kind: Annotated[Literal["cup"], KIND, REQUIRED] = "cup"
 
-    def __post_init__(self) -> None:
-        checks.bounded(f"gripper '{self.name}'", self)
-
 
 @toml_table
-class CompliantHand:
+class CompliantHand(checks.Preset):
     """A hand with soft fingers: logit of success = intercept − lateral·|x| − axial·|z| − angle·|φ|.
 
     Attributes:
@@ -68,9 +65,6 @@ class CompliantHand:
     axial: Annotated[float, Unit("per_10mm", 100.0).not_negative]
     angle: Annotated[float, Unit("per_10deg", 18.0 / math.pi).not_negative]
     kind: Annotated[Literal["hand"], KIND, REQUIRED] = "hand"
-
-    def __post_init__(self) -> None:
-        checks.bounded(f"gripper '{self.name}'", self)
 
 
 Gripper: TypeAlias = Cup | CompliantHand

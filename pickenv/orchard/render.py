@@ -25,7 +25,7 @@ Triple = tuple[float, float, float]
 
 
 @toml_table
-class Look:
+class Look(checks.Preset):
     """Colours and light; colours are red, green, blue from 0 to 255.
 
     Attributes:
@@ -55,9 +55,6 @@ class Look:
     source: str = ""
     sharpness: Annotated[int, WHOLE.at_least(1)] = 12
     patch: Annotated[int, WHOLE_PX.at_least(1)] = 16
-
-    def __post_init__(self) -> None:
-        checks.bounded("a look", self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from pickenv.toml_tables import Unit, toml_table
 
 
 @toml_table
-class Station:
+class Station(checks.Preset):
     """A section of canopy before an arm's base; the arm comes from below.
 
     Attributes:
@@ -51,9 +51,6 @@ class Station:
     most_push: Annotated[float, MM.positive]
     twist: Annotated[float, Unit("N_m").positive]
     source: str = ""
-
-    def __post_init__(self) -> None:
-        checks.bounded("a station", self)
 
 
 def load_station(name: str | Path) -> Station:

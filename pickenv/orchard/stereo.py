@@ -53,10 +53,7 @@ class StereoCamera:
     def __post_init__(self) -> None:
         name = f"of stereo camera '{self.name}'"
         checks.bounded(name[3:], self)
-        if not self.nearest < self.farthest < np.inf:
-            raise InputError(
-                f"the range {name} ends at {self.farthest} m; give more than its beginning, {self.nearest} m"
-            )
+        checks.measuring_range(name[3:], self.nearest, self.farthest)
         if self.focal_length * self.baseline / self.nearest >= self.image[0]:
             raise InputError(f"at its least distance the disparity {name} is wider than its image; raise nearest")
 

@@ -102,7 +102,7 @@ CASES: dict[str, tuple[Callable[[], Any], str]] = {
     "matched nowhere": (lambda: match_detections(Detections(NONE, np.zeros(0, int), np.zeros(0)), NONE, 0.0), "above"),
     "NaN misalignment": (lambda: capture_probability(HAND, NAN, 0.0, 0.0), "lateral"),
     "no axis": (lambda: misalignment([0, 0, 0], [0, 0, 0]), "zero vectors"),
-    "hand that likes errors": (lambda: replace(HAND, lateral=-1.0), "lateral of gripper"),
+    "hand that likes errors": (lambda: replace(HAND, lateral=-1.0), "lateral of compliant hand"),
     "no pendulum": (lambda: Branch(0.0, 1.0, 1.0, 0.1, 0.1, 0.1), "pendulum"),
     "negative damping": (lambda: replace(BRANCH, damping_ratio=-0.1), "damping_ratio"),
     "weightless": (lambda: natural_frequencies(BRANCH, 0.0), "mass of fruit"),

@@ -385,7 +385,7 @@ def _joint(
     if slides is not None:
         ElementTree.SubElement(joint, "axis", xyz="0 0 1")
         ends = dict(zip(("lower", "upper", "velocity"), map(_text, limits), strict=True))
-        ElementTree.SubElement(joint, "limit", **ends, effort="0")
+        ElementTree.SubElement(joint, "limit", {**ends, "effort": "0"})
     return joint
 
 

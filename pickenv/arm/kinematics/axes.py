@@ -54,17 +54,18 @@ def geometry_from_axes(
         else:
             previous = x[i - 1] if i else np.array([1.0, 0.0, 0.0])
             origins[i], x[i] = _common_normal(near, z[i], points[i + 1], z[i + 1], previous)
-    table = np.zeros((4, n))  # alpha, a, theta, d
+    table = np.zeros((4, n))
     for i in range(1, n):
         step = origins[i] - origins[i - 1]
         twist, turn = _angle(z[i - 1], z[i], x[i - 1]), _angle(x[i - 1], x[i], z[i])
         table[:, i] = twist, step @ x[i - 1], turn, step @ z[i]
     last = np.column_stack([x[-1], np.cross(z[-1], x[-1]), z[-1]])
     first = np.column_stack([x[0], np.cross(z[0], x[0]), z[0]])
+    alpha, a, theta, d = table
     base = Pose(origins[0], first)
     hand = Pose(last.T @ (tool.position - origins[-1]), last.T @ tool.rotation)
     low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
-    return Geometry(joint_names, prismatic, *table, beta=np.zeros(n), lower=low, upper=high, base=base, tool=hand)
+    return Geometry(joint_names, prismatic, alpha, a, theta, d, np.zeros(n), low, high, base, hand)
 
 
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -63,13 +63,6 @@ class SpreadTable:
     damping: LogSize = 0.0
 
 
-SPREADS = tuple(field.name for field in fields(SpreadTable))
-
-
-def _sizes(found: Any, _context: Any) -> dict[str, float]:
-    return asdict(found)
-
-
 def _range(rise: Any, _context: Any) -> Any:
     if rise[0] > rise[1]:
         raise fault("the lower number first")
@@ -87,7 +80,7 @@ class Tolerances:
         angle: Half-width of the assembly angles alpha and theta, rad.
         distribution: ``uniform`` over the tolerance zone, or ``normal`` with the zone's edges at three standard
             deviations.
-        spread: For each of `SPREADS`, the standard deviation of the logarithm of the size (0.1 is about 10 %).
+        spread: The standard deviation of the logarithm of each size (0.1 is about 10 %).
         temperature_rise: Range of the warm arm's temperature rise, K; drawn evenly.
     """
 
@@ -96,7 +89,7 @@ class Tolerances:
     least_length: Annotated[float, MM.positive, Key(section="lengths")]
     angle: Annotated[float, DEG.not_negative, Key("half_width_deg", "angles")]
     distribution: Annotated[Literal["uniform", "normal"], Key(section="lengths")]
-    spread: Annotated[dict[str, float], Then(_sizes, SpreadTable)]
+    spread: SpreadTable
     temperature_rise: Annotated[tuple[float, float], KELVIN, Then(_range), Key("rise_K", "temperature")]
 
 
@@ -188,7 +181,7 @@ class _Draws:
 
     def factors(self, key: str, spread: str | None = None) -> Array:
         """Factors about 1, (N, size)."""
-        return np.asarray(np.exp(self.tolerances.spread[spread or key] * _normal(self.even[key])))
+        return np.asarray(np.exp(getattr(self.tolerances.spread, spread or key) * _normal(self.even[key])))
 
     def scaled(self, values: tuple[float, ...], key: str, first: int = 0) -> tuple[Array, ...]:
         """Each value times the factors of its column."""
@@ -227,7 +220,7 @@ SIZES: Mapping[str, Mapping[str, str]] = {
     "base_tilt": {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"},
     "settling": {"frequency": "frequency", "damping": "damping"},
 }
-"""Which of `SPREADS` each size of an effect has; encoders and servos are alike in all arms."""
+"""Which entry of [spread] each size of an effect has; encoders and servos are alike in all arms."""
 
 
 def _drawn(draws: _Draws, effect: str) -> Any:

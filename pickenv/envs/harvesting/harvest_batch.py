@@ -363,7 +363,7 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
     return np.asarray(np.clip(np.concatenate(parts, axis=1), *task.bounds), dtype=np.float32)
 
 
-def spaces(task: HarvestTask, extra: int = 0) -> tuple[Box, Box]:
+def spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
     """Observation space, with room for some numbers from 0 to 1 at its end, and action space."""
     joints, arms, most = task.machine.joints, task.machine.arms, task.rules.shown
     high = [1.0] * (joints + arms) + [most, most, most, 1.0] * task.fruit + [1.0] * extra

@@ -189,7 +189,7 @@ class PickEnv(ArmEnv):
         """See the class for the arguments; raises `InputError` for impossible ones."""
         check_number("fruit", fruit, positive=True)
         check_count("looks", looks)
-        drawn = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
+        drawn: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
         super().__init__(make_task(plant, without, arms=arms, **drawn), render_mode)
         self.orchard: PickSetting = make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks)
         self._reach = reach_of(self.plant.arm.nominal, self.orchard.station.approach)

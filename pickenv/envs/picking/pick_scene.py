@@ -21,6 +21,7 @@ from pickenv.envs.shared.task import as_numbers
 from pickenv.errors import InputError
 from pickenv.orchard.camera import DRAWS
 
+FATES = ("attempted", "attached", "detached", "collected", "damaged")
 CLOSE, OPEN = 0.5, -0.5
 """Commands beyond which the gripper closes and opens."""
 
@@ -138,7 +139,7 @@ class PickScene:
 
     def __post_init__(self) -> None:
         self.displacement, self.velocity = np.zeros_like(self.rest), np.zeros_like(self.rest)
-        for name in ("attempted", "attached", "detached", "collected", "damaged"):
+        for name in FATES:
             setattr(self, name, np.zeros(len(self.rest), dtype=bool))
 
     @property
@@ -158,15 +159,9 @@ class PickScene:
 
     def funnel(self) -> dict[str, int]:
         """Fruit that got through each stage; none has more than the one before."""
-        return {
-            "present": len(self.rest),
-            "visible": int(self.visible.sum()),
-            "reachable": int(self.reachable.sum()),
-            "attempted": int(self.attempted.sum()),
-            "attached": int(self.attached.sum()),
-            "detached": int(self.detached.sum()),
-            "collected": int((self.collected & ~self.damaged).sum()),
-        }
+        stages = ("visible", "reachable", *FATES[:3])
+        passed = {stage: int(getattr(self, stage).sum()) for stage in stages}
+        return {"present": len(self.rest), **passed, "collected": int((self.collected & ~self.damaged).sum())}
 
     def nearest(self, tool: ArrayLike) -> int | None:
         """Number of the waiting fruit that was seen nearest to the tool, or None."""
