@@ -97,7 +97,7 @@ class GaussianProcess(SavedArrays):
 
         def unknown(j: int, part: Array) -> Array:
             known = solve_triangular(self._factors[j], self._kernel(j, part).T, lower=True)
-            return np.sqrt(np.maximum(self.amplitude[j] ** 2 - np.sum(known**2, axis=0), 0.0))
+            return np.asarray(np.sqrt(np.maximum(self.amplitude[j] ** 2 - np.sum(known**2, axis=0), 0.0)))
 
         return self._by_output(inputs, unknown) * self.output_std
 
