@@ -28,7 +28,7 @@ from pickenv.calibration.model.error_model import frames_model, geometric_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.origins import named
-from pickenv.calibration.model.splits import Rows, thinned
+from pickenv.calibration.model.splits import Rows, equally_spaced
 from pickenv.errors import InputError
 
 EXPLAINED = 8.0
@@ -77,7 +77,7 @@ def _robust_fit(arm: Arm, measurements: Measurements, known: bool = False) -> Ro
     Raises:
         InputError: If there are too few poses, or no majority agrees.
     """
-    data = measurements.select(thinned(len(measurements), ROBUST_ROWS))
+    data = measurements.select(equally_spaced(len(measurements), ROBUST_ROWS))
     model = geometric_model(arm.nominal, known)
     start = arm.nominal
     if not known:

@@ -17,7 +17,7 @@ from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import geometric_model, with_terms
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import coefficients_prior
-from pickenv.calibration.model.splits import contiguous_folds, thinned
+from pickenv.calibration.model.splits import contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, ThermalTerm
 from pickenv.errors import InputError
 
@@ -99,7 +99,7 @@ def choose_terms(arm: Arm, aligned: Geometry, observations: Observations, known:
         observations: Training rows.
         known: Whether base and tool are known.
     """
-    data = observations.select(thinned(len(observations.joints), ROWS))
+    data = observations.select(equally_spaced(len(observations.joints), ROWS))
     folds = []
     for train, test in contiguous_folds(data.groups, FOLDS):
         here = data.select(train)

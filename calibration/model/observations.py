@@ -15,12 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.origins import Origins
+from pickenv.calibration.model.splits import Rows
 
 NONE_KNOWN = Conditions()
 """Neither payload nor temperature nor torques were recorded."""
 
-
-Rows = NDArray[np.int64]
 
 Kind = TypeVar("Kind", bound="Observations")
 

@@ -14,7 +14,7 @@ from pickenv.errors import InputError
 Rows = NDArray[np.int64]
 
 
-def thinned(rows: int, most: int) -> Rows:
+def equally_spaced(rows: int, most: int) -> Rows:
     """Indices of so many of the rows at most, at equal distances."""
     return np.unique(np.linspace(0, rows - 1, most).astype(int))
 

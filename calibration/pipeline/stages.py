@@ -24,7 +24,7 @@ from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.splits import thinned
+from pickenv.calibration.model.splits import equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, framed, identified, learnt
 from pickenv.calibration.pipeline.result import Result, assess
@@ -296,7 +296,7 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
     """Verdicts on residual models within the training rows."""
-    data = train.select(thinned(len(train), GATE_ROWS))
+    data = train.select(equally_spaced(len(train), GATE_ROWS))
     start, known = draft.best[1].calibration.nominal, draft.aligned is None
 
     def refit(rows: Measurements) -> ArmModel:

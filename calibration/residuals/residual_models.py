@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.splits import thinned
+from pickenv.calibration.model.splits import equally_spaced
 from pickenv.calibration.residuals.blend import Blend, fit_blend
 from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.extra_trees import ExtraTrees, fit_extra_trees
@@ -160,18 +160,16 @@ class LearntResidual:
 
 def _fit_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
     """The paper's network as printed up to 400 poses; with more, larger batches and fewer epochs do as well sooner."""
-    settings = BpnnSettings()
+    paper = settings = BpnnSettings()
     if len(inputs) > 400:
-        epochs = max(20, 48_000 // len(inputs))
-        settings = BpnnSettings(
-            epochs=epochs, batch_size=2 * settings.batch_size, learning_rate=2 * settings.learning_rate
-        )
+        epochs, batch_size = max(20, 48_000 // len(inputs)), 2 * paper.batch_size
+        settings = replace(paper, epochs=epochs, batch_size=batch_size, learning_rate=2 * paper.learning_rate)
     return train_bpnn(inputs, targets, rng, settings)
 
 
 def _fit_some_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
     """The network, on no more rows than its time allows."""
-    chosen = thinned(len(inputs), SLOW_ROWS)
+    chosen = equally_spaced(len(inputs), SLOW_ROWS)
     return _fit_bpnn(inputs[chosen], targets[chosen], rng)
 
 

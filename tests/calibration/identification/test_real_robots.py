@@ -151,13 +151,13 @@ def test_a_mocap_file_without_a_convention_is_asked_for_it(data_folder, tmp_path
     from pickenv.calibration.reading.description import DESCRIPTIONS
 
     arm, reading = read_set(data_folder, "ur10", "ur10_figaroh_mocap", "figaroh-calib/ur10_mocap_pose_calibration.csv")
-    found = fit(arm, reading.measurements)
-    assert left_mm_of_positions(found.calibration.nominal, reading.measurements).mean() == pytest.approx(10.6, abs=0.1)
-    assert left_mm_of_positions(found.calibration.identified, reading.measurements).mean() <= 2.65
+    found = fit(arm, reading.observations)
+    assert left_mm_of_positions(found.calibration.nominal, reading.observations).mean() == pytest.approx(10.6, abs=0.1)
+    assert left_mm_of_positions(found.calibration.identified, reading.observations).mean() <= 2.65
     silent = (DESCRIPTIONS / "ur10_figaroh_mocap.toml").read_text().replace('convention = "euler_xyz_extrinsic"', "")
     (tmp_path / "silent.toml").write_text(silent)
     with pytest.raises(InputError, match="names no convention") as caught:
-        read_observations([reading.measurements.source], arm.nominal, tmp_path / "silent.toml")
+        read_observations([reading.observations.source], arm.nominal, tmp_path / "silent.toml")
     lines = str(caught.value).splitlines()[1:-1]
     assert lines[0].split()[:3] == ["euler_xyz_extrinsic", "(fanuc_wpr)", "10.59"]
     assert all(float(line.split()[-2]) > 20 for line in lines[1:])  # deg
