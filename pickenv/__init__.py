@@ -24,6 +24,12 @@ if _TYPE_CHECKING:
     from pickenv.arm import Arm, Plant, load_arm, load_plant
     from pickenv.calibration import Calibration, Choices, Result, calibrate
 
+_HOMES = {
+    "arm": ("Arm", "Plant", "load_arm", "load_plant"),
+    "calibration": ("Calibration", "Choices", "Result", "calibrate"),
+    "agents": ("load_policy", "run_reaches"),
+}
+
 __all__ = [
     "Arm",
     "Calibration",
@@ -35,24 +41,9 @@ __all__ = [
     "agents",
     "arm",
     "calibrate",
-    "calibration",
-    "envs",
-    "harvester",
-    "inspect",
-    "load_arm",
-    "load_plant",
-    "load_policy",
-    "orchard",
-    "run_reaches",
-    "study",
-    "wrappers",
 ]
-
-_HOMES = {
-    "arm": ("Arm", "Plant", "load_arm", "load_plant"),
-    "calibration": ("Calibration", "Choices", "Result", "calibrate"),
-    "agents": ("load_policy", "run_reaches"),
-}
+__all__ += ["calibration", "envs", "harvester", "inspect", "load_arm", "load_plant", "load_policy", "orchard"]
+__all__ += ["run_reaches", "study", "wrappers"]
 
 
 def __getattr__(name: str) -> _Any:
