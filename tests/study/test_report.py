@@ -16,7 +16,7 @@ from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.run_folder import read_run
 from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
-from pickenv.study.analysis.study_drawings import gather, specification, study_drawings
+from pickenv.study.analysis.study_drawings import gather, specified, study_drawings
 from pickenv.study.analysis.study_recording import arms_compared, record_study
 from pickenv.study.analysis.study_report import page, study_page, study_verdict, write_outputs
 from pickenv.study.design.config import load_study
@@ -128,7 +128,7 @@ def test_the_verdict_names_the_least_demanding_way_that_suffices(found):
     rows = [rows_with(398), rows_with(396, it_grade=12, setting=1), rows_with(300, it_grade=14, setting=2)]
     said = study_verdict(found.config, rows)
     assert said.tone == "good" and said.headline.startswith("IT12 (medium) and 30 poses")
-    assert "99.0 %" in said.text and specification(found.config) in said.text
+    assert "99.0 %" in said.text and specified(found.config) in said.text
 
 
 def test_a_way_must_suffice_at_every_payload(found):
