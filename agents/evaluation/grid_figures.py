@@ -13,13 +13,8 @@ from pickenv.agents.evaluation.grid import PolicyGrid
 from pickenv.agents.evaluation.statistics import interquartile_mean, interval, mean
 from pickenv.envs.shared.task import CONTROL_PERIOD
 from pickenv.harvester.harvest_summary import Measure
+from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
-from pickenv.inspect.figures.plot_policies import (
-    CycleCurve,
-    accuracy_against_cycle_time,
-    aggregates,
-    success_against_misalignment,
-)
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.runs.gripping import gripper_curves
 
@@ -40,7 +35,7 @@ def aggregate_figure(grid: PolicyGrid) -> Figure:
             found = Measure(float(statistic(cell.errors_mm.ravel())), low, high)
             policies = panels.setdefault(cell.plant, {}).setdefault(title, {})
             policies.setdefault(f"{cell.policy}\n{cell.feedback}", {})[LABELS[cell.compensation]] = found
-    return aggregates(panels)
+    return plot_policies.aggregates(panels)
 
 
 def success_curves(grid: PolicyGrid, plant: str) -> Figure:
@@ -53,7 +48,7 @@ def success_curves(grid: PolicyGrid, plant: str) -> Figure:
         for cell in grid.cells
         if cell.policy == "scripted" and cell.plant == plant
     }
-    return success_against_misalignment(gripper_curves(tuple(grid.grippers)), points)
+    return plot_policies.success_against_misalignment(gripper_curves(tuple(grid.grippers)), points)
 
 
 def cycle_figure(grid: PolicyGrid, period: float, plant: str) -> Figure:
@@ -62,13 +57,13 @@ def cycle_figure(grid: PolicyGrid, period: float, plant: str) -> Figure:
     Policies with a camera are shown on raw arms only.
     """
     curves = [
-        CycleCurve(cell.policy, LABELS[cell.compensation], cell.rollout.error_mm.mean(axis=1))
+        plot_policies.CycleCurve(cell.policy, LABELS[cell.compensation], cell.rollout.error_mm.mean(axis=1))
         for cell in grid.cells
         if cell.plant == plant
         and cell.policy != "random"
         and not (cell.feedback == "camera" and cell.compensation != "raw")  # then all compensations look alike
     ]
-    return accuracy_against_cycle_time(curves, period, title=plant)
+    return plot_policies.accuracy_against_cycle_time(curves, period, title=plant)
 
 
 def grid_drawings(grid: PolicyGrid) -> Sequence[Drawing]:

@@ -17,13 +17,7 @@ from pickenv.agents.policies.scripted import ScriptedReach
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import MeasurementNoise
 from pickenv.calibration import Compensator, link_model, random_joints
-from pickenv.calibration.identification.extended_kalman_filter import (
-    FilterState,
-    predict,
-    random_walk,
-    start_filter,
-    update,
-)
+from pickenv.calibration.identification import extended_kalman_filter
 
 ARRIVED = 0.02
 """The arm stands where its largest action is below this share of an increment."""
@@ -62,10 +56,10 @@ class AdaptiveReach(ScriptedReach):
         self.settings = settings or AdaptiveSettings()
         typical = random_joints(self.geometry, 200, np.random.default_rng(0))  # decides only what is identifiable
         model = link_model(self.geometry)
-        self.start: FilterState = start_filter(
+        self.start: extended_kalman_filter.FilterState = extended_kalman_filter.start_filter(
             model, self.geometry, typical, full_pose=False, prior=self.settings.prior
         )
-        self.filters: list[FilterState] = []
+        self.filters: list[extended_kalman_filter.FilterState] = []
         self._single = False
         self._joints: Array = np.empty(0)
         self._sum: Array = np.empty(0)
@@ -109,10 +103,14 @@ class AdaptiveReach(ScriptedReach):
         )
         return np.stack(list(corrected))
 
-    def _learnt(self, state: FilterState, joints: Array, total: Array, count: int) -> FilterState:
+    def _learnt(
+        self, state: extended_kalman_filter.FilterState, joints: Array, total: Array, count: int
+    ) -> extended_kalman_filter.FilterState:
         chosen = self.settings
         if chosen.drift:
-            state = predict(state, random_walk(state, chosen.drift), chosen.pick_seconds)
+            state = extended_kalman_filter.predict(
+                state, extended_kalman_filter.random_walk(state, chosen.drift), chosen.pick_seconds
+            )
         # The fruit is seen once per episode, the gap in every picture.
         std = float(np.sqrt(chosen.camera_std**2 * (1.0 + 1.0 / count) + chosen.unmodelled_std**2))
-        return update(state, joints, total / count, MeasurementNoise(std, 0.0), gate=chosen.gate)
+        return extended_kalman_filter.update(state, joints, total / count, MeasurementNoise(std, 0.0), gate=chosen.gate)

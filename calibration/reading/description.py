@@ -14,15 +14,8 @@ from typing import Any
 
 from pickenv.arm import Geometry
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
+from pickenv.calibration.reading import description_file
 from pickenv.calibration.reading.csv_table import expression_tree
-from pickenv.calibration.reading.description_file import (
-    ANGLES,
-    LENGTHS,
-    MASSES,
-    TORQUES,
-    ConditionsTable,
-    DescriptionFile,
-)
 from pickenv.errors import InputError
 from pickenv.texts import is_file, shortened
 from pickenv.toml_tables import TO_SI, read
@@ -107,7 +100,7 @@ def load_description(name: str | Path) -> ColumnDescription:
         raise InputError(
             f"unknown column description '{given}'; give one of {shipped_descriptions()} or a path (.toml)"
         )
-    file = read(DescriptionFile, path)
+    file = read(description_file.DescriptionFile, path)
     measured: dict[str, Any] = dict(vars(file.measured))
     stated = measured["position_std"] is not None and file.kind != "sockets"
     found = ColumnDescription(
@@ -127,7 +120,7 @@ def load_description(name: str | Path) -> ColumnDescription:
     return found
 
 
-def _conditions(table: ConditionsTable, joint_units: tuple[str, ...]) -> dict[str, Condition]:
+def _conditions(table: description_file.ConditionsTable, joint_units: tuple[str, ...]) -> dict[str, Condition]:
     """Recorded conditions, each with what turns it into SI."""
     found = {}
     if (warmth := table.temperature) is not None:
@@ -136,10 +129,10 @@ def _conditions(table: ConditionsTable, joint_units: tuple[str, ...]) -> dict[st
             (warmth.column,), (1.0,), usual if warmth.reference is None else warmth.reference
         )
     if (mass := table.payload) is not None:
-        found["payload"] = Condition((mass.column,), (MASSES[mass.unit],), mass.reference)
+        found["payload"] = Condition((mass.column,), (description_file.MASSES[mass.unit],), mass.reference)
     if (torques := table.torques) is not None:
-        units = torques.units or tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
-        found["torque"] = Condition(torques.columns, tuple(TORQUES[unit] for unit in units))
+        units = torques.units or tuple("N" if unit in description_file.LENGTHS else "N*m" for unit in joint_units)
+        found["torque"] = Condition(torques.columns, tuple(description_file.TORQUES[unit] for unit in units))
     return found
 
 
@@ -171,7 +164,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Column
     for name in expected:
         stem = name.rpartition("_")[0]
         found = [column for column in header if column.rpartition("_")[0] == stem]
-        if len(found) != 1 or found[0].rpartition("_")[2] not in LENGTHS + ANGLES:
+        if len(found) != 1 or found[0].rpartition("_")[2] not in description_file.LENGTHS + description_file.ANGLES:
             unit = found[0].rpartition("_")[2] if found else ""
             fault = "is given twice" if len(found) > 1 else f"has the unknown unit '{unit}'" if found else "is missing"
             raise InputError(
@@ -216,7 +209,7 @@ def joint_scales(description: ColumnDescription, geometry: Geometry) -> tuple[fl
             f"{description.where}: {len(description.joints)} joint columns are named, but the arm has {n} joints"
         )
     for i, unit in enumerate(description.joint_units):
-        wanted = LENGTHS if geometry.prismatic[i] else ANGLES
+        wanted = description_file.LENGTHS if geometry.prismatic[i] else description_file.ANGLES
         if unit not in wanted:
             kind = "prismatic" if geometry.prismatic[i] else "revolute"
             raise InputError(

@@ -24,6 +24,7 @@ from pickenv.calibration.model.observations import (
     SocketObservations,
 )
 from pickenv.calibration.model.origins import Origins
+from pickenv.calibration.reading import row_checks
 from pickenv.calibration.reading.conventions import columns_of, convention_table, rotations
 from pickenv.calibration.reading.csv_table import Table, read_table, refuse_repeated
 from pickenv.calibration.reading.description import (
@@ -31,13 +32,6 @@ from pickenv.calibration.reading.description import (
     joint_scales,
     load_description,
     own_description,
-)
-from pickenv.calibration.reading.row_checks import (
-    refuse_duplicates,
-    refuse_far,
-    refuse_implausible_joints,
-    refuse_origin,
-    refuse_repeated_joints,
 )
 from pickenv.errors import InputError
 from pickenv.toml_tables import TO_SI
@@ -152,11 +146,11 @@ def read_observations(
     groups = np.repeat(np.arange(len(tables)), [len(table.lines) for table in tables])
     lines = np.concatenate([np.array(table.lines, dtype=np.int64) for table in tables])
     origins = Origins(tuple(table.where for table in tables), groups, lines)
-    refuse_repeated_joints(given, joints, geometry)
+    row_checks.refuse_repeated_joints(given, joints, geometry)
     frames = {"frames": _frames(tables)} if description is None else {}
     found: Any = READERS[files.first.kind](files)
     found = replace(found, source=source, conditions=_conditions(files), origins=origins, **frames)
-    refuse_duplicates(joints, found, origins)
+    row_checks.refuse_duplicates(joints, found, origins)
     return FileReading(found, _floor(files))
 
 
@@ -182,7 +176,9 @@ def _joints(table: Table, description: ColumnDescription, geometry: Geometry) ->
     columns = []
     for i, scale in enumerate(joint_scales(description, geometry)):
         columns.append(table.value(description.joints[i]) * scale)
-        refuse_implausible_joints(table, geometry, i, columns[-1], description.joints[i], description.joint_units[i])
+        row_checks.refuse_implausible_joints(
+            table, geometry, i, columns[-1], description.joints[i], description.joint_units[i]
+        )
     return np.stack(columns, -1)
 
 
@@ -205,8 +201,8 @@ def _poses(files: Files) -> Measurements:
     """Poses or positions; unnamed attitude conventions are refused with what each would leave."""
     first, position = files.first, files.values()
     for table, description in files.pairs():
-        refuse_far(table, description)
-        refuse_origin(table, description)
+        row_checks.refuse_far(table, description)
+        row_checks.refuse_origin(table, description)
     rotation = None
     if first.rotation:
         values = np.concatenate([_attitudes(table, description) for table, description in files.pairs()])

@@ -16,23 +16,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from scipy.special import ndtri
 
+from pickenv import toml_tables
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.errors import InputError
-from pickenv.toml_tables import (
-    DEG,
-    KELVIN,
-    MM,
-    NUMBER,
-    WHOLE,
-    Key,
-    Then,
-    fault,
-    file_named,
-    read,
-    shipped_in,
-    toml_table,
-)
 
 TOLERANCES = Path(__file__).parent / "tolerance_classes"
 
@@ -42,11 +29,11 @@ GRADES = {5: 7, 6: 10, 7: 16, 8: 25, 9: 40, 10: 64, 11: 100, 12: 160, 13: 250, 1
 LARGEST_DAMPING = 0.5
 """No structure is damped more; a draw from a wide spread stops here."""
 
-GRADE = WHOLE.within(min(GRADES), max(GRADES))
-LogSize = Annotated[float, NUMBER.not_negative]
+GRADE = toml_tables.WHOLE.within(min(GRADES), max(GRADES))
+LogSize = Annotated[float, toml_tables.NUMBER.not_negative]
 
 
-@toml_table
+@toml_tables.toml_table
 class SpreadTable:
     """[spread] of a tolerance file: the standard deviation of the logarithm of each size, 0 where it is left out."""
 
@@ -65,11 +52,11 @@ class SpreadTable:
 
 def _range(rise: Any, _context: Any) -> Any:
     if rise[0] > rise[1]:
-        raise fault("the lower number first")
+        raise toml_tables.fault("the lower number first")
     return rise
 
 
-@toml_table
+@toml_tables.toml_table
 class Tolerances:
     """How far arms of one design may lie from each other; a tolerance file says it in sections.
 
@@ -85,12 +72,14 @@ class Tolerances:
     """
 
     name: str
-    it_grade: Annotated[int, GRADE, Key(section="lengths")]
-    least_length: Annotated[float, MM.positive, Key(section="lengths")]
-    angle: Annotated[float, DEG.not_negative, Key("half_width_deg", "angles")]
-    distribution: Annotated[Literal["uniform", "normal"], Key(section="lengths")]
+    it_grade: Annotated[int, GRADE, toml_tables.Key(section="lengths")]
+    least_length: Annotated[float, toml_tables.MM.positive, toml_tables.Key(section="lengths")]
+    angle: Annotated[float, toml_tables.DEG.not_negative, toml_tables.Key("half_width_deg", "angles")]
+    distribution: Annotated[Literal["uniform", "normal"], toml_tables.Key(section="lengths")]
     spread: SpreadTable
-    temperature_rise: Annotated[tuple[float, float], KELVIN, Then(_range), Key("rise_K", "temperature")]
+    temperature_rise: Annotated[
+        tuple[float, float], toml_tables.KELVIN, toml_tables.Then(_range), toml_tables.Key("rise_K", "temperature")
+    ]
 
 
 def it_tolerance(grade: int, length: Array | float) -> Array:
@@ -103,7 +92,7 @@ def it_tolerance(grade: int, length: Array | float) -> Array:
 
 def shipped_tolerances() -> list[str]:
     """Names of the tolerance classes that come with pickenv."""
-    return shipped_in(TOLERANCES)
+    return toml_tables.shipped_in(TOLERANCES)
 
 
 def load_tolerances(name: str | Path) -> Tolerances:
@@ -112,7 +101,7 @@ def load_tolerances(name: str | Path) -> Tolerances:
     Raises:
         InputError: If it is unknown or a number is impossible; the message names the file and the key.
     """
-    return read(Tolerances, file_named("tolerance class", name, TOLERANCES))
+    return toml_tables.read(Tolerances, toml_tables.file_named("tolerance class", name, TOLERANCES))
 
 
 def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:

@@ -14,16 +14,8 @@ from pickenv.arm import Array, Plant, plant_at
 from pickenv.envs.reaching.batch import Batch, Flags, Start, Views
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
+from pickenv.envs.shared import spaces
 from pickenv.envs.shared.simulation import NUMBER_KEYS
-from pickenv.envs.shared.spaces import (
-    OPTIONS,
-    action_space,
-    flat_space,
-    given_mask,
-    given_options,
-    given_seeds,
-    goal_space,
-)
 from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import IDEAL, Compensate, Task, check_choice, check_count, make_task
 from pickenv.errors import InputError
@@ -109,8 +101,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self.num_envs, self.max_episode_steps, self.render_mode = int(num_envs), max_episode_steps, render_mode
         self.autoreset_mode = AutoresetMode(mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode, "torch": executor == "torch"}
-        self.single_observation_space = goal_space(self.task) if self.goal_dict else flat_space(self.task)
-        self.single_action_space = action_space(self.task)
+        self.single_observation_space = spaces.goal_space(self.task) if self.goal_dict else spaces.flat_space(self.task)
+        self.single_action_space = spaces.action_space(self.task)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._poses = bool(pose_infos)
@@ -149,8 +141,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
             options: See the class.
         """
         super().reset(seed=int(seed) if isinstance(seed, int | np.integer) else None)
-        options = given_options(options, (*OPTIONS, "reset_mask"))
-        mask = given_mask(options.pop("reset_mask", None), self.num_envs)
+        options = spaces.given_options(options, (*spaces.OPTIONS, "reset_mask"))
+        mask = spaces.given_mask(options.pop("reset_mask", None), self.num_envs)
         self._take_seeds(seed, mask)
         rows = np.flatnonzero(mask)
         self._begin(rows, self._chosen(options, rows))
@@ -242,7 +234,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _take_seeds(self, seed: int | Sequence[int | None] | None, mask: Flags) -> None:
         """New seeds where they are given, the next episode elsewhere."""
-        seeds = given_seeds(seed, self.num_envs)
+        seeds = spaces.given_seeds(seed, self.num_envs)
         if seed is None and self._seeded.all():
             self._episodes[mask] += np.uint64(1)
             return

@@ -14,18 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.inspect.colours import RED, policy_colours
-from pickenv.inspect.figures.style import (
-    COLUMN,
-    INK,
-    PAPER,
-    SOFT,
-    WIDTH,
-    coloured,
-    finite_series,
-    new_figure,
-    plain_decades,
-    rgb,
-)
+from pickenv.inspect.figures import style
 from pickenv.inspect.runs.comparison_summary import round_step
 
 
@@ -35,11 +24,11 @@ def error_per_pose(errors_mm: Mapping[str, ArrayLike]) -> Figure:
     Args:
         errors_mm: For each method, by label, its errors ``(N,)``, mm.
     """
-    series = finite_series(errors_mm)
-    with new_figure(WIDTH, 2.9) as figure:
+    series = style.finite_series(errors_mm)
+    with style.new_figure(style.WIDTH, 2.9) as figure:
         axes = figure.add_subplot(xlabel="test pose (number)", ylabel="position error (mm)")
         axes.set_title("Position error at each test pose")
-        for label, values, colour in coloured(series):
+        for label, values, colour in style.coloured(series):
             number = np.arange(1, len(values) + 1)
             name = f"{label}: mean {values.mean():.2f} mm, max {values.max():.2f} mm"
             axes.plot(number, values, "o-", color=colour, label=name, markersize=3.0, linewidth=1.1)
@@ -66,9 +55,9 @@ def error_by_method(
         logarithmic: Logarithmic error axis, for methods that are decades apart.
         counted: What the numbers under the labels count.
     """
-    series = finite_series(errors)
-    colours = rgb(policy_colours(list(series)))
-    with new_figure(max(COLUMN, 1.2 + 0.9 * len(series)), 2.9) as figure:
+    series = style.finite_series(errors)
+    colours = style.rgb(policy_colours(list(series)))
+    with style.new_figure(max(style.COLUMN, 1.2 + 0.9 * len(series)), 2.9) as figure:
         axes = figure.add_subplot(ylabel=f"{quantity} ({unit})", xlabel=f"method (number of {counted})")
         axes.set_title(f"{quantity[:1].upper()}{quantity[1:]} by method", pad=16.0)
         boxes = axes.boxplot(
@@ -76,21 +65,21 @@ def error_by_method(
             widths=0.55,
             patch_artist=True,
             showmeans=True,
-            medianprops={"color": INK, "linewidth": 1.4},
-            meanprops={"marker": "D", "markerfacecolor": PAPER, "markeredgecolor": INK, "markersize": 4.0},
-            flierprops={"marker": "o", "markersize": 2.5, "markeredgecolor": SOFT, "alpha": 0.7},
-            whiskerprops={"color": SOFT},
-            capprops={"color": SOFT},
+            medianprops={"color": style.INK, "linewidth": 1.4},
+            meanprops={"marker": "D", "markerfacecolor": style.PAPER, "markeredgecolor": style.INK, "markersize": 4.0},
+            flierprops={"marker": "o", "markersize": 2.5, "markeredgecolor": style.SOFT, "alpha": 0.7},
+            whiskerprops={"color": style.SOFT},
+            capprops={"color": style.SOFT},
         )
         for box, colour in zip(boxes["boxes"], colours, strict=True):
-            box.set(facecolor=(*colour, 0.75), edgecolor=SOFT)
+            box.set(facecolor=(*colour, 0.75), edgecolor=style.SOFT)
         for i, values in enumerate(series.values(), start=1):
             axes.annotate(f"{values.mean():.3g}", (i + 0.3, values.mean()), va="center", fontsize=7.5)
         axes.set_xticks(range(1, len(series) + 1), [f"{label}\n({len(values)})" for label, values in series.items()])
         axes.grid(axis="x", visible=False)
         if logarithmic:
             axes.set_yscale("log")
-            plain_decades(axes.yaxis)
+            style.plain_decades(axes.yaxis)
         else:
             axes.set_ylim(bottom=0.0)
         axes.annotate("◇ mean (number), ─ median", (0.0, 1.02), xycoords="axes fraction", va="bottom", fontsize=7.5)
@@ -103,12 +92,12 @@ def error_histogram(errors_mm: Mapping[str, ArrayLike]) -> Figure:
     Args:
         errors_mm: For each method, by label, its errors ``(N,)``, mm.
     """
-    series = finite_series(errors_mm)
+    series = style.finite_series(errors_mm)
     width = round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
-    with new_figure(COLUMN, 2.9) as figure:
+    with style.new_figure(style.COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel="position error (mm)", ylabel=f"share of poses in {width:g} mm (%)")
         axes.set_title("Distribution")
-        for label, values, colour in coloured(series):
+        for label, values, colour in style.coloured(series):
             edges = width * np.arange(int(values.max() / width) + 2)
             share = np.full(len(values), 100.0 / len(values))
             axes.hist(
@@ -137,18 +126,18 @@ def error_cumulative(
         tolerance: Drawn as a line when given.
         counted: What the shares are of.
     """
-    series = finite_series(errors)
-    with new_figure(COLUMN, 2.9) as figure:
+    series = style.finite_series(errors)
+    with style.new_figure(style.COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"{counted} within it (%)")
         axes.set_title("Cumulative distribution")
-        for label, values, colour in coloured(series):
+        for label, values, colour in style.coloured(series):
             axes.ecdf(values, color=colour, label=label)
         axes.set_xscale("log")
         axes.set_yticks(np.linspace(0.0, 1.0, 6), ["0", "20", "40", "60", "80", "100"])
-        plain_decades(axes.xaxis)
+        style.plain_decades(axes.xaxis)
         if tolerance is not None:
             label = f"tolerance {tolerance:g} {unit}"
-            axes.axvline(tolerance, color=rgb([RED])[0], linestyle="--", linewidth=1.2, label=label)
+            axes.axvline(tolerance, color=style.rgb([RED])[0], linestyle="--", linewidth=1.2, label=label)
         figure.legend(loc="outside lower center", ncols=2)
     return figure
 
@@ -173,17 +162,17 @@ def error_against(
     Raises:
         InputError: If a series has another length than ``cause``.
     """
-    series = finite_series(errors_mm)
-    (x,) = finite_series({name: cause}).values()
+    series = style.finite_series(errors_mm)
+    (x,) = style.finite_series({name: cause}).values()
     for label, values in series.items():
         if len(values) != len(x):
             raise InputError(f"series '{label}' has {len(values)} errors for {len(x)} values of {name}; give as many")
     parts = _groups(x, groups)
-    with new_figure(COLUMN, 2.9) as figure:
+    with style.new_figure(style.COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{name} ({unit})", ylabel="position error (mm)")
         axes.set_title(f"Error against {name}", pad=16.0)
         axes.annotate("dots: poses, line: means of groups", (0.0, 1.02), xycoords="axes fraction", fontsize=7.5)
-        for label, values, colour in coloured(series):
+        for label, values, colour in style.coloured(series):
             axes.plot(x, values, ".", color=colour, markersize=3.0, alpha=0.45)
             means = np.array([[x[part].mean(), values[part].mean()] for part in parts])
             axes.plot(*means.T, "o-", color=colour, markersize=4.0, label=label)

@@ -17,20 +17,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.colours import policy_colours
-from pickenv.inspect.figures.style import (
-    COLUMN,
-    INK,
-    LINES,
-    MARKS,
-    RULE,
-    SOFT,
-    WIDTH,
-    coloured,
-    finite_series,
-    new_figure,
-    plain_decades,
-    rgb,
-)
+from pickenv.inspect.figures import style
 
 SMALLEST_MM = 1e-3
 """Errors below a micrometre are drawn there."""
@@ -68,8 +55,8 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Measu
     keys = list(
         dict.fromkeys(k for row in panels.values() for column in row.values() for line in column.values() for k in line)
     )
-    colours = dict(zip(keys, rgb(policy_colours(keys)), strict=True))
-    with new_figure(WIDTH, 0.6 + len(panels) * (0.5 + 0.4 * len(names))) as figure:
+    colours = dict(zip(keys, style.rgb(policy_colours(keys)), strict=True))
+    with style.new_figure(style.WIDTH, 0.6 + len(panels) * (0.5 + 0.4 * len(names))) as figure:
         axes: Any = figure.subplots(len(panels), len(statistics), squeeze=False, sharex=True, sharey=True)
         for row, (scene, columns) in enumerate(panels.items()):
             for column, (title, policies) in enumerate(columns.items()):
@@ -88,7 +75,7 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Measu
                 axis.set_ylim(len(names) - 0.5, -0.5)
                 if row == len(panels) - 1:
                     axis.set_xlabel("final position error (mm)")
-        plain_decades(axes[0, 0].xaxis)
+        style.plain_decades(axes[0, 0].xaxis)
         handles = [axes[0, 0].plot([], [], color=colours[key], linewidth=3.0, label=key)[0] for key in keys]
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
@@ -103,17 +90,19 @@ def success_against_misalignment(
         curves: For each gripper, misalignment ``(N,)``, mm, and probability of success ``(N,)``.
         points: For each policy, by gripper, its mean error, mm, and its share of successes.
     """
-    colours = rgb(policy_colours(list(points)))
-    with new_figure(WIDTH, 2.8) as figure:
+    colours = style.rgb(policy_colours(list(points)))
+    with style.new_figure(style.WIDTH, 2.8) as figure:
         axes = figure.add_subplot(xlabel="lateral misalignment (mm)", ylabel="success (%)")
         axes.set_title("Success against misalignment: what each gripper forgives")
-        marks = dict(zip(curves, MARKS * len(curves), strict=False))
-        for (gripper, (x, y)), line in zip(curves.items(), LINES * len(curves), strict=False):
-            axes.plot(x, 100.0 * np.asarray(y), linestyle=line, color=SOFT)
-            axes.plot([], [], linestyle=line, color=SOFT, marker=marks[gripper], markersize=5, label=gripper)
+        marks = dict(zip(curves, style.MARKS * len(curves), strict=False))
+        for (gripper, (x, y)), line in zip(curves.items(), style.LINES * len(curves), strict=False):
+            axes.plot(x, 100.0 * np.asarray(y), linestyle=line, color=style.SOFT)
+            axes.plot([], [], linestyle=line, color=style.SOFT, marker=marks[gripper], markersize=5, label=gripper)
         for (policy, places), colour in zip(points.items(), colours, strict=True):
             for gripper, (error, share) in places.items():
-                axes.plot([error], [100.0 * share], marks[gripper], color=colour, markersize=6, markeredgecolor=INK)
+                axes.plot(
+                    [error], [100.0 * share], marks[gripper], color=colour, markersize=6, markeredgecolor=style.INK
+                )
             axes.plot([], [], "o", color=colour, markersize=6, label=f"{policy}: mean error, success")
         axes.set(ylim=(-3.0, 103.0), xlim=(0.0, None))
         figure.legend(loc="outside lower center", ncols=3)
@@ -132,16 +121,16 @@ def accuracy_against_cycle_time(curves: Sequence[CycleCurve], period: float, *, 
         InputError: If there is no curve, or one is empty or not finite.
     """
     shown = [
-        next(iter(finite_series({f"{c.policy}, {c.compensation}": c.error_mm}).values())).clip(SMALLEST_MM)
+        next(iter(style.finite_series({f"{c.policy}, {c.compensation}": c.error_mm}).values())).clip(SMALLEST_MM)
         for c in curves
     ]
     if not shown:
         raise InputError("there is no curve to draw; give at least one")
-    patterns = dict(zip(dict.fromkeys(c.policy for c in curves), LINES * len(curves), strict=False))
+    patterns = dict(zip(dict.fromkeys(c.policy for c in curves), style.LINES * len(curves), strict=False))
     names = list(dict.fromkeys(c.compensation for c in curves))
-    colours = dict(zip(names, rgb(policy_colours(names)), strict=True))
+    colours = dict(zip(names, style.rgb(policy_colours(names)), strict=True))
     shortest = min(len(error) for error in shown)
-    with new_figure(WIDTH, 3.2) as figure:
+    with style.new_figure(style.WIDTH, 3.2) as figure:
         axes = figure.add_subplot(xlabel="cycle time (s)", ylabel="mean position error (mm)", yscale="log")
         axes.set_title("Accuracy against cycle time" + (f", {title}" if title else ""))
         for curve, error in zip(curves, shown, strict=True):
@@ -152,12 +141,14 @@ def accuracy_against_cycle_time(curves: Sequence[CycleCurve], period: float, *, 
                 color=colours[curve.compensation],
             )
         front = np.minimum.accumulate(np.min([error[:shortest] for error in shown], axis=0))
-        axes.plot(period * np.arange(1, shortest + 1), front, color=RULE, linewidth=6, zorder=0, label="best so far")
+        axes.plot(
+            period * np.arange(1, shortest + 1), front, color=style.RULE, linewidth=6, zorder=0, label="best so far"
+        )
         for policy, pattern in patterns.items():
-            axes.plot([], [], linestyle=pattern, color=SOFT, label=policy)
+            axes.plot([], [], linestyle=pattern, color=style.SOFT, label=policy)
         for name, colour in colours.items():
             axes.plot([], [], color=colour, linewidth=3.0, label=name)
-        plain_decades(axes.yaxis)
+        style.plain_decades(axes.yaxis)
         figure.legend(loc="outside right center")
     return figure
 
@@ -169,11 +160,11 @@ def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Map
         accuracy_mm: For each controller, AP at P1 to P5.
         repeatability_mm: For each controller, RP at the same poses.
     """
-    kinds = {"AP": finite_series(accuracy_mm), "RP": finite_series(repeatability_mm)}
-    with new_figure(WIDTH, 2.6) as figure:
+    kinds = {"AP": style.finite_series(accuracy_mm), "RP": style.finite_series(repeatability_mm)}
+    with style.new_figure(style.WIDTH, 2.6) as figure:
         panels: Any = figure.subplots(1, 2)
         for axes, (kind, series) in zip(panels, kinds.items(), strict=True):
-            for i, (label, values, colour) in enumerate(coloured(series)):
+            for i, (label, values, colour) in enumerate(style.coloured(series)):
                 place = np.arange(1, len(values) + 1) + 0.35 * (i - (len(series) - 1) / 2.0)
                 axes.bar(place, values, 0.33, color=colour, label=f"{label}: worst {values.max():.3f} mm")
             axes.set(xlabel="test pose of ISO 9283 (number)", ylabel=f"{kind} (mm)")
@@ -192,11 +183,11 @@ def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Fi
         hours: Times ``(T,)``, h.
         accuracy_mm: For each controller, AP at those times ``(T,)``.
     """
-    series = finite_series(accuracy_mm)
-    with new_figure(COLUMN, 2.6) as figure:
+    series = style.finite_series(accuracy_mm)
+    with style.new_figure(style.COLUMN, 2.6) as figure:
         axes = figure.add_subplot(xlabel="time since switched on (h)", ylabel="AP at P1 (mm)")
         axes.set_title("Drift of the pose accuracy")
-        for label, values, colour in coloured(series):
+        for label, values, colour in style.coloured(series):
             axes.plot(np.asarray(hours, dtype=float), values, color=colour, label=label)
         axes.set_ylim(bottom=0.0)
         axes.legend()

@@ -28,14 +28,8 @@ from pickenv.inspect.recordings.scribe import (
     send_voxels,
     write_recording,
 )
+from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
-from pickenv.inspect.runs.comparison_summary import (
-    cell_means,
-    colour_scale_mm,
-    field_mm,
-    histogram_edges_mm,
-    summary_markdown,
-)
 from pickenv.inspect.runs.links import drawn_parts, nominal_points, true_points
 from pickenv.inspect.runs.view import cut_away
 from pickenv.provenance import versions
@@ -119,7 +113,7 @@ def _send_properties(scribe: Scribe, comparison: Comparison, gain: float) -> Non
             policies=[policy.key for policy in comparison.policies],
             gain=gain,
             tolerance_mm=comparison.tolerance_mm,
-            colour_scale_mm=colour_scale_mm(comparison),
+            colour_scale_mm=comparison_summary.colour_scale_mm(comparison),
             **made_with,
         ),
     )
@@ -164,13 +158,19 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
 
 def _send_field(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, gain: float) -> None:
     """One policy's error field three times: arrows, voxels, and a tensor for slices."""
-    entity, top, magnitude = f"world/field/{policy.key}", colour_scale_mm(comparison), field_mm(policy)
+    entity, top, magnitude = (
+        f"world/field/{policy.key}",
+        comparison_summary.colour_scale_mm(comparison),
+        comparison_summary.field_mm(policy),
+    )
     errors, step = policy.field_errors, comparison.grid_step
     send_arrows(scribe, f"{entity}/vectors", comparison.field_points, gain * errors, 1e3 * errors, top)
     kept, index = ~cut_away(comparison), comparison.field_index
     corner = comparison.grid_origin - step / 2.0
-    send_voxels(scribe, f"{entity}/voxels", *cell_means(index[kept], magnitude[kept]), top, step, corner)
-    index, mean = cell_means(index, magnitude)
+    send_voxels(
+        scribe, f"{entity}/voxels", *comparison_summary.cell_means(index[kept], magnitude[kept]), top, step, corner
+    )
+    index, mean = comparison_summary.cell_means(index, magnitude)
     grid = np.full(comparison.grid_shape, np.nan, dtype=np.float32)
     grid[tuple(index.T)] = mean
     scribe.still(
@@ -229,7 +229,7 @@ def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None
 
 def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
     """Reach errors in bins that all policies share; within a bin the policies' bars stand side by side."""
-    edges, count = histogram_edges_mm(comparison), len(comparison.policies)
+    edges, count = comparison_summary.histogram_edges_mm(comparison), len(comparison.policies)
     width = float(edges[1] - edges[0]) * 0.9 / count
     for i, (policy, colour) in enumerate(zip(comparison.policies, _colours(comparison), strict=True)):
         numbers, _ = np.histogram(policy.position_error_mm, edges)
@@ -242,5 +242,7 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
 
 def _send_legend(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The colour bar with its unit, and the summary."""
-    send_colour_bar(scribe, "legend/position", colour_scale_mm(comparison), "mm")
-    scribe.still("summary", rr.TextDocument(summary_markdown(comparison, gain), media_type="text/markdown"))
+    send_colour_bar(scribe, "legend/position", comparison_summary.colour_scale_mm(comparison), "mm")
+    scribe.still(
+        "summary", rr.TextDocument(comparison_summary.summary_markdown(comparison, gain), media_type="text/markdown")
+    )

@@ -15,14 +15,8 @@ from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
 from pickenv.inspect.recordings.details import Day, Details, attitude_length
 from pickenv.inspect.recordings.scribe import Scribe, send_arrows, send_colour_bar, send_voxels
+from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.comparison_summary import (
-    attitude_scale_deg,
-    cell_means,
-    colour_scale_mm,
-    field_mm,
-    uncertainty_scale_mm,
-)
 from pickenv.inspect.runs.view import cut_away
 
 DAY_TIME_LINE = "hours"
@@ -32,13 +26,16 @@ WORLD = "tf#/"
 
 def send_details(scribe: Scribe, comparison: Comparison, details: Details, gain: float) -> None:
     """Send ``details`` of ``comparison``, whose errors are drawn ``gain`` times too long."""
-    points, top = comparison.field_points, colour_scale_mm(comparison)
+    points, top = comparison.field_points, comparison_summary.colour_scale_mm(comparison)
     if details.removed is not None:
         send_arrows(scribe, "world/field/removed/vectors", points, gain * details.removed, 1e3 * details.removed, top)
     for name, field in details.effects.items():
         send_arrows(scribe, f"world/effect/{name}", points, gain * field, 1e3 * field, top)
     if details.attitude:
-        top, length = attitude_scale_deg(details.attitude), attitude_length(comparison, details.attitude)
+        top, length = (
+            comparison_summary.attitude_scale_deg(details.attitude),
+            attitude_length(comparison, details.attitude),
+        )
         for key, field in details.attitude.items():
             degrees = np.degrees(field)
             send_arrows(scribe, f"world/attitude/{key}", points, length * degrees, degrees, top, "deg")
@@ -55,10 +52,13 @@ def send_details(scribe: Scribe, comparison: Comparison, details: Details, gain:
 
 def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array) -> None:
     """Predicted uncertainty and what the last policy really misses by, on one scale."""
-    top, kept = uncertainty_scale_mm(comparison), ~cut_away(comparison)
+    top, kept = comparison_summary.uncertainty_scale_mm(comparison), ~cut_away(comparison)
     corner = comparison.grid_origin - comparison.grid_step / 2.0
-    for name, values in (("predicted", 1e3 * uncertainty), ("actual", field_mm(comparison.policies[-1]))):
-        cells = cell_means(comparison.field_index[kept], values[kept])
+    for name, values in (
+        ("predicted", 1e3 * uncertainty),
+        ("actual", comparison_summary.field_mm(comparison.policies[-1])),
+    ):
+        cells = comparison_summary.cell_means(comparison.field_index[kept], values[kept])
         send_voxels(scribe, f"world/uncertainty/{name}", *cells, top, comparison.grid_step, corner)
     send_colour_bar(scribe, "legend/uncertainty", top, "mm")
 

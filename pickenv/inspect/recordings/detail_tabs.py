@@ -9,14 +9,8 @@ import rerun.blueprint as rrb
 
 from pickenv.inspect.recordings.blueprint_views import ghost, space, with_colour_bar
 from pickenv.inspect.recordings.details import FLOOR, Day, Details, attitude_length
+from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.comparison_summary import (
-    attitude_scale_deg,
-    colour_scale_mm,
-    error_spread,
-    field_mm,
-    uncertainty_scale_mm,
-)
 
 
 def detail_tabs(comparison: Comparison, details: Details, gain: float) -> list[Any]:
@@ -47,20 +41,20 @@ def _arms(comparison: Comparison, gain: float) -> Any:
 def _effects(comparison: Comparison, details: Details, gain: float) -> Any:
     views = []
     for name, field in details.effects.items():
-        mean = error_spread(1e3 * np.linalg.norm(field, axis=-1)).mean
+        mean = comparison_summary.error_spread(1e3 * np.linalg.norm(field, axis=-1)).mean
         title = f"{name.replace('_', ' ')} | mean {mean:.2f} mm | ×{gain:g}"
         views.append(space(comparison, title, [f"+ /world/effect/{name}", *ghost(comparison)]))
-    meaning = f"Colour: position error, 0 to {colour_scale_mm(comparison):.2f} mm"
+    meaning = f"Colour: position error, 0 to {comparison_summary.colour_scale_mm(comparison):.2f} mm"
     return with_colour_bar(views, "position", meaning, "Effects, each alone")
 
 
 def _attitude(comparison: Comparison, details: Details) -> Any:
     labels = {policy.key: f"{policy.label} attitude" for policy in comparison.policies}
     labels[FLOOR] = "No joint motion removes"
-    top, length = attitude_scale_deg(details.attitude), attitude_length(comparison, details.attitude)
+    top, length = comparison_summary.attitude_scale_deg(details.attitude), attitude_length(comparison, details.attitude)
     views = []
     for key, field in details.attitude.items():
-        mean = error_spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
+        mean = comparison_summary.error_spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
         title = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree"
         views.append(space(comparison, title, [f"+ /world/attitude/{key}", *ghost(comparison)]))
     meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
@@ -70,13 +64,16 @@ def _attitude(comparison: Comparison, details: Details) -> Any:
 def _uncertainty(comparison: Comparison) -> Any:
     assert comparison.field_uncertainty is not None
     last, predicted = comparison.policies[-1], 1e3 * comparison.field_uncertainty
-    actual, inside = field_mm(last), 100.0 * float(np.mean(field_mm(last) < 2.0 * predicted))
+    actual, inside = (
+        comparison_summary.field_mm(last),
+        100.0 * float(np.mean(comparison_summary.field_mm(last) < 2.0 * predicted)),
+    )
     titles = {
         "predicted": f"Predicted standard uncertainty u of the tool position | mean {predicted.mean():.2f} mm",
         "actual": f"Actual error, {last.label} | mean {actual.mean():.2f} mm | below 2u at {inside:.0f} %",
     }
     views = [space(comparison, title, [f"+ /world/uncertainty/{key}"]) for key, title in titles.items()]
-    meaning = f"Colour: uncertainty and error, 0 to {uncertainty_scale_mm(comparison):.2f} mm"
+    meaning = f"Colour: uncertainty and error, 0 to {comparison_summary.uncertainty_scale_mm(comparison):.2f} mm"
     return with_colour_bar(views, "uncertainty", meaning, "Predicted uncertainty")
 
 

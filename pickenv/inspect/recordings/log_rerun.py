@@ -15,17 +15,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 import pickenv
 from pickenv.errors import InputError
 from pickenv.inspect.colours import policy_key
+from pickenv.inspect.recordings import episodes
 from pickenv.inspect.recordings.episode_blueprint import episode_blueprint
-from pickenv.inspect.recordings.episodes import (
-    EpisodeLog,
-    Row,
-    Scene,
-    Trigger,
-    capped_cubic,
-    info_of,
-    send_looks,
-    send_rows,
-)
 from pickenv.inspect.recordings.live import PATIENCE, Live, open_live
 from pickenv.inspect.recordings.scribe import write_recording
 
@@ -43,8 +34,8 @@ class _Recorder:
         env: Any,
         keys: Sequence[str],
         save_path: str | Path | None,
-        episode_trigger: Trigger | None,
-        step_trigger: Trigger | None,
+        episode_trigger: episodes.Trigger | None,
+        step_trigger: episodes.Trigger | None,
         recording_length: int,
         name_prefix: str,
         policy: str,
@@ -60,12 +51,12 @@ class _Recorder:
         if save_path is None and not self._live:
             raise InputError("nothing would be logged; give save_path, spawn, connect or serve")
         if episode_trigger is None and step_trigger is None:
-            episode_trigger = capped_cubic
+            episode_trigger = episodes.capped_cubic
         self.path = None if save_path is None else Path(save_path) / f"{name_prefix}-{policy}.rrd"
         length = float(recording_length) or np.inf
-        self.logs = [EpisodeLog(key, episode_trigger, step_trigger, length) for key in keys]
+        self.logs = [episodes.EpisodeLog(key, episode_trigger, step_trigger, length) for key in keys]
         self._env, self._policy = env, policy
-        self._scene: Scene | None = None
+        self._scene: episodes.Scene | None = None
         self._identity = ""
         self._in_file = 0
         self._shown = [0] * len(self.logs)
@@ -82,7 +73,7 @@ class _Recorder:
         inner = outer.envs[0].unwrapped if hasattr(outer, "envs") else outer
         task = getattr(inner, "task", None)
         plant = getattr(task, "plant", None)
-        self._scene = Scene(
+        self._scene = episodes.Scene(
             nominal=None if plant is None else plant.arm.nominal,
             period=1.0 / inner.metadata.get("render_fps", 10),
             # Only where the fruit is a pose to be reached is this radius what counts.
@@ -118,7 +109,7 @@ class _Recorder:
     def _recorded(self) -> int:
         return sum(len(log.rows) for log in self.logs)
 
-    def _first(self) -> Row:
+    def _first(self) -> episodes.Row:
         return next(log.rows[0] for log in self.logs if log.rows)
 
     def _write(self, path: Path) -> None:
@@ -147,10 +138,10 @@ class _Recorder:
             facts: dict[str, Any] = {"pickenv_version": pickenv.__version__, "rerun_version": rr.__version__}
             stream.send_property("pickenv", rr.AnyValues(**facts))
             for log in self.logs:
-                send_looks(stream, self._scene, log.key, self._first())
+                episodes.send_looks(stream, self._scene, log.key, self._first())
         for log, begin in zip(self.logs, start, strict=True):
             if len(log.rows) > begin:
-                send_rows(stream, self._scene, log.key, log.rows[begin:])
+                episodes.send_rows(stream, self._scene, log.key, log.rows[begin:])
 
 
 class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
@@ -179,8 +170,8 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         self,
         env: gym.Env[Observation, Action],
         save_path: str | Path | None = None,
-        episode_trigger: Trigger | None = None,
-        step_trigger: Trigger | None = None,
+        episode_trigger: episodes.Trigger | None = None,
+        step_trigger: episodes.Trigger | None = None,
         recording_length: int = 0,
         name_prefix: str = "episodes",
         *,
@@ -258,8 +249,8 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         self,
         env: VectorEnv[Any, Any, Any],
         save_path: str | Path | None = None,
-        episode_trigger: Trigger | None = None,
-        step_trigger: Trigger | None = None,
+        episode_trigger: episodes.Trigger | None = None,
+        step_trigger: episodes.Trigger | None = None,
         recording_length: int = 0,
         name_prefix: str = "episodes",
         *,
@@ -307,7 +298,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
             if mask is None or mask[i]:
                 self._over[i] = False
                 if log.begins():
-                    log.note(info_of(infos, i), 0.0)
+                    log.note(episodes.info_of(infos, i), 0.0)
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -319,13 +310,13 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
             if self._over[i]:  # this step began the next episode; its action was ignored
                 self._over[i] = False
                 if log.begins():
-                    log.note(info_of(infos, i), 0.0)
+                    log.note(episodes.info_of(infos, i), 0.0)
                 continue
             over = bool(terminations[i] or truncations[i])
             if log.steps():
-                log.note(info_of(infos["final_info"] if over and same_step else infos, i), float(rewards[i]))
+                log.note(episodes.info_of(infos["final_info"] if over and same_step else infos, i), float(rewards[i]))
             if over and same_step and log.begins():
-                log.note(info_of(infos, i), 0.0)
+                log.note(episodes.info_of(infos, i), 0.0)
             self._over[i] = over and not same_step
             ended = ended or over
         if ended:

@@ -17,15 +17,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from pickenv.errors import InputError
-from pickenv.inspect.recordings.live import (
-    LOCAL,
-    PATIENCE,
-    VIEWER_MEMORY,
-    VIEWER_PORT,
-    check_answers,
-    check_screen,
-    rerun_program,
-)
+from pickenv.inspect.recordings import live
 
 HEADER = b"RRF"
 """First bytes of every recording; a digit and the writer's version follow."""
@@ -69,23 +61,25 @@ def open_native(paths: Sequence[Path]) -> None:
     Raises:
         InputError: If there is no screen.
     """
-    check_screen()
-    _run([*map(str, paths), "--bind", LOCAL, "--port", str(VIEWER_PORT), "--memory-limit", VIEWER_MEMORY])
+    live.check_screen()
+    _run(
+        [*map(str, paths), "--bind", live.LOCAL, "--port", str(live.VIEWER_PORT), "--memory-limit", live.VIEWER_MEMORY]
+    )
 
 
 def open_web(paths: Sequence[Path]) -> None:
     """Serve recordings to a browser on this machine until interrupted, and print the address to open."""
     web, data = _free_port(), _free_port()
-    source = quote(f"rerun+http://{LOCAL}:{data}/proxy", safe="")
-    print(f"open http://{LOCAL}:{web}/?url={source} in a browser; Ctrl-C ends", flush=True)
+    source = quote(f"rerun+http://{live.LOCAL}:{data}/proxy", safe="")
+    print(f"open http://{live.LOCAL}:{web}/?url={source} in a browser; Ctrl-C ends", flush=True)
     ports = ["--port", str(data), "--web-viewer-port", str(web)]
-    _run([*map(str, paths), "--serve-web", "--bind", LOCAL, *ports])
+    _run([*map(str, paths), "--serve-web", "--bind", live.LOCAL, *ports])
 
 
 def serve(paths: Sequence[Path], port: int) -> None:
     """Serve recordings to viewers that connect to ``port`` of this machine, until interrupted."""
-    print(f"connect with: rerun --connect rerun+http://{LOCAL}:{port}/proxy; Ctrl-C ends", flush=True)
-    _run([*map(str, paths), "--serve-grpc", "--bind", LOCAL, "--port", str(port)])
+    print(f"connect with: rerun --connect rerun+http://{live.LOCAL}:{port}/proxy; Ctrl-C ends", flush=True)
+    _run([*map(str, paths), "--serve-grpc", "--bind", live.LOCAL, "--port", str(port)])
 
 
 def send(paths: Sequence[Path], url: str) -> None:
@@ -94,21 +88,21 @@ def send(paths: Sequence[Path], url: str) -> None:
     Raises:
         InputError: If none answers at ``url``, or it does not take everything.
     """
-    check_answers(url)
+    live.check_answers(url)
     for path in paths:
         (entry, *_) = RrdReader(path).recordings()
         stream = rr.RecordingStream(entry.application_id, recording_id=entry.recording_id, send_properties=False)
         stream.set_sinks(rr.GrpcSink(url))
         stream.log_file_from_path(path)
         try:
-            stream.flush(timeout_sec=PATIENCE)
+            stream.flush(timeout_sec=live.PATIENCE)
         except RuntimeError as error:
-            raise InputError(f"the viewer at {url} did not take {path} within {PATIENCE:g} s: {error}") from error
+            raise InputError(f"the viewer at {url} did not take {path} within {live.PATIENCE:g} s: {error}") from error
 
 
 def _free_port() -> int:
     with socket.socket() as probe:
-        probe.bind((LOCAL, 0))
+        probe.bind((live.LOCAL, 0))
         return int(probe.getsockname()[1])
 
 
@@ -117,7 +111,7 @@ def _run(arguments: list[str]) -> None:
     # Its log goes nowhere: on a healthy day it is a screenful that hides the one line that says where to look.
     quiet = subprocess.DEVNULL
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
-    process = subprocess.Popen([rerun_program(), *arguments], stdout=quiet, stderr=quiet, start_new_session=True)
+    process = subprocess.Popen([live.rerun_program(), *arguments], stdout=quiet, stderr=quiet, start_new_session=True)
     try:
         code = process.wait()
     except BaseException:

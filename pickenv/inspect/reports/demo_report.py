@@ -10,29 +10,14 @@ import numpy as np
 from pickenv.arm import noncompensable_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import EFFECTS
-from pickenv.calibration.assessment.metrics import (
-    ErrorStatistics,
-    bootstrap_interval,
-    error_statistics,
-    wilson_interval,
-)
+from pickenv.calibration.assessment import metrics
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
 from pickenv.inspect.figures.plot_calibration import joint_ranges
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
+from pickenv.inspect.reports import report_page
 from pickenv.inspect.reports.report_interactive import field_spec, pose_spec
-from pickenv.inspect.reports.report_page import (
-    Interactive,
-    Page,
-    PageTable,
-    PageVerdict,
-    Pair,
-    Part,
-    Picture,
-    Section,
-    html_of,
-)
 from pickenv.inspect.reports.report_words import axis_table, estimated, named_values, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
@@ -71,10 +56,12 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         _field(comparison, drawn),
         _poses(comparison, trace, drawn),
         _fit(trace, calibration, drawn),
-        Section("The recording", [_recording(picture(recording) if picture and recording.is_file() else None)]),
+        report_page.Section(
+            "The recording", [_recording(picture(recording) if picture and recording.is_file() else None)]
+        ),
     )
-    return html_of(
-        Page(
+    return report_page.html_of(
+        report_page.Page(
             f"Calibration and picking: {comparison.plant.name}",
             f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
             f"seed {comparison.seed}",
@@ -87,14 +74,14 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     )
 
 
-def demo_verdict(comparison: Comparison) -> PageVerdict:
+def demo_verdict(comparison: Comparison) -> report_page.PageVerdict:
     """What the last policy's calibration is worth against the first."""
     first, last = comparison.policies[0], comparison.policies[-1]
-    before, after = error_statistics(first.position_error_mm), error_statistics(last.position_error_mm)
+    before, after = metrics.error_statistics(first.position_error_mm), metrics.error_statistics(last.position_error_mm)
     gain = first.position_error_mm - last.position_error_mm
-    low, high = bootstrap_interval(gain)
+    low, high = metrics.bootstrap_interval(gain)
     picked, total = int(last.success.sum()), len(last.success)
-    least, most = wilson_interval(picked, total)
+    least, most = metrics.wilson_interval(picked, total)
     tolerance = f"a tolerance of {comparison.tolerance_mm:g} mm"
     if least >= REQUIRED_SHARE:
         tone, headline = "good", f"The calibrated arm suffices for {tolerance}"
@@ -117,7 +104,7 @@ def demo_verdict(comparison: Comparison) -> PageVerdict:
         f"{name} {100 * held[first.label].success[name].mean():.0f} % {first.label}, {100 * p.mean():.0f} % calibrated"
         for name, p in held[last.label].success.items()
     )
-    return PageVerdict(
+    return report_page.PageVerdict(
         tone,
         headline,
         f"{removed} What remains is {_mean(after)} mm in the mean and at most {after.max:.2f} mm. {picked} of "
@@ -129,16 +116,18 @@ def demo_verdict(comparison: Comparison) -> PageVerdict:
 
 def _share(policy: PolicyErrors) -> str:
     picked, total = int(policy.success.sum()), len(policy.success)
-    return percent(picked / total, *wilson_interval(picked, total))
+    return percent(picked / total, *metrics.wilson_interval(picked, total))
 
 
-def _mean(statistics: ErrorStatistics, digits: int = 2) -> str:
+def _mean(statistics: metrics.ErrorStatistics, digits: int = 2) -> str:
     return estimated(statistics.mean, *statistics.mean_ci95, digits)
 
 
 def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
-    first, last = (error_statistics(p.position_error_mm) for p in (comparison.policies[0], comparison.policies[-1]))
-    held_out = [error_statistics(values) for values in norms_mm(trace.errors).values()]
+    first, last = (
+        metrics.error_statistics(p.position_error_mm) for p in (comparison.policies[0], comparison.policies[-1])
+    )
+    held_out = [metrics.error_statistics(values) for values in norms_mm(trace.errors).values()]
     return {
         "mean position error of the reaches, raw → calibrated": f"{first.mean:.2f} → {last.mean:.2f} mm",
         "95 of 100 reaches are better than this": f"{last.p95:.2f} mm",
@@ -147,24 +136,27 @@ def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
     }
 
 
-def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
+def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.Section:
     held = gripped(comparison)
     grippers = list(next(iter(held.values())).success)
     heads = ["policy", "position, mean (mm)", "RMS (mm)", "p95 (mm)", "max (mm)", "attitude, mean (deg)"]
     heads += [f"within {comparison.tolerance_mm:g} mm", *(f"taken by {name}" for name in grippers)]
     rows = []
     for policy in comparison.policies:
-        position, attitude = error_statistics(policy.position_error_mm), error_statistics(policy.attitude_error_deg)
+        position, attitude = (
+            metrics.error_statistics(policy.position_error_mm),
+            metrics.error_statistics(policy.attitude_error_deg),
+        )
         cells = [_mean(position), *(f"{value:.2f}" for value in (position.rms, position.p95, position.max))]
         cells += [_mean(attitude, 3), _share(policy)]
         cells += [f"{100 * float(held[policy.label].success[name].mean()):.0f} %" for name in grippers]
         rows.append([policy.label, *cells])
     caption = "Final errors of the reaches; in brackets 95 % intervals (bootstrap for means, Wilson for shares)"
-    return Section(
+    return report_page.Section(
         "Reaches, by policy",
         (
-            PageTable(caption, heads, rows),
-            Pair((drawn["position_error_by_policy"], drawn["reach_errors_cumulative"])),
+            report_page.PageTable(caption, heads, rows),
+            report_page.Pair((drawn["position_error_by_policy"], drawn["reach_errors_cumulative"])),
             drawn["success_against_misalignment"],
         ),
         "Distance of the true tool from the fruit at the end of each reach. Accuracy must not be oversold: a "
@@ -172,28 +164,28 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
     )
 
 
-def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
+def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.Section:
     if "error_fields" not in drawn:
-        return Section("Where the tool misses", ())
+        return report_page.Section("Where the tool misses", ())
     hint = "Drag to turn all scenes together, hover over the end of an arrow to read its millimetres."
-    return Section(
+    return report_page.Section(
         "Where the tool misses",
-        [Interactive(drawn["error_fields"], field_spec(comparison), hint)],
+        [report_page.Interactive(drawn["error_fields"], field_spec(comparison), hint)],
         f"{len(comparison.field_points)} positions {comparison.grid_step * 1e3:g} mm apart, tool upright.",
     )
 
 
-def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, Drawing]) -> Section:
+def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, Drawing]) -> report_page.Section:
     stages = {label: axis_errors(errors) for label, errors in trace.errors.items()}
     caption = "Errors per degree of freedom at the held-out poses, world axes"
     hint = "Hover to read a pose's millimetres."
-    return Section(
+    return report_page.Section(
         "Held-out poses",
         (
             axis_table(caption, stages, "{:.3f}".format),
             _floors(comparison, trace) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
-            Interactive(drawn["error_per_test_pose"], pose_spec(norms_mm(trace.errors)), hint),
-            Pair((drawn["error_histogram"], drawn["error_against_extension"])),
+            report_page.Interactive(drawn["error_per_test_pose"], pose_spec(norms_mm(trace.errors)), hint),
+            report_page.Pair((drawn["error_histogram"], drawn["error_against_extension"])),
         ),
         f"{len(trace.sets['test'])} poses from the whole joint ranges that took no part in the calibration.",
     )
@@ -213,14 +205,14 @@ def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
     return f"Mean attitude error, and the part that no motion of {geometry.joints} joints removes on this arm: {said}."
 
 
-def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, Drawing]) -> Section:
+def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, Drawing]) -> report_page.Section:
     dropped = ", ".join(name for name, kept in zip(trace.names, trace.kept, strict=True) if not kept)
     condition = trace.singular_values[0] / trace.singular_values[-1]
     name, joints = next(iter(trace.sets.items()))
     kind = "" if calibration.learnt is None else f", then {calibration.record['residual']['kind']} on what remains"
     caption = f"Where the {len(joints)} poses of the set “{name}” lie within the joint limits."
     ranges = Drawing("joint_ranges", caption, lambda: joint_ranges(trace.nominal, joints))
-    return Section(
+    return report_page.Section(
         "How the calibration was found",
         (
             f"Least squares on {len(joints)} poses{kind}. {int(trace.kept.sum())} of {len(trace.kept)} parameters can "
@@ -228,14 +220,14 @@ def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, 
             f"absorb them: {dropped or 'none'}.",
             drawn["least_squares_convergence"],
             drawn["parameter_spectrum"],
-            Pair((drawn.get("network_convergence"), ranges)),
+            report_page.Pair((drawn.get("network_convergence"), ranges)),
         ),
     )
 
 
-def _recording(screenshot: bytes | None) -> Part:
+def _recording(screenshot: bytes | None) -> report_page.Part:
     if screenshot is not None:
-        return Picture(
+        return report_page.Picture(
             screenshot, "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
         )
     return (

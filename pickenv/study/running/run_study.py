@@ -14,15 +14,8 @@ from pickenv.errors import InputError
 from pickenv.locks import locked
 from pickenv.study.design.config import LS, RAW, StudyConfig
 from pickenv.study.design.protocol import Protocol, prepared_study
+from pickenv.study.results import study_folder
 from pickenv.study.results.row_table import Study, write_chunk
-from pickenv.study.results.study_folder import (
-    SUMMARY,
-    missing_chunks,
-    open_folder,
-    read_rows,
-    table_sha256,
-    write_record,
-)
 from pickenv.study.running.runners import Crew, Executor, Work, load_executor, run_serial
 
 BATCHED = "batched"
@@ -65,8 +58,10 @@ def run_study(
     protocol = prepared_study(config)
     work = _work(protocol, executor, device)
     with locked(folder):
-        study = open_folder(folder, config, f"batched on {device}" if executor == BATCHED else "arm by arm")
-        missing, damaged = missing_chunks(folder, study)
+        study = study_folder.open_folder(
+            folder, config, f"batched on {device}" if executor == BATCHED else "arm by arm"
+        )
+        missing, damaged = study_folder.missing_chunks(folder, study)
         for path in damaged:
             if warn is not None:
                 warn(f"{path} is damaged and is computed again")
@@ -107,7 +102,7 @@ def _summary(study: Study, folder: Path, executor: str, seconds: float, reused: 
     from pickenv.study.results.quantiles import quantiles_of
     from pickenv.study.results.yields import yields_of
 
-    config, rows = study.config, read_rows(folder)
+    config, rows = study.config, study_folder.read_rows(folder)
     quantiles = [{key: _known(value) for key, value in row.items()} for row in quantiles_of(rows).to_pylist()]
     summary = {
         "plant": config.plant,
@@ -123,13 +118,13 @@ def _summary(study: Study, folder: Path, executor: str, seconds: float, reused: 
         "seconds": seconds,
         "chunks_reused": reused,
         "config_sha256": study.sha256,
-        "table_sha256": table_sha256(folder),
+        "table_sha256": study_folder.table_sha256(folder),
         "yield": yields_of(rows, config.share).to_pylist(),
         "quantiles_mm": [row for row in quantiles if row["quantity"].endswith("_mm")],
         "quantiles_deg": [row for row in quantiles if row["quantity"].endswith("_deg")],
     }
     # The summary comes last: where it stands, the study is complete.
-    return write_record(folder / SUMMARY, summary)
+    return study_folder.write_record(folder / study_folder.SUMMARY, summary)
 
 
 def _known(value: Any) -> Any:
