@@ -144,6 +144,10 @@ class _Recorder:
                 episodes.send_rows(stream, self._scene, log.key, log.rows[begin:])
 
 
+NOT_OF_THE_RECORDER = ("self", "env", "indices")
+"""Arguments of the wrappers that are not the recorder's."""
+
+
 class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
     """Log episodes for the Rerun viewer: true and nominal arm, fruit, miss, and every number of `info`.
 
@@ -197,17 +201,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         Raises:
             InputError: If an argument is impossible; later, if a file cannot be written or a viewer not be reached.
         """
-        settings: dict[str, Any] = {
-            "save_path": save_path,
-            "episode_trigger": episode_trigger,
-            "step_trigger": step_trigger,
-            "recording_length": recording_length,
-            "name_prefix": name_prefix,
-            "policy": policy,
-            "spawn": spawn,
-            "connect": connect,
-            "serve": serve,
-        }
+        settings = {name: value for name, value in locals().items() if name not in NOT_OF_THE_RECORDER}
         RecordConstructorArgs.__init__(self, **settings)
         gym.Wrapper.__init__(self, env)
         self._recorder = _Recorder(env, [policy], **settings)
@@ -267,17 +261,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         Raises:
             InputError: If an argument is impossible; later, if a file cannot be written or a viewer not be reached.
         """
-        settings: dict[str, Any] = {
-            "save_path": save_path,
-            "episode_trigger": episode_trigger,
-            "step_trigger": step_trigger,
-            "recording_length": recording_length,
-            "name_prefix": name_prefix,
-            "policy": policy,
-            "spawn": spawn,
-            "connect": connect,
-            "serve": serve,
-        }
+        settings = {name: value for name, value in locals().items() if name not in NOT_OF_THE_RECORDER}
         RecordConstructorArgs.__init__(self, indices=indices, **settings)
         VectorWrapper.__init__(self, env)
         if not indices or not all(0 <= i < env.num_envs for i in indices) or len(set(indices)) != len(indices):
