@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, Geometry, Pose, rotation_matrix, rotation_vector
+from pickenv.arm import Arm, Pose, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.alignment import align
 from pickenv.calibration.identification.robust import (
@@ -23,7 +23,6 @@ from pickenv.calibration.identification.robust import (
     robust_identify,
     sizes_of,
 )
-from pickenv.calibration.model.coverage import Coverage
 from pickenv.calibration.model.error_model import frames_model, geometric_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations, origins_of
@@ -36,9 +35,6 @@ EXPLAINED = 8.0
 
 ROBUST_ROWS = 2000
 """The robust fit is made on so many rows at most, taken evenly; all rows are judged by it."""
-
-LOST_SHARE = 0.25
-"""Poses that lose more than this share of the parameters that full-range poses show are refused."""
 
 FEW = 4
 """Fewer held-out rows than this are named one by one, and never taken for another set-up."""
@@ -249,19 +245,3 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
             changed[:, axes] *= scale
             rows = replace(data, **{name: rotation_matrix(changed) if name == "rotation" else changed})  # type: ignore[arg-type]
             yield f"{label} is read in {here} there and in {elsewhere} elsewhere", rows
-
-
-def refuse_lost(coverage: Coverage, geometry: Geometry, measurements: Measurements) -> None:
-    """Refuse poses that hide more than `LOST_SHARE` of what poses over the whole joint ranges would show.
-
-    Raises:
-        InputError: Names the parameters, and joints that hardly move.
-    """
-    if coverage.full_rank - coverage.rank <= LOST_SHARE * coverage.full_rank:
-        return
-    still = [f"joint {i + 1} ({geometry.joint_names[i]})" for i in np.flatnonzero(coverage.used < 0.02)]
-    hint = f"; {', '.join(still)} hardly move" if still else ""
-    raise InputError(
-        f"{measurements.source}: these poses show {coverage.rank} of the {coverage.full_rank} parameters that full-"
-        f"range poses show, and lose {', '.join(coverage.lost[:8])}{hint}; measure poses that move every joint"
-    )

@@ -16,9 +16,13 @@ from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.identifiability import identifiability
 from pickenv.calibration.model.measurements import Measurements, random_joints
+from pickenv.errors import InputError
 
 PROBES = 200
 """Poses drawn from the whole joint ranges."""
+
+LOST_SHARE = 0.25
+"""Poses that lose more than this share of the parameters that full-range poses show are refused."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,4 +102,20 @@ def pose_coverage(model: ErrorModel, geometry: Geometry, measurements: Measureme
         move=tuple(sorted(chosen)),
         used=used,
         joint_names=geometry.joint_names,
+    )
+
+
+def refuse_lost(coverage: Coverage, geometry: Geometry, measurements: Measurements) -> None:
+    """Refuse poses that hide more than `LOST_SHARE` of what poses over the whole joint ranges would show.
+
+    Raises:
+        InputError: Names the parameters, and joints that hardly move.
+    """
+    if coverage.full_rank - coverage.rank <= LOST_SHARE * coverage.full_rank:
+        return
+    still = [f"joint {i + 1} ({geometry.joint_names[i]})" for i in np.flatnonzero(coverage.used < 0.02)]
+    hint = f"; {', '.join(still)} hardly move" if still else ""
+    raise InputError(
+        f"{measurements.source}: these poses show {coverage.rank} of the {coverage.full_rank} parameters that full-"
+        f"range poses show, and lose {', '.join(coverage.lost[:8])}{hint}; measure poses that move every joint"
     )

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from pickenv.arm import Arm, load_arm
-from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_lost, refuse_misses
+from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_misses
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.identification.rows import choose, unknowns_of
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.coverage import Coverage, pose_coverage
+from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
