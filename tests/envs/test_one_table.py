@@ -23,7 +23,7 @@ from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachVectorEnv
 from pickenv.harvester.picking import attempt, draw_luck
 from pickenv.orchard import capture_probability
 from pickenv.study.design.config import RAW, Noise, StudyConfig
-from pickenv.study.design.protocol import prepare
+from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.outcomes import chunk_table
 from pickenv.study.running.arm_by_arm import evaluate_arm
 from pickenv.study.running.batched import judge_ideally
@@ -42,7 +42,7 @@ def protocol():
     nothing = {"noise": (Noise(0.0, 0.0),), "it_grades": None, "residual_poses": 1, "payload_kg": (0.0,)}
     judged = {"radius_mm": TOLERANCE_MM, "share": 0.9, "tolerances": ("medium",), "methods": (RAW,)}
     counts = {"poses": (10,), "seed": 0, "arms": ARMS, "chunk": ARMS, "fruit": FRUIT}
-    return prepare(StudyConfig(plant="qiao2026", **counts, **judged, **nothing))
+    return prepared_study(StudyConfig(plant="qiao2026", **counts, **judged, **nothing))
 
 
 @pytest.fixture(scope="module")
