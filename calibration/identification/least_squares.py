@@ -199,7 +199,7 @@ def identify(
     )
 
 
-def identify_surely(
+def identify_converged(
     model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Equations]
 ) -> Identification:
     """`identify`; where that wanders among parameters that the data hardly show, again without those.

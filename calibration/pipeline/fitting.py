@@ -14,7 +14,7 @@ import numpy as np
 
 from pickenv.arm import Arm, Geometry, forward
 from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
-from pickenv.calibration.identification.least_squares import Identification, identify, identify_surely
+from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import frames_model, geometric_model, with_terms
@@ -106,7 +106,7 @@ def identified(arm: Arm, data: Observations, aligned: Identification | None, ter
     """
     nominal = arm.nominal if aligned is None else aligned.geometry
     start = ArmModel.of(nominal, terms)
-    found = identify_surely(with_terms(geometric_model(arm.nominal, aligned is None), start), start, [data])
+    found = identify_converged(with_terms(geometric_model(arm.nominal, aligned is None), start), start, [data])
     record = {
         "source": data.source,
         "poses": len(data.joints),

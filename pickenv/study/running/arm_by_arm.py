@@ -18,7 +18,7 @@ from pickenv.arm.kinematics.pose_error import pose_error
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.calibration.compensation.compensator import Compensator
-from pickenv.calibration.identification.least_squares import identify_surely
+from pickenv.calibration.identification.least_squares import identify_converged
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import simulated_tracker
 from pickenv.calibration.pipeline.calibration import Calibration
@@ -104,7 +104,7 @@ def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, number: int) -
     """The compensator of one arm, and the steps of its least squares."""
     measured = seen_by(arm, setting.noise)
     noise = protocol.stream(TRACKER, number)
-    found = identify_surely(
+    found = identify_converged(
         protocol.model, protocol.nominal, simulated_tracker(measured, protocol.poses[: setting.poses], noise)
     )
     iterations = len(found.residual_rms) - 1

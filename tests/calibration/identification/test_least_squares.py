@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pickenv.arm import forward, load_arm, parameter_jacobian, rotation_matrix
 from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
 from pickenv.calibration.identification import least_squares
-from pickenv.calibration.identification.least_squares import describe_absorption, identify_surely, is_angle
+from pickenv.calibration.identification.least_squares import describe_absorption, identify_converged, is_angle
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
@@ -235,8 +235,8 @@ def test_what_wanders_is_identified_again_with_fewer_and_fewer_parameters(qiao, 
 
     monkeypatch.setattr(least_squares, "identify", wandering)
     settles = 2
-    assert identify_surely(link_model(qiao.nominal), qiao.nominal, data).converged
+    assert identify_converged(link_model(qiao.nominal), qiao.nominal, data).converged
     assert asked == [1.0, 3.0, 10.0]
     asked, settles = [], 3
     with pytest.raises(InputError, match="the identification did not converge"):
-        identify_surely(link_model(qiao.nominal), qiao.nominal, data)
+        identify_converged(link_model(qiao.nominal), qiao.nominal, data)
