@@ -274,7 +274,7 @@ def _system(
     """Whitened, scaled Jacobian: unknowns first, then the model's columns."""
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
     by_arm = np.concatenate([columns[:, model.columns] for columns, _ in parts])
-    by_unknown = block_diag(*(columns for _, columns in parts))
+    by_unknown = parts[0][1] if len(parts) == 1 else block_diag(*(columns for _, columns in parts))
     return np.asarray(np.hstack([by_unknown, by_arm]) * (tolerance * factors))
 
 
