@@ -23,7 +23,7 @@ from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_tables import write_grid
 from pickenv.commands.inspection import inspect, recordings_of
 from pickenv.errors import InputError
-from pickenv.inspect.recordings import open_recording
+from pickenv.inspect.recordings import live
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.recordings.live import Live, open_live
 from pickenv.inspect.recordings.open_recording import check_recording
@@ -263,11 +263,11 @@ def test_connect_sends_everything_to_a_viewer_that_runs(
         deadline = time.monotonic() + 600.0
         while time.monotonic() < deadline:
             try:
-                open_recording.check_answers(url)
+                live.check_answers(url)
                 break
             except InputError:
                 time.sleep(0.2)
-        monkeypatch.setattr(open_recording, "PATIENCE", 600.0)
+        monkeypatch.setattr(live, "PATIENCE", 600.0)
         inspect(recording, connect=url)
         wanted = len(RrdReader(recording).stream().to_chunks())
         chunks = awaited(copy, lambda chunks: len(chunks) >= wanted)
