@@ -35,26 +35,7 @@ __all__ += ["OracleReach", "Policy", "PolicyGrid", "RandomReach", "Reaches", "Ro
 __all__ += ["ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "episode_seeds", "load_policy"]
 __all__ += ["roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
 
-__getattr__, __dir__ = _offered(
-    "pickenv.agents",
-    {
-        "evaluation.calibrated": ("CalibrationPlan",),
-        "evaluation.grid": ("GridSettings", "PolicyGrid", "run_grid"),
-        "evaluation.reaches": ("Reaches", "episode_seeds", "run_reaches"),
-        "evaluation.rollout": ("Rollout", "roll_out"),
-        "policies.adaptive": ("AdaptiveReach", "AdaptiveSettings"),
-        "policies.gap_wrapper": ("GapScaling",),
-        "policies.harvest_policy": ("ScriptedHarvest",),
-        "policies.learned": ("LearnedPolicy", "load_policy", "shipped_baselines"),
-        "policies.oracle": ("OracleReach",),
-        "policies.pick_policy": ("ScriptedPick",),
-        "policies.policy": ("Policy",),
-        "policies.scripted": ("RandomReach", "ScriptedReach"),
-        "policies.servo": ("ServoReach",),
-        "training.training": ("Trained", "train"),
-        "training.training_setup": ("Training",),
-    },
-)
+__getattr__, __dir__ = _offered(__name__)
 
 if __name__ == "agents":  # in a checkout, by the folder's own name: the same things, and no second copy of a shelf
     __path__.clear()

@@ -9,14 +9,13 @@ Importing it registers the environments. Everything else, torch, stable-baseline
 it is first asked for.
 """
 
-from importlib import import_module as _import_module
 from importlib import metadata as _metadata
 from typing import TYPE_CHECKING as _TYPE_CHECKING
-from typing import Any as _Any
 
 import gymnasium as _gymnasium
 
-from pickenv.errors import InputError
+from pickenv.errors import InputError as InputError
+from pickenv.faces import offered as _offered
 
 if _TYPE_CHECKING:
     from pickenv import agents, arm, calibration, envs, harvester, inspect, orchard, study, wrappers
@@ -24,36 +23,11 @@ if _TYPE_CHECKING:
     from pickenv.arm import Arm, Plant, load_arm, load_plant
     from pickenv.calibration import Calibration, Choices, Result, calibrate
 
-_HOMES = {
-    "arm": ("Arm", "Plant", "load_arm", "load_plant"),
-    "calibration": ("Calibration", "Choices", "Result", "calibrate"),
-    "agents": ("load_policy", "run_reaches"),
-}
+__all__ = ["Arm", "Calibration", "Choices", "InputError", "Plant", "Result", "__version__", "agents", "arm"]
+__all__ += ["calibrate", "calibration", "envs", "harvester", "inspect", "load_arm", "load_plant", "load_policy"]
+__all__ += ["orchard", "run_reaches", "study", "wrappers"]
 
-__all__ = [
-    "Arm",
-    "Calibration",
-    "Choices",
-    "InputError",
-    "Plant",
-    "Result",
-    "__version__",
-    "agents",
-    "arm",
-    "calibrate",
-]
-__all__ += ["calibration", "envs", "harvester", "inspect", "load_arm", "load_plant", "load_policy", "orchard"]
-__all__ += ["run_reaches", "study", "wrappers"]
-
-
-def __getattr__(name: str) -> _Any:
-    """What users need, from the room that has it, loaded when first asked for."""
-    for room, names in _HOMES.items():
-        if name in names:
-            return getattr(_import_module(f"pickenv.{room}"), name)
-    if name in __all__:
-        return _import_module(f"pickenv.{name}")
-    raise AttributeError(f"module 'pickenv' has no attribute '{name}'")
+__getattr__ = _offered(__name__)[0]
 
 
 def __dir__() -> list[str]:

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import ast
+import sys
+from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 
-def offered(package: str, homes: Mapping[str, tuple[str, ...]]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """The ``__getattr__`` and the ``__dir__`` of a package.
+def offered(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """The ``__getattr__`` and the ``__dir__`` of a package: it offers what it imports for type checkers alone.
 
     Args:
-        package: Its name.
-        homes: For each of its modules, by the name within the package, what it offers.
+        package: Its name; the imports stand under ``if TYPE_CHECKING`` in its own file.
     """
-    modules = {name: module for module, names in homes.items() for name in names}
+    face = ast.parse(Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8"))
+    imports = [node for block in face.body if isinstance(block, ast.If) for node in block.body]
+    homes = {a.name: node.module for node in imports if isinstance(node, ast.ImportFrom) for a in node.names}
 
     def attribute(name: str) -> Any:
-        if name not in modules:
+        if name not in homes:
             raise AttributeError(f"module '{package}' has no attribute '{name}'")
-        return getattr(import_module(f"{package}.{modules[name]}"), name)
+        if homes[name] == package:  # a room of the package itself
+            return import_module(f"{package}.{name}")
+        return getattr(import_module(str(homes[name])), name)
 
-    return attribute, lambda: sorted(modules)
+    return attribute, lambda: sorted(homes)

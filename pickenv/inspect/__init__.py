@@ -28,18 +28,4 @@ __all__ = ["Comparison", "LogRerun", "LogRerunVector", "PolicyErrors", "Run", "c
 __all__ += ["inspect_calibration", "inspect_evaluation", "inspect_harvest", "page_of", "read_run", "record_comparison"]
 __all__ += ["save_figure", "trace_drawings", "write_calibration_report", "write_drawings"]
 
-__getattr__, __dir__ = _offered(
-    "pickenv.inspect",
-    {
-        "figures.run_drawings": ("comparison_drawings", "trace_drawings", "write_drawings"),
-        "figures.style": ("save_figure",),
-        "recordings.comparison_recording": ("record_comparison",),
-        "recordings.harvest_recording": ("inspect_harvest",),
-        "recordings.inspections": ("inspect_calibration", "inspect_evaluation"),
-        "recordings.log_rerun": ("LogRerun", "LogRerunVector"),
-        "reports.calibration_report": ("write_calibration_report",),
-        "reports.run_pages": ("drawings_of", "page_of"),
-        "runs.comparison": ("Comparison", "PolicyErrors"),
-        "runs.run_folder": ("Run", "read_run"),
-    },
-)
+__getattr__, __dir__ = _offered(__name__)

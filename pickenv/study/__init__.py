@@ -27,17 +27,4 @@ if _TYPE_CHECKING:
 __all__ = ["Crew", "StudyConfig", "check_folder", "load_study", "quantiles_of", "read_rows", "read_summary"]
 __all__ += ["record_study", "run_study", "sensitivities_of", "study_of", "write_outputs", "yields_of"]
 
-__getattr__, __dir__ = _offered(
-    "pickenv.study",
-    {
-        "analysis.sensitivity": ("sensitivities_of",),
-        "analysis.study_recording": ("record_study",),
-        "analysis.study_report": ("write_outputs",),
-        "design.config": ("StudyConfig", "load_study"),
-        "results.quantiles": ("quantiles_of",),
-        "results.study_folder": ("check_folder", "read_rows", "read_summary", "study_of"),
-        "results.yields": ("yields_of",),
-        "running.run_study": ("run_study",),
-        "running.runners": ("Crew",),
-    },
-)
+__getattr__, __dir__ = _offered(__name__)

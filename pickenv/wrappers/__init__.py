@@ -16,10 +16,4 @@ if _TYPE_CHECKING:
 
 __all__ = ["Compensate", "CompensationVectorWrapper", "CompensationWrapper", "Sb3Vec", "make_sb3_vec"]
 
-__getattr__, __dir__ = _offered(
-    "pickenv.wrappers",
-    {
-        "compensation": ("Compensate", "CompensationVectorWrapper", "CompensationWrapper"),
-        "sb3": ("Sb3Vec", "make_sb3_vec"),
-    },
-)
+__getattr__, __dir__ = _offered(__name__)
