@@ -1,5 +1,6 @@
 """What is built and installed: one package, whose names nobody else's packages can take away."""
 
+import os
 import subprocess
 import sys
 import sysconfig
@@ -26,8 +27,14 @@ print(ScriptedReach.__module__, result.quality.grade)
 """
 
 
+ENVIRONMENT = {
+    name: value for name, value in os.environ.items() if name != "PYTHONPATH"
+}  # which hides what is installed
+
+
 def run(*command: str | Path, cwd: Path) -> str:
-    done = subprocess.run([str(word) for word in command], cwd=cwd, capture_output=True, text=True, check=False)
+    words = [str(word) for word in command]
+    done = subprocess.run(words, cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
