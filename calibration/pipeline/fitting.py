@@ -72,16 +72,16 @@ def fit(
     Raises:
         InputError: If there are too few rows, the data do not fit the arm, or the identification does not converge.
     """
-    found = identified(arm, data, framed(arm, data, known_frames), terms)
+    found = fit_geometry(arm, data, fit_frames(arm, data, known_frames), terms)
     if residual_measurements is None:
         return found
     if rng is None:
         raise ValueError("give rng, which seeds the residual model")
     settings = (settings or BpnnSettings()) if residual == "bpnn" else None
-    return learnt(found, residual, residual_measurements, rng, settings, progress)
+    return fit_remainder(found, residual, residual_measurements, rng, settings, progress)
 
 
-def framed(arm: Arm, data: Observations, known: bool) -> Identification | None:
+def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | None:
     """Base and tool, fitted from anywhere with the data's own unknowns; None where they are known.
 
     Raises:
@@ -98,8 +98,8 @@ def framed(arm: Arm, data: Observations, known: bool) -> Identification | None:
     return found
 
 
-def identified(arm: Arm, data: Observations, aligned: Identification | None, terms: tuple[Term, ...] = ()) -> Fit:
-    """Geometry and terms by least squares, from where `framed` left base and tool.
+def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, terms: tuple[Term, ...] = ()) -> Fit:
+    """Geometry and terms by least squares, from where `fit_frames` left base and tool.
 
     Raises:
         InputError: If there are too few rows, or the identification does not converge.
@@ -124,7 +124,7 @@ def identified(arm: Arm, data: Observations, aligned: Identification | None, ter
     return Fit(Calibration(arm.name, arm.nominal, nominal, found.arm_model, None, record), found, aligned)
 
 
-def learnt(
+def fit_remainder(
     found: Fit,
     kind: str,
     data: Measurements,

@@ -22,11 +22,12 @@ from pickenv.calibration.identification.term_choice import TermChoice, choose_te
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
 from pickenv.calibration.model.error_model import geometric_model
-from pickenv.calibration.model.measurements import Frames, Measurements
-from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.measurements import FRAMES, Frames, Measurements
+from pickenv.calibration.model.observations import Observations, origins_of
+from pickenv.calibration.model.origins import named
 from pickenv.calibration.model.splits import equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
-from pickenv.calibration.pipeline.fitting import Fit, framed, identified, learnt
+from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
 from pickenv.calibration.residuals.bpnn import BpnnSettings
@@ -124,7 +125,7 @@ class Draft:
 
 
 def calibrate(
-    arm: Arm | str,
+    arm: Arm | str | Path,
     data: Data,
     *,
     columns: str | Path | None = None,
@@ -139,8 +140,8 @@ def calibrate(
     """Calibrate an arm from measurements of any kind, and judge the result on rows that it never saw.
 
         result = pickenv.calibrate("ur5", "tracker.csv", columns="my_tracker.toml")
-        print(result.report())
-        result.calibration.save("ur5.npz")
+        print(result)
+        result.save("ur5.npz")
 
     Args:
         arm: The arm, its name, or its file (TOML, or URDF as ``file.urdf#tip``).
@@ -155,12 +156,13 @@ def calibrate(
         progress: Called with (epochs done, epochs in all) while the paper's network trains.
 
     Raises:
-        InputError: Names the file, row, column, unit or joint at fault: if a file cannot be read, the data do not fit
-            the arm, rows are far off, held out or not, or show too few parameters, a name is unknown, an option does
-            not apply to this kind of measurement, or the identification does not converge.
+        InputError: Names the file, row, column, unit or joint at fault: if a file cannot be read, rows are not numbers
+            or not of one kind, the data do not fit the arm, rows are far off, held out or not, or show too few
+            parameters, a name is unknown, an option does not apply to this kind of measurement, or the identification
+            does not converge.
     """
     choices = choices or Choices()
-    arm = load_arm(arm) if isinstance(arm, str) else arm
+    arm = load_arm(arm) if isinstance(arm, str | Path) else arm
     train, floor = _rows(arm, data, columns)
     if test is None:
         rows = choose(train, split, test_rows, np.random.default_rng(choices.seed))
@@ -191,12 +193,36 @@ def _rows(arm: Arm, data: Data, columns: str | Path | None) -> tuple[Observation
     if isinstance(data, Sequence):
         reading = read_observations(data, arm.nominal, columns)
         return reading.observations, reading.floor
+    _refuse_no_numbers(arm, data)
     return data, None
+
+
+def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
+    """Refuse arrays that no file could have held."""
+    if not hasattr(data, "joints"):
+        raise InputError(f"{type(data).__name__} are no measurements; give files, Measurements or other observations")
+    if data.joints.shape != (len(data.joints), arm.nominal.joints):
+        raise InputError(
+            f"{data.source}: joints have shape {data.joints.shape}, but arm '{arm.name}' has {arm.nominal.joints} joints"
+        )
+    for name in ("joints", "position", "rotation", "length"):
+        values = getattr(data, name, None)
+        if values is not None and not np.isfinite(values).all():
+            rows = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1)).tolist()
+            places = named([origins_of(data).place(row) for row in rows])
+            raise InputError(f"{places}: {name} is no finite number; correct or remove it")
 
 
 def _check(draft: Draft) -> Draft:
     """Refuse options that do not apply; leave rows that are far off out, or refuse them."""
     choices, poses = draft.choices, draft.poses
+    if choices.frames is not None and choices.frames not in FRAMES:
+        raise InputError(f"frames is '{choices.frames}'; give {' or '.join(FRAMES)}")
+    if type(draft.train) is not type(draft.test):
+        raise InputError(
+            f"{draft.train.source} holds {draft.train.kind}, but {draft.test.source}, to judge by, {draft.test.kind}; "
+            "give rows of one kind"
+        )
     if poses is None:
         _refuse_options(draft.train, choices)
         return draft
@@ -224,12 +250,12 @@ def _refuse_options(train: Observations, choices: Choices) -> None:
 
 def _align(draft: Draft) -> Draft:
     """Base and tool, where they are not known."""
-    return replace(draft, aligned=framed(draft.arm, draft.train, draft.choices.frames == "known"))
+    return replace(draft, aligned=fit_frames(draft.arm, draft.train, draft.choices.frames == "known"))
 
 
 def _identify(draft: Draft) -> Draft:
     """The geometry, by least squares."""
-    return draft.with_fit(GEOMETRY, identified(draft.arm, draft.train, draft.aligned))
+    return draft.with_fit(GEOMETRY, fit_geometry(draft.arm, draft.train, draft.aligned))
 
 
 def _check_again(draft: Draft) -> Draft:
@@ -291,7 +317,7 @@ def _learn(draft: Draft) -> Draft:
 
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
     name, best = draft.best
-    return draft.with_fit(f"{name}+{kind}", learnt(best, kind, data, draft.rng, settings, draft.progress))
+    return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, draft.progress))
 
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:

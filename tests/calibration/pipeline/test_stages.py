@@ -127,3 +127,40 @@ def test_the_pipeline_enters_no_module_twice_but_least_squares(dynamic, sets, tm
     names = [Path(file).stem for file in entered]
     assert names[0] == "read" and names[-1] == "result" and len(names) > 5
     assert {name for name in names if names.count(name) > 1} <= {"least_squares"}
+
+
+def blind(data, name):
+    values = getattr(data, name).copy()
+    values[[3, 7], 2] = np.nan
+    return replace(data, **{name: values})
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "sentence"),
+    [
+        (lambda train, test, wire: {"data": np.zeros((9, 6))}, "ndarray are no measurements; give files"),
+        (lambda train, test, wire: {"data": blind(train, "joints")}, "rows 4, 8: joints is no finite number"),
+        (lambda train, test, wire: {"test": blind(test, "position")}, "rows 4, 8: position is no finite number"),
+        (lambda train, test, wire: {"data": replace(train, joints=train.joints[:, :5])}, "'qiao2026' has 6 joints"),
+        (lambda train, test, wire: {"test": wire}, "holds pose, but wire lengths, to judge by, distance"),
+        (lambda train, test, wire: {"data": wire}, "wire lengths holds distance, but .* to judge by, pose"),
+        (
+            lambda train, test, wire: {"choices": replace(PLAIN, frames="lost")},
+            "frames is 'lost'; give known",
+        ),
+        (lambda train, test, wire: {"split": "halves", "test": None}, "split is 'halves'; give random or blocked"),
+        (lambda train, test, wire: {"data": []}, "no measurement file was given"),
+    ],
+    ids=["array", "joint", "position", "joints", "kind held out", "kind", "frames", "split", "no file"],
+)
+def test_what_is_no_calibration_is_refused_in_one_sentence(dynamic, sets, spoilt, sentence):
+    wire = DistanceObservations(sets[0].joints, np.ones(len(sets[0])), 1e-4)
+    given = {"data": sets[0], "test": sets[1], "choices": PLAIN} | spoilt(*sets, wire)
+    with pytest.raises(InputError, match=sentence):
+        calibrate(dynamic.arm, given.pop("data"), **given)
+
+
+def test_an_arm_is_named_by_its_file_too(dynamic, sets, result):
+    path = pickenv.arm.files.arm_file.ARMS / "qiao2026.toml"
+    for name in (path, str(path)):
+        assert calibrate(name, sets[0], test=sets[1], choices=PLAIN).best.mean == result.best.mean
