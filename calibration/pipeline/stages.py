@@ -203,7 +203,7 @@ def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
         raise InputError(f"{type(data).__name__} are no measurements; give files, Measurements or other observations")
     if data.joints.shape != (len(data.joints), arm.nominal.joints):
         raise InputError(
-            f"{data.source}: joints have shape {data.joints.shape}, but arm '{arm.name}' has {arm.nominal.joints} joints"
+            f"{data.source}: joints have shape {data.joints.shape}, and arm '{arm.name}' has {arm.nominal.joints} joints"
         )
     for name in ("joints", "position", "rotation", "length"):
         values = getattr(data, name, None)
