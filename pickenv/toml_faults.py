@@ -83,22 +83,30 @@ def _at(content: Any, place: list[Any]) -> Any:
 CLOSING = ("", "]", "]]", "]]]", '"""', "'''")
 """What may close a value that a file's first lines leave open."""
 
+MOST_READ = 1_000_000
+"""Characters read at most to find a line; a file that would need more has its key named without one."""
+
 
 def line_of(text: str, place: list[Any]) -> int | None:
     """The line, from 1, in which the value at ``place`` of a valid TOML file begins, or the table around it.
 
-    The file is read up to each line that names the key, what is open there being closed, until it has the place.
+    The file is read up to each line that names the key, what is open there being closed, until it has the place, or
+    `MOST_READ` is reached.
     """
     while place and _at(tomllib.loads(text), place) is None:
         place = place[:-1]
     depth = max((i for i, part in enumerate(place) if isinstance(part, str)), default=-1)
-    lines, reached = text.split("\n") if place else [], False
+    lines, reached, left = text.split("\n") if place else [], False, MOST_READ
     for number, line in enumerate(lines, 1):
-        named = place[depth] in line
+        named = place[depth] in line and not line.lstrip().startswith("#")
         reached = reached or named
         if named or (reached and depth < len(place) - 1):
             for closing in CLOSING:
-                if _at(_parsed("\n".join([*lines[:number], closing])), place) is not None:
+                read = "\n".join([*lines[:number], closing])
+                left -= len(read)
+                if left < 0:
+                    return None
+                if _at(_parsed(read), place) is not None:
                     return number
     return None
 

@@ -9,6 +9,7 @@ import jsonschema
 import pytest
 from typer.testing import CliRunner
 
+from pickenv import toml_faults
 from pickenv.arm.files.arm_file import ARMS
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.arm.plant.tolerances import TOLERANCES
@@ -154,3 +155,16 @@ def test_the_command_prints_a_schema_and_names_the_kinds() -> None:
     assert "overlap_mm" in json.dumps(json.loads(printed.output))
     unknown = CliRunner().invoke(app, ["schema", "robot"])
     assert isinstance(unknown.exception, InputError) and "give one of arm, plant" in str(unknown.exception)
+
+
+def test_a_fault_behind_very_much_text_is_named_without_much_reading(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Comments are no keys; a file that names the key again and again is given up, and loses the line alone."""
+    read: list[int] = []
+    whole = toml_faults._parsed
+    monkeypatch.setattr(toml_faults, "_parsed", lambda text: read.append(len(text)) or whole(text))
+    text = "# length_mm\n" * 5000 + "length_mm = 1"
+    assert line_of(text, ["length_mm"]) == 5001 and len(read) == 1
+    read.clear()
+    text = "\n".join(f"x{i} = 'length_mm'" for i in range(5000)) + "\nlength_mm = 1"
+    assert line_of(text, ["length_mm"]) is None
+    assert sum(read) <= toml_faults.MOST_READ

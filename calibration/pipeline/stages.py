@@ -201,10 +201,9 @@ def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
     """Refuse arrays that no file could have held."""
     if not hasattr(data, "joints"):
         raise InputError(f"{type(data).__name__} are no measurements; give files, Measurements or other observations")
-    if data.joints.shape != (len(data.joints), arm.nominal.joints):
-        raise InputError(
-            f"{data.source}: joints have shape {data.joints.shape}, and arm '{arm.name}' has {arm.nominal.joints} joints"
-        )
+    shape, wanted = data.joints.shape, arm.nominal.joints
+    if shape != (len(data.joints), wanted):
+        raise InputError(f"{data.source}: joints have shape {shape}, but arm '{arm.name}' has {wanted} joints")
     for name in ("joints", "position", "rotation", "length"):
         values = getattr(data, name, None)
         if values is not None and not np.isfinite(values).all():
