@@ -252,7 +252,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
     from pickenv.inspect.figures.run_drawings import comparison_drawings, trace_drawings, write_drawings
     from pickenv.inspect.recordings.comparison_recording import record_comparison
     from pickenv.inspect.reports.demo_report import page
-    from pickenv.inspect.runs.run_folder import recorded_run, save_comparison, save_trace
+    from pickenv.inspect.runs.run_folder import recorded_run, save_part
 
     report = progress or (lambda stage, done, total: None)
     found = trace(result)
@@ -262,8 +262,8 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
             result.network.write_csv(out / "network_measurements.csv"),
             result.test.write_csv(out / "test_measurements.csv"),
             result.calibrated.calibration.save(out / "calibration"),
-            save_comparison(out, result.comparison),
-            save_trace(out, found, result.settings.seed),
+            save_part(out, result.comparison, result.comparison.seed),
+            save_part(out, found, result.settings.seed),
         ]
         drawings = [*comparison_drawings(result.comparison), *trace_drawings(found)]
         written += write_drawings(drawings, out / "figures", ("png",), report)

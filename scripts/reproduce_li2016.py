@@ -41,7 +41,7 @@ from pickenv.harvester.zones import load_grid
 from pickenv.inspect.figures.run_drawings import write_drawings
 from pickenv.inspect.recordings.harvest_recording import inspect_harvest
 from pickenv.inspect.reports.harvest_report import drawings, page
-from pickenv.inspect.runs.run_folder import recorded_run, save_harvest
+from pickenv.inspect.runs.run_folder import recorded_run, save_part
 
 TARGETS_MM = {"left": (420, -1400, 1000), "middle": (96, -1450, 1280), "right": (-500, -1386, 1500)}
 PICK_POINT_MM = (-80, -660, 1220)
@@ -263,7 +263,7 @@ def main(
     dense = max(study.trees["optimised"], key=lambda h: max(len(r.fruit) for r in h.rounds))
     command = "python scripts/reproduce_li2016.py" + (" --quick" if quick else f" --trees {trees}")
     with recorded_run(out, "harvest", command, SEED) as run:
-        save_harvest(out, trace, SEED)
+        save_part(out, trace, SEED)
         for path in write_drawings(drawings(run), out / "figures"):
             console.print(f"figure {path}")
         console.print(f"recording {inspect_harvest(machine, dense, out / 'zone.rrd')}")

@@ -21,7 +21,7 @@ from pickenv.cli import app
 from pickenv.container import write_container
 from pickenv.files import write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.run_folder import recorded_run, save_trace
+from pickenv.inspect.runs.run_folder import recorded_run, save_part
 from pickenv.study.design.config import load_study
 from pickenv.study.running.run_study import run_study
 
@@ -42,7 +42,7 @@ def folder(tmp_path: Path, fitted: tuple[Calibration, CalibrationTrace]) -> Path
     calibration, trace = fitted
     with recorded_run(tmp_path / "run", "calibration", "pickenv calibrate x.csv", 0) as run:
         calibration.save(run.folder / "calibration")
-        save_trace(run.folder, trace, 0)
+        save_part(run.folder, trace, 0)
         write_text(run.folder / "figures.json", "{}\n")
     return run.folder
 

@@ -108,7 +108,7 @@ def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict
     from pickenv.calibration.model.measurements import Measurements
     from pickenv.inspect.reports.calibration_report import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of
-    from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_trace
+    from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_part
 
     assert isinstance(result.train, Measurements) and isinstance(result.test, Measurements)
     stages = list(result.errors.values())
@@ -119,7 +119,7 @@ def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict
     with recorded_run(folder, "calibration", command, seed):
         return [
             result.calibration.save(folder / "calibration"),
-            save_trace(folder, trace, seed),
+            save_part(folder, trace, seed),
             write_json(folder / "figures.json", result.as_dict()),
             write_calibration_report(folder / REPORT, result, seeds),
         ]

@@ -65,14 +65,15 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
 
 def _record(run: Run, policy: str | None) -> Path:
     from pickenv.inspect.recordings.comparison_recording import record_comparison
-    from pickenv.inspect.runs.run_folder import load_comparison
+    from pickenv.inspect.runs.comparison import Comparison
+    from pickenv.inspect.runs.run_folder import load_part
 
     if run.kind == "evaluation":
         return _record_evaluation(run, policy)
     if policy is not None:
         raise InputError(f"{run.folder} holds no evaluation, so it has no --policy {policy}; leave --policy out")
     if run.kind == "demo":
-        return record_comparison(load_comparison(run.folder), run.folder / "errors.rrd")
+        return record_comparison(load_part(run, Comparison), run.folder / "errors.rrd")
     if run.kind == "study":
         from pickenv.study.analysis.study_recording import record_study
 

@@ -80,9 +80,10 @@ def test_a_report_fits_paper(browser: Any, reports: dict[str, Path], name: str, 
 
 
 def test_hovering_reads_a_poses_millimetres(browser: Any, reports: dict[str, Path], run_folder: Path) -> None:
-    from pickenv.inspect.runs.run_folder import load_trace, read_run
+    from pickenv.inspect.runs.calibration_trace import CalibrationTrace
+    from pickenv.inspect.runs.run_folder import load_part, read_run
 
-    errors = load_trace(read_run(run_folder)).errors
+    errors = load_part(read_run(run_folder), CalibrationTrace).errors
     with open_report(browser, reports["report"], viewport=SIZE) as report:
         plot = report.page.locator(".interactive:has(.cartesianlayer .trace)").last
         plot.scroll_into_view_if_needed()
@@ -94,9 +95,10 @@ def test_hovering_reads_a_poses_millimetres(browser: Any, reports: dict[str, Pat
 
 
 def test_hovering_reads_an_arrows_millimetres(browser: Any, reports: dict[str, Path], run_folder: Path) -> None:
-    from pickenv.inspect.runs.run_folder import load_comparison
+    from pickenv.inspect.runs.comparison import Comparison
+    from pickenv.inspect.runs.run_folder import load_part, read_run
 
-    comparison = load_comparison(run_folder)
+    comparison = load_part(read_run(run_folder), Comparison)
     pattern = rf"{NUMBER} mm ?x {NUMBER}, y {NUMBER}, z {NUMBER} mm ?at x {NUMBER}, y {NUMBER}, z {NUMBER} m"
     with open_report(browser, reports["report"], viewport=SIZE) as report:
         plot = report.page.locator(".interactive:has(.gl-container canvas)").first

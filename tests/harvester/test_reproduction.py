@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from pickenv.inspect.reports.harvest_report import page
-from pickenv.inspect.runs.run_folder import load_harvest, read_run
+from pickenv.inspect.runs.harvest_trace import HarvestTrace
+from pickenv.inspect.runs.run_folder import load_part, read_run
 
 ROOT = Path(__file__).parents[2]
 
@@ -40,7 +41,7 @@ def test_the_script_gives_tables_figures_recording_and_json(tmp_path):
     assert figures == {"gantt", "pick_map", "funnel", "throughput", "workspace", "joint_curves"}
     assert (tmp_path / "zone.rrd").stat().st_size > 10_000
     run = read_run(tmp_path)
-    trace = load_harvest(run)
+    trace = load_part(run, HarvestTrace)
     assert trace.funnels["raw"] == found["recovery"]["raw"]["funnel"]
     assert trace.tree_count == found["trees"] == 12
     assert page(run) == (tmp_path / "report.html").read_text(encoding="utf-8")

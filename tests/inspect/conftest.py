@@ -17,7 +17,7 @@ from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.runs.calibration_trace import trace_of
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
-from pickenv.inspect.runs.run_folder import Run, recorded_run, save_comparison, save_trace
+from pickenv.inspect.runs.run_folder import Run, recorded_run, save_part
 
 STEP = 0.055
 
@@ -242,8 +242,8 @@ def demo_run_folder(folder: Path, comparison: Comparison) -> Run:
     found = fit(plant.arm, sets["identification"], known_frames=True)
     errors = {"raw": 1e-3 * rng.normal(size=(12, 6)), "LS": 1e-4 * rng.normal(size=(12, 6))}
     with recorded_run(folder, "demo", "pickenv demo --seed 7", comparison.seed) as run:
-        save_comparison(folder, comparison)
-        save_trace(folder, trace_of(found, sets, errors), comparison.seed)
+        save_part(folder, comparison, comparison.seed)
+        save_part(folder, trace_of(found, sets, errors), comparison.seed)
         found.calibration.save(folder / "calibration")
     return run
 

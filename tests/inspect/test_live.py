@@ -28,7 +28,7 @@ from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.recordings.live import Live, open_live
 from pickenv.inspect.recordings.open_recording import check_recording
 from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.run_folder import recorded_run, save_comparison
+from pickenv.inspect.runs.run_folder import recorded_run, save_part
 
 RERUN = Path(sys.executable).with_name("rerun")
 ROOT = Path(__file__).parents[2]
@@ -39,7 +39,7 @@ def run(without_reaches: Comparison, tmp_path_factory: pytest.TempPathFactory) -
     """A demo's run folder without its recording."""
     folder = tmp_path_factory.mktemp("demo")
     with recorded_run(folder, "demo", "pickenv demo", 7):
-        save_comparison(folder, without_reaches)
+        save_part(folder, without_reaches, without_reaches.seed)
     return folder
 
 

@@ -31,7 +31,7 @@ from pickenv.inspect.reports.report_page import (
 from pickenv.inspect.reports.report_page import Page as ReportPage
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.run_folder import Run, load_trace
+from pickenv.inspect.runs.run_folder import Run, load_part
 
 VOID = {"meta", "link", "img", "br"}
 
@@ -144,7 +144,7 @@ def test_the_tables_are_the_datas(page: Page, comparison: Comparison, demo_run: 
         assert cells[1:4] == [f"{v:.2f}" for v in (np.sqrt(np.mean(mm**2)), np.percentile(mm, 95), mm.max())]
         assert cells[4].startswith(f"{policy.attitude_error_deg.mean():.3f} (")
         assert cells[5].startswith(f"{100 * policy.success.mean():.0f} % (")
-    errors = load_trace(demo_run).errors
+    errors = load_part(demo_run, CalibrationTrace).errors
     for i, axis in enumerate(("x (mm)", "y (mm)", "z (mm)", "rx (deg)", "ry (deg)", "rz (deg)")):
         columns = [error[:, i] * (1e3 if i < 3 else 180.0 / np.pi) for error in errors.values()]
         assert rows[axis] == [
@@ -217,7 +217,7 @@ def test_arrows_and_their_hover_texts_are_the_errors(comparison: Comparison) -> 
 
 
 def test_interactive_figures_carry_their_data_and_a_still_twin(page: Page, demo_run: Run) -> None:
-    trace = load_trace(demo_run)
+    trace = load_part(demo_run, CalibrationTrace)
     specs = page.values("data-spec")
     assert specs == ["error_fields-spec", "error_per_test_pose-spec"]
     content = json.loads(page.scripts["error_per_test_pose-spec"])
@@ -241,7 +241,7 @@ def test_the_recordings_picture_is_shown_or_its_lack_is_said(page: Page, other: 
 
 
 def test_figures_that_the_data_do_not_allow_are_left_out_with_a_reason(demo_run: Run) -> None:
-    trace = load_trace(demo_run)
+    trace = load_part(demo_run, CalibrationTrace)
 
     def left(found: CalibrationTrace) -> dict[str, str]:
         return {d.name: d.reason for d in trace_drawings(found) if isinstance(d, NotDrawn)}

@@ -24,7 +24,7 @@ from pickenv.inspect import drawings_of, page_of
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
-from pickenv.inspect.runs.run_folder import ISO9283, KINDS, Run, read_run, recorded_run, save_harvest
+from pickenv.inspect.runs.run_folder import ISO9283, KINDS, Run, read_run, recorded_run, save_part
 
 LITERATURE = {
     "error_per_test_pose",
@@ -103,7 +103,7 @@ def harvest(tmp_path: Path) -> Run:
         tree_count=12,
     )
     with recorded_run(tmp_path / "harvest", "harvest", "python scripts/reproduce_li2016.py --quick", 2016) as run:
-        save_harvest(run.folder, trace, 2016)
+        save_part(run.folder, trace, 2016)
     return run
 
 
@@ -226,7 +226,7 @@ def test_bad_folders_are_refused_in_one_sentence_and_nothing_is_written(
 
     refused(lambda f: (f / "run.json").unlink(), "no run.json", "no complete run", "pickenv demo")
     refused(lambda f: (f / "comparison.npz").unlink(), "comparison.npz does not exist", "pickenv demo --out")
-    refused(lambda f: (f / "comparison.npz").write_bytes(b"PK"), "comparison.npz is not a Comparison file")
+    refused(lambda f: (f / "comparison.npz").write_bytes(b"PK"), "comparison.npz is not what the run wrote")
     refused(lambda f: (f / "calibration_trace.npz").unlink(), "calibration_trace.npz does not exist")
     refused(lambda f: (f / ISO9283).write_text("{}"), "iso9283.json is not what the run wrote", run=iso)
     refused(lambda f: (f / ISO9283).unlink(), "iso9283.json does not exist", "pickenv iso9283 --out", run=iso)

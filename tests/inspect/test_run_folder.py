@@ -22,13 +22,11 @@ from pickenv.inspect.runs.run_folder import (
     Run,
     added_to,
     faults_of,
-    load_comparison,
     load_iso9283,
-    load_trace,
+    load_part,
     read_run,
     recorded_run,
-    save_comparison,
-    save_trace,
+    save_part,
 )
 
 
@@ -67,12 +65,12 @@ def trace() -> CalibrationTrace:
 @pytest.fixture
 def folder(tmp_path: Path, comparison: Comparison) -> Path:
     with recorded_run(tmp_path / "run", "demo", "pickenv demo --seed 7", 7) as run:
-        save_comparison(run.folder, comparison)
+        save_part(run.folder, comparison, comparison.seed)
     return run.folder
 
 
 def test_a_comparison_comes_back_to_the_bit_with_its_plant(folder: Path, comparison: Comparison) -> None:
-    loaded = load_comparison(folder)
+    loaded = load_part(read_run(folder), Comparison)
     assert_same(loaded, comparison)
     joints = random_joints(comparison.nominal, 5, np.random.default_rng(1))
     np.testing.assert_array_equal(loaded.plant.tool_pose(joints).position, comparison.plant.tool_pose(joints).position)
@@ -81,22 +79,22 @@ def test_a_comparison_comes_back_to_the_bit_with_its_plant(folder: Path, compari
 @pytest.mark.parametrize("name", shipped_plants())
 def test_a_plant_with_any_effect_comes_back(name: str, comparison: Comparison, tmp_path: Path) -> None:
     once = replace(comparison, plant=load_plant(name))
-    save_comparison(tmp_path, once)
-    assert_same(load_comparison(tmp_path), once)
+    save_part(tmp_path, once, once.seed)
+    assert_same(load_part(Run(tmp_path, "demo", "", 7, {}), Comparison), once)
 
 
 def test_a_trace_comes_back_to_the_bit(tmp_path: Path, trace: CalibrationTrace) -> None:
     with recorded_run(tmp_path, "calibration", "pickenv calibrate", 0) as run:
-        save_trace(tmp_path, trace, 0)
-    assert_same(load_trace(run), trace)
+        save_part(tmp_path, trace, 0)
+    assert_same(load_part(run, CalibrationTrace), trace)
     assert trace.extension.shape == (12,)
     assert trace.position_rms[0] > trace.position_rms[-1] > 0
 
 
 def test_equal_runs_give_equal_bytes(tmp_path: Path, comparison: Comparison) -> None:
-    first, again = (save_comparison(tmp_path / name, comparison) for name in ("a", "b"))
+    first, again = (save_part(tmp_path / name, comparison, comparison.seed) for name in ("a", "b"))
     assert first.read_bytes() == again.read_bytes()
-    other = save_comparison(tmp_path / "c", replace(comparison, seed=8))
+    other = save_part(tmp_path / "c", replace(comparison, seed=8), 8)
     assert first.read_bytes() != other.read_bytes()
 
 
@@ -149,7 +147,7 @@ def test_a_study_is_known_by_its_configuration(tmp_path: Path) -> None:
 def test_a_file_that_is_not_whole_is_refused_by_name(folder: Path, change, words: str) -> None:
     change(folder / "comparison.npz")
     with pytest.raises(InputError, match=words) as caught:
-        load_comparison(folder)
+        load_part(Run(folder, "demo", "", 7, {}), Comparison)
     assert "comparison.npz" in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -219,7 +217,7 @@ def test_what_an_earlier_run_left_in_the_folder_is_not_of_this_run(folder: Path,
     (folder / "figures").mkdir()
     (folder / "figures" / "old.svg").write_text("<svg/>")
     with recorded_run(folder, "demo", "pickenv demo --seed 7", 7):
-        save_comparison(folder, comparison)
+        save_part(folder, comparison, comparison.seed)
     assert faults(folder) == {"old.svg": "is stray: this run did not write it"}
 
 
@@ -255,6 +253,12 @@ def test_a_result_from_another_run_is_refused(tmp_path: Path) -> None:
         load_iso9283(read_run(tmp_path / "a"))
 
 
+def test_a_comparison_from_another_run_is_refused(folder: Path, comparison: Comparison) -> None:
+    save_part(folder, replace(comparison, seed=8), 8)
+    with pytest.raises(InputError, match=r"comparison\.npz is not what the run wrote, it was edited or exchanged"):
+        load_part(read_run(folder), Comparison)
+
+
 def flipped(whole: bytes, rng: np.random.Generator) -> bytes:
     content = bytearray(whole)
     content[rng.integers(len(content))] ^= 1 << rng.integers(8)
@@ -263,9 +267,9 @@ def flipped(whole: bytes, rng: np.random.Generator) -> bytes:
 
 @pytest.mark.parametrize("count", [20, pytest.param(500, marks=pytest.mark.slow)])
 def test_one_flipped_bit_anywhere_in_a_trace_is_refused(tmp_path: Path, trace: CalibrationTrace, count: int) -> None:
-    path = save_trace(tmp_path, trace, 0)
+    path = save_part(tmp_path, trace, 0)
     whole, run = path.read_bytes(), Run(tmp_path, "calibration", "", 0, {})
     for number in range(count):
         path.write_bytes(flipped(whole, np.random.default_rng([3, number])))
         with pytest.raises(InputError, match=r"calibration_trace\.npz"):
-            load_trace(run)
+            load_part(run, CalibrationTrace)

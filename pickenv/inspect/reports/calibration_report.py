@@ -24,7 +24,8 @@ from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings
 from pickenv.inspect.reports.report_page import Bar, Page, PageTable, PageVerdict, Pair, Section, html_of
 from pickenv.inspect.reports.report_words import axis_table, named_values, parameter_words
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_trace, written_report
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace
+from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
 VERDICTS = {
@@ -38,7 +39,7 @@ MAP_POSES = 6000
 
 def drawings(run: Run) -> Drawings:
     """The figures of a calibration's run folder."""
-    return trace_drawings(load_trace(run))
+    return trace_drawings(load_part(run, CalibrationTrace))
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:

@@ -22,7 +22,7 @@ from pickenv.inspect.reports.report_words import axis_table, estimated, named_va
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.gripping import gripped
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_comparison, load_trace
+from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
 RECORDING = "errors.rrd"
 REQUIRED_SHARE = 0.95
@@ -31,7 +31,7 @@ REQUIRED_SHARE = 0.95
 
 def drawings(run: Run) -> Drawings:
     """The figures of a demonstration's run folder."""
-    return [*comparison_drawings(load_comparison(run.folder)), *trace_drawings(load_trace(run))]
+    return [*comparison_drawings(load_part(run, Comparison)), *trace_drawings(load_part(run, CalibrationTrace))]
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
@@ -44,7 +44,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     Raises:
         InputError: If a file of the run is missing or damaged.
     """
-    comparison, trace = load_comparison(run.folder), load_trace(run)
+    comparison, trace = load_part(run, Comparison), load_part(run, CalibrationTrace)
     if not len(comparison.fruit):
         raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)

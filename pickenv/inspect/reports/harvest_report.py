@@ -11,12 +11,13 @@ from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.reports.report_words import estimated, percent
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_harvest
+from pickenv.inspect.runs.harvest_trace import HarvestTrace
+from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
 
 def drawings(run: Run) -> Drawings:
     """Figures of a harvester: what the arms did on a tree, what came of the fruit, throughput, reach."""
-    trace = load_harvest(run)
+    trace = load_part(run, HarvestTrace)
     arms = trace.cloud.shape[1]
     shown = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
     return [
@@ -51,7 +52,7 @@ def drawings(run: Run) -> Drawings:
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """The page of a harvester's run folder."""
-    trace = load_harvest(run)
+    trace = load_part(run, HarvestTrace)
     names = list(trace.measures)
     before, after = (trace.measures[name] for name in (names[0], names[-1]))
     verdict = PageVerdict(

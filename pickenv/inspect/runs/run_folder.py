@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 from pickenv.container import refusing_damage
 from pickenv.errors import InputError
@@ -27,9 +27,14 @@ from pickenv.locks import locked
 from pickenv.provenance import code_fingerprint, file_sha256, versions
 
 RECORD = "run.json"
-COMPARISON = "comparison.npz"
-TRACE = "calibration_trace.npz"
-HARVEST = "harvest.npz"
+PARTS: Mapping[type, str] = {
+    Comparison: "comparison.npz",
+    CalibrationTrace: "calibration_trace.npz",
+    HarvestTrace: "harvest.npz",
+}
+"""The files of the numbers behind figures."""
+
+Part = TypeVar("Part", Comparison, CalibrationTrace, HarvestTrace)
 ISO9283 = "iso9283.json"
 REPORT = "report.html"
 STUDY = "study.toml"
@@ -225,34 +230,14 @@ def _unedited(run: Run, name: str) -> Path:
     return path
 
 
-def save_comparison(folder: Path, comparison: Comparison) -> Path:
-    """Write ``comparison`` into a run folder."""
-    return save_numbers(folder / COMPARISON, comparison, seed=comparison.seed)
+def save_part(folder: Path, part: Comparison | CalibrationTrace | HarvestTrace, seed: int | None) -> Path:
+    """Write numbers behind figures into a run folder."""
+    return save_numbers(folder / PARTS[type(part)], part, seed=seed)
 
 
-def load_comparison(folder: Path) -> Comparison:
-    """The comparison of a run folder, to the bit; raises `InputError` as `load_numbers`."""
-    return load_numbers(folder / COMPARISON, Comparison, f"pickenv demo --out {folder}")
-
-
-def save_trace(folder: Path, trace: CalibrationTrace, seed: int | None = None) -> Path:
-    """Write a calibration's trace into a run folder."""
-    return save_numbers(folder / TRACE, trace, seed=seed)
-
-
-def load_trace(run: Run) -> CalibrationTrace:
-    """The calibration's trace of a run folder, to the bit; raises `InputError` as `load_numbers`."""
-    return load_numbers(_unedited(run, TRACE), CalibrationTrace, run.made_by)
-
-
-def save_harvest(folder: Path, trace: HarvestTrace, seed: int) -> Path:
-    """Write a harvester's trace into a run folder."""
-    return save_numbers(folder / HARVEST, trace, seed=seed)
-
-
-def load_harvest(run: Run) -> HarvestTrace:
-    """The harvester's trace of a run folder; raises `InputError` as `pickenv.inspect.runs.saved.load_numbers`."""
-    return load_numbers(_unedited(run, HARVEST), HarvestTrace, run.made_by)
+def load_part(run: Run, kind: type[Part]) -> Part:
+    """Numbers behind figures of a run, to the bit; raises `InputError` as `load_numbers`, or if they were exchanged."""
+    return load_numbers(_unedited(run, PARTS[kind]), kind, run.made_by)
 
 
 def load_iso9283(run: Run) -> dict[str, Any]:
