@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid
 from pickenv.errors import InputError
 from pickenv.files import write_json, write_whole
-from pickenv.inspect.runs.run_folder import Run, recorded_run
+from pickenv.inspect.runs.run_folder import Run, recorded_run, unedited
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
 from pickenv.provenance import command_line
 
@@ -103,8 +103,8 @@ def write_grid(grid: PolicyGrid, folder: Path) -> list[Path]:
 
 
 def read_grid(run: Run) -> PolicyGrid:
-    """The comparison of a run folder, to the bit; raises `InputError` as `pickenv.inspect.runs.saved.load_numbers`."""
-    return load_numbers(run.folder / GRID, PolicyGrid, run.made_by)
+    """The comparison of a run folder, to the bit; raises `InputError` as `load_numbers`, or if it was exchanged."""
+    return load_numbers(unedited(run, GRID), PolicyGrid, run.made_by)
 
 
 def content_of(grid: PolicyGrid) -> dict[str, Any]:

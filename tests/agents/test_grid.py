@@ -168,6 +168,9 @@ def test_figures_are_drawn_from_the_run_folder_to_the_bit(grid, tmp_path):
     drawings = grid_drawings(again)
     written = write_drawings(drawings[:3], tmp_path / "figures", ["svg"])
     assert [path.stat().st_size > 10_000 for path in written] == [True] * 3
+    (tmp_path / "grid.npz").write_bytes(b"of another run")
+    with pytest.raises(InputError, match=r"grid\.npz is not what the run wrote"):
+        read_grid(run)
 
 
 @pytest.mark.parametrize(

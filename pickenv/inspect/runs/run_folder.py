@@ -220,7 +220,7 @@ def faults_of(run: Run) -> list[tuple[Path, str | None]]:
     return found
 
 
-def _unedited(run: Run, name: str) -> Path:
+def unedited(run: Run, name: str) -> Path:
     """The path of one of the run's files; refused where it is missing or not what the run wrote."""
     path = run.folder / name
     if not path.is_file():
@@ -237,7 +237,7 @@ def save_part(folder: Path, part: Comparison | CalibrationTrace | HarvestTrace, 
 
 def load_part(run: Run, kind: type[Part]) -> Part:
     """Numbers behind figures of a run, to the bit; raises `InputError` as `load_numbers`, or if they were exchanged."""
-    return load_numbers(_unedited(run, PARTS[kind]), kind, run.made_by)
+    return load_numbers(unedited(run, PARTS[kind]), kind, run.made_by)
 
 
 def load_iso9283(run: Run) -> dict[str, Any]:
@@ -246,7 +246,7 @@ def load_iso9283(run: Run) -> dict[str, Any]:
     Raises:
         InputError: If the file is missing or damaged.
     """
-    path = _unedited(run, ISO9283)
+    path = unedited(run, ISO9283)
     with refusing_damage(path, "an ISO 9283 result", f"`{run.made_by}` makes it anew"):
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         found["raw"]["poses"], found["settings"], found["plant"], found["standard"]
@@ -262,6 +262,6 @@ def written_report(run: Run) -> str:
     path = run.folder / REPORT
     if not path.is_file():
         raise InputError(f"{path} does not exist: measurements of this kind have no report page; see `pickenv figures`")
-    path = _unedited(run, REPORT)
+    path = unedited(run, REPORT)
     with refusing_damage(path, "a page", f"`{run.made_by}` makes it anew"):
         return path.read_text(encoding="utf-8")
