@@ -189,6 +189,6 @@ def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Fi
         axes.set_title("Drift of the pose accuracy")
         for label, values, colour in style.coloured(series):
             axes.plot(np.asarray(hours, dtype=float), values, color=colour, label=label)
-        axes.set_ylim(bottom=0.0)
+        axes.set_ylim(0.0, 1.2 * max(float(values.max()) for values in series.values()) or 1.0)
         axes.legend()
     return figure
