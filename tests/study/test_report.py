@@ -10,7 +10,7 @@ import pytest
 
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import random_columns
-from pickenv.calibration.assessment.metrics import wilson_interval
+from pickenv.intervals import share_interval as wilson_interval
 from pickenv.errors import InputError
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.run_folder import read_run

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from pyarrow.dataset import Dataset
 
 from pickenv.arm.plant.plant import Plant
-from pickenv.calibration.assessment.metrics import wilson_interval
+from pickenv.intervals import share_interval as wilson_interval
 from pickenv.errors import InputError
 from pickenv.study.design.config import Setting
 from pickenv.study.design.protocol import Protocol
