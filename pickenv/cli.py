@@ -73,12 +73,19 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     )
     rows = []
     for key, row in summary["policies"].items():
-        position, (low, high) = row["position_mm"], row["position_mm"]["mean_ci95"]
+        position, interval = row["position_mm"], row["position_mm"]["mean_ci95"]
         numbers = (position["rms"], position["p95"], row["attitude_deg"]["mean"], row["noncompensable_deg"])
-        cells = [f"{position['mean']:.3f}", f"{low:.3f} to {high:.3f}", *(f"{number:.3f}" for number in numbers)]
+        cells = [
+            f"{position['mean']:.3f}",
+            "none" if interval is None else "{:.3f} to {:.3f}".format(*interval),
+            *(f"{number:.3f}" for number in numbers),
+        ]
         rows.append([LABELS[key], *cells, f"{100 * row['success_rate']:.0f} %"])
     title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
-    caption = f"success: within {summary['tolerance_mm']} mm; floor: attitude error that no joint motion removes"
+    caption = (
+        f"success: within {summary['tolerance_mm']:g} mm and {summary['attitude_tolerance_deg']:g} deg; floor: attitude "
+        "error that no joint motion removes; all of this one calibration: intervals are over fruit"
+    )
     print_table(title, heads, rows, words=("policy",), caption=caption)
     dropped = ", ".join(found["dropped"])
     print(f"identifiable: {found['rank']} of {found['parameters']} parameters; dropped as redundant: {dropped}")

@@ -56,8 +56,8 @@ class HeldOut:
         chosen = ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts)
         return (
             f"{rows} rows, each judged without its block: mean over {self._values} contiguous blocks, between-block "
-            f"interval{self._reason()}; chosen and fitted without each block: {chosen}; the calibration is fitted to "
-            f"all {fitted}"
+            f"interval{self._reason()}; fitted without each block, and chosen on others: {chosen}; the calibration is "
+            f"fitted to all {fitted}"
         )
 
     @property

@@ -92,8 +92,7 @@ class Result:
 
     @property
     def errors(self) -> Mapping[str, Array]:
-        """Held-out errors by model ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad: "nominal", "geometric", then what
-        was added; the last is what will be used."""
+        """Held-out errors by model ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad; the last is what will be used."""
         return self.held_out.errors
 
     @property

@@ -25,7 +25,7 @@ from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import FRAMES, Frames, Measurements
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.origins import named
-from pickenv.calibration.model.splits import BLOCKS, contiguous_folds, equally_spaced
+from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
 from pickenv.calibration.pipeline.held_out import HeldOut, held_out_of, pooled
@@ -208,24 +208,49 @@ def _assessed(draft: Draft, held_out: HeldOut) -> Result:
 
 
 def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None) -> Result:
-    """The calibration of all rows, judged on each block by what the same stages make of the other blocks."""
-    first, *others = STAGES
-    checked = first(draft)
-    whole = _through(others, checked)
+    """The calibration of all rows, judged on each block by what the same stages make of the other blocks.
+
+    Terms and residual model of a block are chosen on every other block, that one never among them, for to choose among
+    residual models anew for every block takes ten times as long.
+    """
+    checked = _check(draft)
+    whole = _through(STAGES[1:], checked)
     folds = contiguous_folds(checked.train.groups, BLOCKS)
+    chosen = [_chosen(checked, np.sort(np.concatenate([held for _, held in folds[1 - i :: 2]]))) for i in range(2)]
     seeds = np.random.SeedSequence(draft.choices.seed).spawn(BLOCKS)
     parts = []
     for number, ((rows, held), seed) in enumerate(zip(folds, seeds, strict=True)):
         here, there = checked.train.select(rows), checked.train.select(held)
+        terms, residual = chosen[number % 2]
+        choices = replace(checked.choices, terms=terms)
+        fold = replace(checked, choices=choices, train=here, test=there, rng=np.random.default_rng(seed))
         try:
-            fold = _through(others, replace(checked, train=here, test=there, rng=np.random.default_rng(seed)))
+            fold = _through((_align, _identify, _check_again, _add_terms), fold)
+            if choices.learn_from is not None:
+                fold = _learn(fold)
+            elif residual is not None and isinstance(here, Measurements):
+                fold = _with_residual(fold, residual, here, None)
         except InputError as error:
-            raise InputError(f"without rows of block {number + 1} of {BLOCKS}: {error}") from None
+            raise InputError(f"without block {number + 1} of {BLOCKS}: {error}") from None
         parts.append(held_out_of(fold.fits, here, there))
         if progress is not None:
             progress(number + 1, BLOCKS)
     judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
     return _assessed(judged, pooled(list(whole.fits), parts))
+
+
+def _chosen(checked: Draft, rows: Rows) -> tuple[str, str | None]:
+    """Names of the terms and of the residual model that the stages choose on these rows."""
+    choices, train = checked.choices, checked.train.select(rows)
+    if choices.terms != "auto" and (choices.residual == "none" or choices.learn_from is not None):
+        return choices.terms, None
+    try:
+        found = _through(STAGES[1:], replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
+    except InputError:
+        return "none", None
+    calibration = found.best[1].calibration
+    terms = "+".join(calibration.record.get("terms", [])) or "none"
+    return terms, None if calibration.learnt is None else calibration.learnt.kind
 
 
 def _rows(arm: Arm, data: Data, columns: str | Path | None) -> tuple[Observations, NoiseFloor | None]:

@@ -16,7 +16,8 @@ from pickenv.calibration.assessment.quality import axis_errors, base_combination
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.assessment.states import MEASURED
 from pickenv.calibration.model.measurements import Measurements, random_joints
-from pickenv.calibration.pipeline.result import GEOMETRIC, NOMINAL, Result
+from pickenv.calibration.pipeline.held_out import GEOMETRIC, NOMINAL
+from pickenv.calibration.pipeline.result import Result
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
@@ -107,8 +108,8 @@ def _verdict(r: Result, test: Measurements) -> PageVerdict:
         "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the tenth that it is judged on"
     )
     sentence = (
-        f"On {len(test)} measured poses {seen}, the tool stood {figure(final.mean)} mm (mean; {interval}) from where the calibrated model says it stands. With the nominal model it is "
-        f"{figure(r.position[NOMINAL].mean)} mm."
+        f"On {len(test)} measured poses {seen}, the tool stood {figure(final.mean)} mm (mean; {interval}) from "
+        f"where the calibrated model says it stands. With the nominal model it is {figure(r.position[NOMINAL].mean)} mm."
     )
     attitudes = list(r.attitude.values())
     if attitudes:
