@@ -35,6 +35,7 @@ from pickenv.files import write_json, write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors
 from pickenv.inspect.runs.field_grid import field_grid
+from pickenv.intervals import share_interval
 from pickenv.wrappers import CompensationWrapper
 
 LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN"}
@@ -217,7 +218,9 @@ def summarise(result: DemoResult) -> dict[str, Any]:
     found = result.calibrated.fit.identification.identifiability
     policies = {}
     for key, run in result.reaches.items():
-        policies[key] = _figures(run.pose_error, run.noncompensable) | {"success_rate": float(run.success.mean())}
+        policies[key] = _figures(run.pose_error, run.noncompensable)
+        policies[key]["success_rate"] = float(run.success.mean())
+        policies[key]["success_ci95"] = share_interval(int(run.success.sum()), len(run.success))
     joints, geometry = result.test.joints, result.plant.geometry
     test = {key: _figures(e, noncompensable_error(geometry, joints, e)) for key, e in result.test_errors.items()}
     axes = ("x", "y", "z", "rx", "ry", "rz")

@@ -109,7 +109,8 @@ def _verdict(r: Result, test: Measurements) -> PageVerdict:
     )
     sentence = (
         f"On {len(test)} measured poses {seen}, the tool stood {figure(final.mean)} mm (mean; {interval}) from "
-        f"where the calibrated model says it stands. With the nominal model it is {figure(r.position[NOMINAL].mean)} mm."
+        f"where the calibrated model says it stands. With the nominal model it is "
+        f"{figure(r.position[NOMINAL].mean)} mm."
     )
     attitudes = list(r.attitude.values())
     if attitudes:

@@ -108,8 +108,8 @@ def demo_verdict(comparison: Comparison) -> report_page.PageVerdict:
         )
     held = gripped(comparison)
     grippers = "; ".join(
-        f"{name} {100 * held[first.label].success[name].mean():.0f} % {first.label}, {100 * p.mean():.0f} % calibrated"
-        for name, p in held[last.label].success.items()
+        f"{name} {_expected(held[first.label].success[name])} {first.label}, {_expected(chance)} calibrated"
+        for name, chance in held[last.label].success.items()
     )
     return report_page.PageVerdict(
         tone,
@@ -129,6 +129,11 @@ def within(comparison: Comparison, policy: PolicyErrors) -> int:
 def _share(comparison: Comparison, policy: PolicyErrors) -> str:
     picked, total = within(comparison, policy), len(policy.success)
     return percent(picked / total, *share_interval(picked, total))
+
+
+def _expected(chances: Array) -> str:
+    """The share of fruit ``(R,)`` that a gripper takes, each with its chance."""
+    return percent(float(chances.mean()), *share_interval(float(chances.sum()), len(chances)))
 
 
 def _mean(statistics: metrics.ErrorStatistics, digits: int = 2) -> str:
@@ -162,7 +167,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
         )
         cells = [_mean(position), *(f"{value:.2f}" for value in (position.rms, position.p95, position.max))]
         cells += [_mean(attitude, 3), _share(comparison, policy)]
-        cells += [f"{100 * float(held[policy.label].success[name].mean()):.0f} %" for name in grippers]
+        cells += [_expected(held[policy.label].success[name]) for name in grippers]
         rows.append([policy.label, *cells])
     some = "in brackets 95 % intervals over fruit" if len(comparison.fruit) >= LEAST else NO_INTERVAL
     caption = f"Final errors of the reaches; {some}. {OF_ONE}"
