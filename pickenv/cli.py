@@ -77,13 +77,13 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     for key, row in summary["policies"].items():
         position, interval = row["position_mm"], row["position_mm"]["mean_ci95"]
         numbers = (position["rms"], position["p95"], row["attitude_deg"]["mean"], row["noncompensable_deg"])
-        said = "none" if interval is None else between(*interval, 3)
+        said = "none" if interval is None else between(interval[0], interval[1], 3)
         cells = [f"{position['mean']:.3f}", said, *(f"{number:.3f}" for number in numbers)]
         rows.append([LABELS[key], *cells, percent(row["success_rate"], *row["success_ci95"])])
     title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
     caption = (
         f"success: within {summary['tolerance_mm']:g} mm and {summary['attitude_tolerance_deg']:g} deg; floor: attitude"
-        f" error that no joint motion removes; all of this one calibration: intervals are over {summary['reaches']} fruit"
+        " error that no joint motion removes; all of this one calibration: intervals are over fruit"
         + ("" if summary["reaches"] >= LEAST else f", and means have none with fewer than {LEAST}")
     )
     print_table(title, heads, rows, words=("policy",), caption=caption)
