@@ -24,6 +24,7 @@ class ErrorStatistics:
         mean: Mean norm.
         mean_ci95: 95 % interval of the mean, over errors or over blocks of them; None where there are too few.
         rms: Root mean square of the norm.
+        rms_ci95: 95 % interval of the root mean square, as that of the mean.
         std: Standard deviation of the norm.
         p95: 95th percentile.
         max: Largest.
@@ -34,6 +35,7 @@ class ErrorStatistics:
     mean: float
     mean_ci95: Ends | None
     rms: float
+    rms_ci95: Ends | None
     std: float
     p95: float
     max: float
@@ -61,10 +63,14 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
         raise ValueError("error statistics need at least one error, all finite")
     norms = np.abs(errors) if errors.ndim == 1 else np.linalg.norm(errors, axis=1)
     axis = () if errors.ndim == 1 else tuple(float(v) for v in np.sqrt(np.mean(errors**2, axis=0)))
+    of_mean, of_square = (
+        mean_interval(values) if blocks is None else block_interval(values, blocks) for values in (norms, norms**2)
+    )
     return ErrorStatistics(
         mean=float(norms.mean()),
-        mean_ci95=mean_interval(norms) if blocks is None else block_interval(norms, blocks),
+        mean_ci95=of_mean,
         rms=float(np.sqrt(np.mean(norms**2))),
+        rms_ci95=None if of_square is None else (max(of_square[0], 0.0) ** 0.5, of_square[1] ** 0.5),
         std=float(norms.std()),
         p95=float(np.percentile(norms, 95)),
         max=float(norms.max()),

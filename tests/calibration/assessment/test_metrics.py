@@ -41,7 +41,7 @@ def test_statistics_of_four_errors():
     assert found.p95 == pytest.approx(3 + 0.85 * 2)
     assert found.axis_rms == pytest.approx((np.sqrt(13 / 4), np.sqrt(17 / 4), np.sqrt(5 / 4)))
     assert found.count == 4
-    assert set(found.as_dict()) == {"mean", "mean_ci95", "rms", "std", "p95", "max", "axis_rms", "count"}
+    assert set(found.as_dict()) == {"mean", "mean_ci95", "rms", "rms_ci95", "std", "p95", "max", "axis_rms", "count"}
     norms = error_statistics([5.0, 1.0, -3.0, 0.0])
     assert norms.axis_rms == () and (norms.mean, norms.rms) == (found.mean, found.rms)
 
