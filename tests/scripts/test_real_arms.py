@@ -23,7 +23,7 @@ def test_every_row_of_the_script_is_in_the_readme_in_its_order() -> None:
     lines = README.splitlines()
     begin = lines.index(f"| {' | '.join(real_arms.HEADS)} |") + 2
     shown = [line.split("|")[1].strip() for line in lines[begin : begin + len(real_arms.ROWS)]]
-    figures = {"models": dict.fromkeys(("nominal", "geometry", "best"), [1.0, 0.5, 2.0]), "used": ["geometry"]}
+    figures = {"models": {key: [1.0, 0.5, 2.0] for key in ("nominal", "geometry", "best")}, "used": ["geometry"]}
     table = real_arms.table_of(dict.fromkeys(real_arms.ROWS, figures)).splitlines()[2:]
     assert shown == [line.split("|")[1].strip() for line in table]
     assert not lines[begin + len(table)].startswith("|")
