@@ -66,6 +66,7 @@ def result() -> dict[str, Any]:
                 "name": f"P{k}",
                 "accuracy_mm": float(rng.uniform(0.1, 3)),
                 "repeatability_mm": float(rng.uniform(0.01, 0.3)),
+                "repeatability_ci95_mm": None if k == 2 else rng.uniform(0.01, 0.3, 2).tolist(),
                 "accuracy_deg": float(rng.uniform(0.01, 0.3)),
                 "repeatability_deg": rng.uniform(0.001, 0.03, 3).tolist(),
             }
@@ -95,17 +96,19 @@ def iso(result: dict[str, Any], tmp_path: Path) -> Run:
 
 def test_iso_9283(iso: Run, result: dict[str, Any]) -> None:
     page = Tables(page_of(iso))
-    (heads, *rows) = page.tables["Accuracy and repeatability at each test pose"]
-    assert heads == ["test pose", "AP (mm)", "RP (mm)", "AP (deg)", "RP (deg)", "vAP (mm)"]
+    (heads, *rows) = page.tables["Accuracy and repeatability of this one arm at each test pose"]
+    assert heads == ["test pose", "AP (mm)", "RP (mm), 95 % interval over cycles", "AP (deg)", "RP (deg)", "vAP (mm)"]
     wanted = []
     for name in CONTROLLERS:
         for pose in result[name]["poses"]:
             variation = result[name]["variation_mm"].get(pose["name"])
+            ends = pose["repeatability_ci95_mm"]
+            interval = "" if ends is None else f" ({ends[0]:.3f} to {ends[1]:.3f})"
             wanted.append(
                 [
                     f"{name} {pose['name']}",
                     f"{pose['accuracy_mm']:.3f}",
-                    f"{pose['repeatability_mm']:.3f}",
+                    f"{pose['repeatability_mm']:.3f}{interval}",
                     f"{pose['accuracy_deg']:.4f}",
                     f"{sorted(pose['repeatability_deg'])[-1]:.4f}",
                     "–" if variation is None else f"{variation:.3f}",
