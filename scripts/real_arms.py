@@ -1,7 +1,8 @@
 """Every row of README's table of measured robots, with its spread: over ten random splits, and between ten blocks.
 
 Needs the measured data sets (PICKENV_DATA). Prints the Markdown table and writes it with all figures as JSON. A row
-that is done is kept in the folder by a hash of its data and settings, so a run that was cut off goes on where it was.
+that is done is kept in the folder by a hash of its data and settings, so a run that was cut off goes on where it was;
+after a change of the code start with an empty folder.
 
 Run: python scripts/real_arms.py [--out runs/real_arms] [--only ur5_blocks]
 """
