@@ -28,12 +28,15 @@ EFFECT_WORDS = {
 }
 
 
-def between(low: float, high: float, digits: int, sign: str = "") -> str:
-    """An interval: 0.12 to 0.34; with ``sign`` "+" both ends have one."""
-    return f"{low:{sign}.{digits}f} to {high:{sign}.{digits}f}"
+def between(low: float | None, high: float | None, digits: int, sign: str = "") -> str:
+    """An interval: 0.12 to 0.34; with ``sign`` "+" both ends have one. An end that is not known (None) is open."""
+    ends = ["" if end is None else f"{end:{sign}.{digits}f}" for end in (low, high)]
+    if all(ends):
+        return f"{ends[0]} to {ends[1]}"
+    return f"{ends[0]} or more" if ends[0] else f"up to {ends[1]}" if ends[1] else "no interval"
 
 
-def estimated(value: float, low: float, high: float, digits: int, unit: str = "") -> str:
+def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "") -> str:
     """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34)."""
     return f"{value:.{digits}f}{unit} ({between(low, high, digits)})"
 

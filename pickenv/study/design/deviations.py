@@ -1,8 +1,8 @@
 """How each drawn arm differs from its design: the columns that sensitivity analyses start from.
 
-``delta_PARAMETER_mm`` or ``_deg``: true minus nominal; ``size_EFFECT``: factor on the design's size; ``sine_EFFECT`` and
-``cosine_EFFECT``: that factor times sine and cosine of the phase, as a periodic error acts; ``rise_K``: the warm arm's
-temperature rise. Numbers that change nothing at rest (frequencies, time constants) are left out.
+``delta_PARAMETER_mm`` or ``_deg``: true minus nominal; ``size_EFFECT``: factor on the design's size; ``sine_EFFECT``
+and ``cosine_EFFECT``: that factor times sine and cosine of the phase, as a periodic error acts; ``rise_K``: the warm
+arm's temperature rise. Numbers that change nothing at rest (frequencies, time constants) are left out.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.errors import InputError
 from pickenv.study.design.config import LS, RAW, Setting
 from pickenv.study.design.protocol import RESIDUAL, Circumstances, Protocol, carrying, measured, seen_by, spread_joints
-from pickenv.study.results.outcomes import Outcomes, chunk_table, reach_status
+from pickenv.study.results.outcomes import Outcomes, chunk_table, gathered, reach_status
 from pickenv.study.results.row_table import OK
 from pickenv.threads import single_threaded
 
@@ -56,13 +56,11 @@ def evaluate_chunk(protocol: Protocol, chunk: int) -> pa.Table:
         for settings in protocol.populations():
             plants = protocol.draw(settings[0], arms)
             found = [evaluate_arm(protocol, settings, plant_at(plants, i), given) for i, given in enumerate(each)]
-            populations.append((plants, [_gathered(outcomes) for outcomes in zip(*found, strict=True)]))
+            populations.append((plants, [gathered(outcomes) for outcomes in zip(*found, strict=True)]))
     return chunk_table(protocol, arms, populations)
 
 
-def evaluate_arm(
-    protocol: Protocol, settings: Sequence[Setting], arm: Plant, given: Circumstances
-) -> list[Outcomes]:
+def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, given: Circumstances) -> list[Outcomes]:
     """Calibrate and judge one true arm in several settings.
 
     Args:
@@ -121,14 +119,3 @@ def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, given: Circums
         protocol.design.arm.name, protocol.nominal, protocol.nominal, ArmModel.of(found.geometry), learnt, record={}
     )
     return calibration.compensator(), iterations
-
-
-def _gathered(outcomes: Sequence[Outcomes]) -> Outcomes:
-    """The outcomes of single arms in one setting, as one."""
-    return Outcomes(
-        setting=outcomes[0].setting,
-        status=[text for part in outcomes for text in part.status],
-        iterations=[steps for part in outcomes for steps in part.iterations],
-        position=np.concatenate([part.position for part in outcomes]),
-        attitude=np.concatenate([part.attitude for part in outcomes]),
-    )

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from pickenv.calibration.compensation.compensator import Compensator, corrected
 from pickenv.errors import InputError
 from pickenv.study.design.config import RAW, Setting
 from pickenv.study.design.protocol import Circumstances, Protocol, carrying
-from pickenv.study.results.outcomes import Outcomes, chunk_table, reach_status
+from pickenv.study.results.outcomes import Outcomes, chunk_table, gathered, reach_status
 from pickenv.study.running.arm_by_arm import evaluate_arm
 from pickenv.study.running.batched_identification import Place, components, identify_batch
 from pickenv.threads import torch_on_one_thread
@@ -58,7 +59,7 @@ def evaluate_batch(protocol: Protocol, chunk: int, device: str = "cpu") -> pa.Ta
     """The rows of a chunk of arms."""
     place = partial(torch.as_tensor, dtype=torch.float64, device=device)
     arms = protocol.config.arms_of(chunk)
-    size = max(1, BLOCKS[device] // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
+    size = _block_size(protocol, device)
     blocks = [range(first, min(first + size, arms.stop)) for first in range(arms.start, arms.stop, size)]
     with torch_on_one_thread():
         return pa.concat_tables([_evaluate_block(protocol, block, place) for block in blocks])
@@ -67,9 +68,12 @@ def evaluate_batch(protocol: Protocol, chunk: int, device: str = "cpu") -> pa.Ta
 def judge_batch(protocol: Protocol, setting: Setting, plants: Plant, given: Sequence[Circumstances]) -> Outcomes:
     """Any batch of arms in one setting, each in the circumstances that are given for it, on this processor."""
     place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
+    size, parts = _block_size(protocol, "cpu"), []
     with torch_on_one_thread():
-        (found,) = _outcomes(protocol, [setting], plants, given, place)
-    return found
+        for first in range(0, len(given), size):
+            part = slice(first, first + size)
+            parts += _outcomes(protocol, [setting], plants_on(plants, itemgetter(part)), given[part], place)
+    return gathered(parts)
 
 
 def check_device(device: str) -> None:
@@ -82,6 +86,11 @@ def check_device(device: str) -> None:
         raise InputError(f"unknown device '{device}'; give one of {', '.join(BLOCKS)}")
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch sees no CUDA device on this machine; give --device cpu")
+
+
+def _block_size(protocol: Protocol, device: str) -> int:
+    """Arms worked on together."""
+    return max(1, BLOCKS[device] // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
 
 
 def _evaluate_block(protocol: Protocol, arms: range, place: Place) -> pa.Table:

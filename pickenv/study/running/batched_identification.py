@@ -132,7 +132,8 @@ def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.boo
     rows, parameters = matrix.shape[1:]
     r = matrix if rows <= parameters else torch.linalg.qr(matrix, mode="r").R
     threshold = REDUNDANCY_TOLERANCE * torch.linalg.vector_norm(r, dim=1).amax(1)
-    basis, masks = torch.zeros_like(r), []
+    basis = torch.zeros_like(r)
+    masks: list[Tensor] = []
     for k in range(parameters):
         rest = r[:, :, k, None]
         for _ in range(2):
