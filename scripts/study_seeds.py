@@ -86,8 +86,10 @@ def studied(config: StudyConfig, seeds: Sequence[int], out: Path) -> list[dict[s
 
 def within_specification(folder: Path, share: float) -> np.ndarray:
     """Whether each arm of a study is within specification in each setting ``(settings, arms)``."""
-    table = read_rows(folder).to_table(columns=["setting", "arm", "share_within"]).sort_by(
-        [("setting", "ascending"), ("arm", "ascending")]
+    table = (
+        read_rows(folder)
+        .to_table(columns=["setting", "arm", "share_within"])
+        .sort_by([("setting", "ascending"), ("arm", "ascending")])
     )
     good = table["share_within"].to_numpy() >= share
     return good.reshape(len(table["setting"].unique()), -1)

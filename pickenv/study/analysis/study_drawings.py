@@ -136,9 +136,7 @@ def study_drawings(found: Findings) -> Drawings:
         if isinstance(table, str):
             drawings.append(NotDrawn(name, table))
         else:
-            caption = (
-                f"What each tolerance explains of the variance between arms, each at its own fruit: {label}."
-            )
+            caption = f"What each tolerance explains of the variance between arms, each at its own fruit: {label}."
             drawings.append(Drawing(name, caption, partial(figures.tornado, table, label)))
     for setting, placement in found.placements.items():
         name = f"placement_{_word(found.row(setting))}"
