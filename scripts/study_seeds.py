@@ -92,7 +92,7 @@ def within_specification(folder: Path, share: float) -> np.ndarray:
         .sort_by([("setting", "ascending"), ("arm", "ascending")])
     )
     good = table["share_within"].to_numpy() >= share
-    return good.reshape(len(table["setting"].unique()), -1)
+    return np.asarray(good.reshape(len(table["setting"].unique()), -1))
 
 
 def agreement(config: StudyConfig, seeds: Sequence[int], out: Path) -> Agreement:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from functools import partial
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -125,7 +126,7 @@ def _print(config: StudyConfig, summary: dict[str, Any]) -> None:
     print_table(title, heads, lines, words=("class", "method"), caption=caption, width=TERMINAL)
     _print_components(summary)
     verdict = study_verdict(config, rows)
-    print(f"{verdict.headline}.\n{verdict.text}")
+    print(f"{verdict.headline}.", fill(verdict.text, TERMINAL), sep="\n")
     print(f"{summary['executor']}: {summary['seconds']:.1f} s; table {summary['table_sha256']}")
 
 
