@@ -10,15 +10,16 @@ import pytest
 
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import random_columns
-from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.errors import InputError
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.run_folder import read_run
+from pickenv.intervals import share_interval
 from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
-from pickenv.study.analysis.study_drawings import gather, specified, study_drawings
+from pickenv.study.analysis.study_drawings import gather, study_drawings
 from pickenv.study.analysis.study_recording import arms_compared, record_study
-from pickenv.study.analysis.study_report import page, study_page, study_verdict, write_outputs
+from pickenv.study.analysis.study_report import page, study_page, write_outputs
+from pickenv.study.analysis.study_verdict import specified, study_verdict
 from pickenv.study.design.config import load_study
 from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.study_folder import read_rows, study_at, write_record
@@ -28,7 +29,7 @@ from pickenv.study.running.run_study import run_study
 STUDY = """
 plant = "qiao2026"
 seed = 3
-arms = 320
+arms = 480
 chunk = 160
 [picking]
 fruit = 8
@@ -118,7 +119,7 @@ def test_equal_studies_give_equal_pages(html, folder):
 
 
 def rows_with(within, arms=400, **changes):
-    low, high = wilson_interval(within, arms)
+    low, high = share_interval(within, arms)
     base = {"tolerances": "medium", "it_grade": 9, "method": "ls", "poses": 30, "noise_mm": 0.015, "noise_deg": 0.012}
     base |= {"payload_kg": 0.0, "setting": 0, "yield": within / arms, "yield_low": low, "yield_high": high}
     return base | changes
@@ -170,7 +171,7 @@ def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
     assert placement.error_mm == pytest.approx(1e3 * outcome.position.mean())
     errors = rows.to_table().to_pandas().query("setting == 4").error_mean_mm
     assert placement.percentile == (errors < placement.error_mm).mean()
-    assert placement.interval == wilson_interval(int((errors < placement.error_mm).sum()), len(errors))
+    assert placement.interval == share_interval(int((errors < placement.error_mm).sum()), len(errors))
 
 
 def test_a_drawn_arm_stands_at_its_own_rank(folder, found):
