@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow.dataset import Dataset
-from scipy.special import chndtrinc, stdtrit
+from scipy.special import chndtr, chndtrinc, stdtrit
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
@@ -255,6 +255,9 @@ def _interval(share: float, chance: float, step: float) -> tuple[float, float]:
     estimate = share - chance
     if not step > 0.0:
         return estimate, estimate
-    scale = step**2
-    low, high = (scale * float(chndtrinc(share / scale, max(chance / scale, 1e-6), tail)) for tail in TAILS)
+    scale, freedom = step**2, max(chance / step**2, 1e-6)
+    low, high = (
+        scale * float(chndtrinc(share / scale, freedom, tail)) if chndtr(share / scale, freedom, 0.0) > tail else 0.0
+        for tail in TAILS
+    )
     return min(low, estimate), max(high, estimate)

@@ -176,7 +176,7 @@ def arm_among_population(
     if not rows:
         raise InputError(f"the quantiles have no arm of setting {setting}; give another setting")
     rows.sort(key=lambda row: row["probability"])
-    value, low, high = (np.array([row[key] for row in rows]) for key in ("value", "low", "high"))
+    value, low, high = (np.array([row[key] for row in rows], dtype=float) for key in ("value", "low", "high"))
     level = 100.0 * np.array([row["probability"] for row in rows])
     blue, red = rgb([*policy_colours(["ls"]), RED])
     share, least, most = (100.0 * p for p in percentile)

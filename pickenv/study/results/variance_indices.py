@@ -32,12 +32,11 @@ def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[
     Raises:
         InputError: If nothing varies.
     """
-    middle = 0.5 * (first.mean() + second.mean())
-    a, b, c = first - middle, second - middle, mixed - middle
-    whole = 0.5 * np.mean((a - b) ** 2, axis=1)
+    whole = 0.5 * np.mean((first - second) ** 2, axis=1)
     if not whole.any():
         raise InputError("the figure is the same whatever is drawn; there is no variance to divide")
-    alone, every = np.mean(b * (c - a), axis=2), 0.5 * np.mean((a - c) ** 2, axis=2)
+    # Jansen 1999: differences within a row alone, so that what the row shares drops out
+    alone, every = whole - 0.5 * np.mean((second - mixed) ** 2, axis=2), 0.5 * np.mean((first - mixed) ** 2, axis=2)
     found = []
     for name, one, all_ in zip(names, alone, every, strict=True):
         least, most = (float(part.mean() / whole.mean()) for part in (one, all_))
