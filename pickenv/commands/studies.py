@@ -126,7 +126,7 @@ def _print(config: StudyConfig, summary: dict[str, Any]) -> None:
     print_table(title, heads, lines, words=("class", "method"), caption=caption, width=TERMINAL)
     _print_components(summary)
     verdict = study_verdict(config, rows)
-    print(f"{verdict.headline}.", fill(verdict.text, TERMINAL), sep="\n")
+    print(fill(f"{verdict.headline}.", TERMINAL), fill(verdict.text, TERMINAL), sep="\n")
     print(f"{summary['executor']}: {summary['seconds']:.1f} s; table {summary['table_sha256']}")
 
 
