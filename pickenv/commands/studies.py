@@ -156,7 +156,7 @@ def _print_components(summary: dict[str, Any]) -> None:
         )
     for setting in summary["components"]:
         if setting["missing"]:
-            print(f"components of variance, {setting['method']}: {setting['missing']}")
+            print(fill(f"components of variance, {setting['method']}: {setting['missing']}", TERMINAL))
 
 
 def _millimetres(value: float | None) -> str:

@@ -31,7 +31,7 @@ MOST_REASONS = 10
 YIELD_OF = (
     "Every arm is calibrated at poses of its own, spread over the joint ranges, and reaches for fruit of its own, "
     "wherever its tool can be upright. A yield is that of the design over this region, and its interval (Wilson, 95 %) "
-    "is over all that was drawn. Settings share arms, poses and fruit, so their differences are known better than they."
+    "is over all that was drawn. Settings share all three, so that their differences are known better than the yields."
 )
 COMPONENTS = (
     "One thing is drawn again while the others are held: shares of the variance of the logarithm of the radius that "

@@ -39,11 +39,11 @@ def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[
     alone, every = whole - 0.5 * np.mean((second - mixed) ** 2, axis=2), 0.5 * np.mean((first - mixed) ** 2, axis=2)
     found = []
     for name, one, all_ in zip(names, alone, every, strict=True):
-        least, most = (float(part.mean() / whole.mean()) for part in (one, all_))
-        if least > most:  # by chance: both then estimate the share of a cause without interactions
-            least = most = 0.5 * (least + most)
+        if one.mean() > all_.mean():  # by chance: both then estimate the share of a cause without interactions
+            one = all_ = 0.5 * (one + all_)
         row: dict[str, Any] = {"group": name}
-        for key, value, part in (("first_order", least, one), ("total", most, all_)):
+        for key, part in (("first_order", one), ("total", all_)):
+            value = float(part.mean() / whole.mean())
             low, high = _ends(part, whole, value)
             row |= {key: value, f"{key}_low": low, f"{key}_high": high}
         found.append(row)
