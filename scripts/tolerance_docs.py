@@ -138,7 +138,7 @@ def printed(out: Path) -> str:
             poses(second),
             "Where the differences between arms come from:\n",
             components(summary),
-            "Which tolerance matters:\n",
+            "Which tolerance matters (in Sobol's groups lead errors count as transmission error):\n",
             sensitivities(second),
             "The arm of the paper's Table 1 in its population:\n",
             placements(second),

@@ -132,11 +132,11 @@ def _print(config: StudyConfig, summary: dict[str, Any]) -> None:
 
 def _print_components(summary: dict[str, Any]) -> None:
     """What the differences between arms come from, in a table for each setting."""
-    from pickenv.inspect.reports.report_words import between
+    from pickenv.inspect.reports.report_words import estimated
 
     def cell(row: dict[str, Any], key: str) -> str:
         low, high = (None if row[end] is None else 100 * row[end] for end in (f"{key}_low", f"{key}_high"))
-        return f"{100 * row[key]:.0f} ({between(low, high, 0)})"
+        return estimated(100 * row[key], low, high, 0)
 
     found = [setting for setting in summary["components"] if setting["shares"]]
     lines = [

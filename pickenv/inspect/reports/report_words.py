@@ -30,7 +30,7 @@ EFFECT_WORDS = {
 
 def between(low: float | None, high: float | None, digits: int, sign: str = "") -> str:
     """An interval: 0.12 to 0.34; with ``sign`` "+" both ends have one. An end that is not known (None) is open."""
-    ends = ["" if end is None else f"{end:{sign}.{digits}f}" for end in (low, high)]
+    ends = ["" if end is None else f"{_plain(end, digits):{sign}.{digits}f}" for end in (low, high)]
     if all(ends):
         return f"{ends[0]} to {ends[1]}"
     return f"{ends[0]} or more" if ends[0] else f"up to {ends[1]}" if ends[1] else "no interval"
@@ -38,7 +38,12 @@ def between(low: float | None, high: float | None, digits: int, sign: str = "") 
 
 def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "") -> str:
     """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34)."""
-    return f"{value:.{digits}f}{unit} ({between(low, high, digits)})"
+    return f"{_plain(value, digits):.{digits}f}{unit} ({between(low, high, digits)})"
+
+
+def _plain(value: float, digits: int) -> float:
+    """The number as it is written, without a minus before a zero."""
+    return round(value, digits) + 0.0
 
 
 def percent(share: float, low: float, high: float, digits: int = 0) -> str:
