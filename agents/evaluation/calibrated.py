@@ -17,6 +17,7 @@ from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, s
 from pickenv.errors import InputError
 from pickenv.provenance import code_fingerprint
 from pickenv.reservations import obey
+from pickenv.seeds import stream
 from pickenv.wrappers import Compensate
 
 COMPENSATIONS = ("raw", "ls", "ls_bpnn", "best")
@@ -36,7 +37,7 @@ class CalibrationPlan:
         identification_poses: Poses for least squares (the paper: 100).
         residual_poses: Poses for the residual model (the paper: 200).
         epochs: Passes of the network's training (the paper: 500).
-        seed: Seed of poses, noise and networks; arm i has child i.
+        seed: Seed of poses, noise and networks; every arm has its own stream.
     """
 
     identification_poses: int = 100
@@ -52,7 +53,7 @@ def calibrate_arm(plant: Plant, compensation: str, protocol: CalibrationPlan, nu
         InputError: If the compensation is not one of `COMPENSATIONS` that calibrate.
     """
     check_compensation(compensation)
-    poses, learning = (np.random.default_rng(part) for part in np.random.SeedSequence([protocol.seed, number]).spawn(2))
+    poses, learning = (np.random.default_rng(part) for part in stream(protocol.seed, "calibration", number).spawn(2))
     counts = (protocol.identification_poses, protocol.residual_poses)
     first, second = (
         simulated_tracker(plant, random_joints(plant.arm.nominal, count, poses), poses) for count in counts
