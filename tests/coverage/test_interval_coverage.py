@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from pickenv.arm.plant.iso9283 import CYCLES, _pose_performance
 from pickenv.intervals import (
     LEAST,
     LEAST_RUNS,
@@ -99,3 +100,15 @@ def test_quantile(repeats: Any, count: int, probability: float, most: float) -> 
     """With 20 values the upper end of the 95th percentile is open: one tail less to miss on."""
     found = lambda rng: quantile_interval(np.exp(rng.normal(size=count)), probability)  # noqa: E731
     repeats.check(found, float(np.exp(norm.ppf(probability))), most, share=0.2)
+
+
+def test_repeatability_by_iso_9283(repeats: Any) -> None:
+    """RP of a scatter that is wider along one axis; its truth is that of two million draws."""
+    size = np.array([1.0, 0.5, 0.3, 1.0, 1.0, 1.0]) * 1e-4
+    many = np.linalg.norm(np.random.default_rng(1).normal(size=(2_000_000, 3)) * size[:3], axis=1)
+    truth = 1e3 * (many.mean() + 3.0 * many.std())
+    repeats.check(
+        lambda rng: _pose_performance("P1", rng.normal(size=(CYCLES, 6)) * size).repeatability_ci95_mm,
+        truth,
+        share=0.2,
+    )
