@@ -52,8 +52,8 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
             cells,
         ),
         PageTable(
-            "What each calibration changes on the same arms and fruit, pair by pair; 95 % intervals over arms, and over "
-            "trainings where there are several",
+            "What each calibration changes on the same arms and fruit, pair by pair; 95 % intervals over arms, and "
+            "over trainings where there are several",
             GAINS,
             gains,
         ),
