@@ -129,12 +129,16 @@ def day_tables(day: Day) -> list[str]:
         "tool "
         f"per pick ({CAMERA_STD * 1e3:g} mm per axis). Mean error (mm), 95 % interval over arms.",
         "",
-        "| | " + " | ".join(parts) + " |",
-        "|---|" + "---|" * len(parts),
+        "| | " + " | ".join(parts) + " | largest |",
+        "|---|" + "---|" * (len(parts) + 1),
     ]
     for name, values in day.errors_mm.items():
         found = [mean_over_arms(values[:, None, part]) for part in parts.values()]
-        lines.append(f"| {name} | " + " | ".join(with_interval(each.value, each.ci95, 2) for each in found) + " |")
+        lines.append(
+            f"| {name} | "
+            + " | ".join(with_interval(each.value, each.ci95, 2) for each in found)
+            + f" | {values.max():.0f} |"
+        )
     return [*lines, ""]
 
 

@@ -44,7 +44,7 @@ class CalibrationPlan:
 
     identification_poses: int = 100
     residual_poses: int = 200
-    epochs: int = 200
+    epochs: int = 100
     seed: int = 0
 
 

@@ -157,7 +157,7 @@ def evaluate(
     tolerances: Annotated[str, typer.Option(help="Tolerance class of the arms.")] = "coarse",
     camera_noise: Annotated[float, typer.Option(help="Noise of the camera's view of the gap, mm per axis.")] = 1.0,
     fruit_noise: Annotated[float, typer.Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
-    epochs: Annotated[int, typer.Option(help="Epochs of each arm's network.", min=1)] = 200,
+    epochs: Annotated[int, typer.Option(help="Epochs of each arm's network.", min=1)] = 100,
     seed: Annotated[int, typer.Option(help="Seed of arms, fruit, pictures and calibrations.", min=0)] = 0,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
     table: Annotated[Path | None, typer.Option(help="Write the rows as .csv or .parquet as well.")] = None,
@@ -166,7 +166,11 @@ def evaluate(
     workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
-    """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit."""
+    """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit.
+
+    On each of 64 arms, least squares take 0.1 s of processor time, a Gaussian process 3 s and a network 3 s: with all
+    defaults about ten minutes on two cores; fewer --arms or --compensation take less, --cache keeps them.
+    """
     from pickenv.agents.evaluation.calibrated import CalibrationPlan
     from pickenv.agents.evaluation.compared_policies import kind_of
     from pickenv.agents.evaluation.grid import GridSettings, run_grid
