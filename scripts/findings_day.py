@@ -134,11 +134,8 @@ def day_tables(day: Day) -> list[str]:
     ]
     for name, values in day.errors_mm.items():
         found = [mean_over_arms(values[:, None, part]) for part in parts.values()]
-        lines.append(
-            f"| {name} | "
-            + " | ".join(with_interval(each.value, each.ci95, 2) for each in found)
-            + f" | {values.max():.0f} |"
-        )
+        cells = " | ".join(with_interval(each.value, each.ci95, 2) for each in found)
+        lines.append(f"| {name} | {cells} | {values.max():.0f} |")
     return [*lines, ""]
 
 

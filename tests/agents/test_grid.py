@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import t
 from typer import Typer
 from typer.testing import CliRunner
 
@@ -162,6 +163,18 @@ def test_rows_are_what_their_episodes_say(grid):
         stayed = [step for step in steps if step <= len(rollout.error_mm)]
         assert row["cycle_s"] == pytest.approx(np.median(stayed) * CONTROL_PERIOD if stayed else None)
         assert row["within_tolerance"] == len(stayed) / 40
+
+
+def test_the_printed_95_percent_are_95_percent(grid):
+    """Hall's skewed t: both ends solve its equation at Student's 2.5 and 97.5 %."""
+    row = grid.rows()[0]
+    arms = 1e3 * np.linalg.norm(grid.cells[0].rollout.reaches.pose_error[:, :3], axis=1).reshape(4, 10).mean(axis=0)
+    spread = arms.std(ddof=1)
+    skewness = np.mean((arms - arms.mean()) ** 3) / spread**3
+    for end, level in zip(row["ci95"], (0.975, 0.025), strict=True):
+        z = (arms.mean() - end) / spread
+        left = z + skewness * z**2 / 3 + skewness**2 * z**3 / 27 + skewness / 60
+        assert left == pytest.approx(t.ppf(level, 9) / np.sqrt(10))
 
 
 def test_a_difference_is_of_arms_in_pairs(grid):
