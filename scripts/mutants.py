@@ -112,6 +112,31 @@ ROOMS = {
         "tests/harvester",
         "picking assignment interference harvest environments",
     ),
+    "picking env": room("pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick"),
+    "harvesting env": room(
+        "pickenv/envs/harvesting",
+        "harvest_batch harvest_env harvest_vector",
+        "tests",
+        "envs/harvest_by_hand harvester/one_cup harvester/environments",
+    ),
+    "reaching": room(
+        "pickenv/envs/reaching",
+        "batch numpy_batch torch_batch vector",
+        "tests/envs",
+        "autoreset streams compensation_vector vector",
+    ),
+    "wrappers": room(
+        "pickenv/wrappers", "compensation sb3", "tests/envs", "compensation_wrapper compensation_vector sb3"
+    ),
+    "orchard": room("pickenv/orchard", "camera stereo vision gripper", "tests/orchard", "gripper camera vision"),
+    "harvester": room(
+        "pickenv/harvester",
+        "assignment rules optimiser pick_point true_machine zones",
+        "tests/harvester",
+        "pick_point true_machine assignment harvest",
+    ),
+    "policies": room("agents/policies", "servo adaptive scripted gap", "tests/agents", "scripted policies learned"),
+    "rollouts": room("agents/evaluation", "rollout reaches", "tests/agents", "evaluation policies grid"),
     "yields": room(
         "pickenv/study",
         "results/outcomes results/quantiles results/yields",

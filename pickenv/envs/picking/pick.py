@@ -21,7 +21,7 @@ from pickenv.envs.shared.task import CONTROL_PERIOD, MOST_ACTION, as_numbers, ch
 from pickenv.errors import InputError
 
 LONGEST = 400
-"""Steps of an episode where the environment was not made by `gymnasium.make`."""
+"""Steps of the time budget, whatever `max_episode_steps` says: the environment is not told of that."""
 STILL = 1.0
 """Time without a command after which the observation says that the arm stands still, s."""
 MOST_LEFT = 50
@@ -72,7 +72,7 @@ class PickEnv(ArmEnv):
     | 12-14 | that position minus believed tool position                           | -2R  | 2R   | m    |
     | 15-17 | upright against believed attitude, shortest rotation vector          | -pi  | pi   | rad  |
     | 18    | time since the joint target moved, at most 1 s                       | 0    | 1    | s    |
-    | 19    | share of the time budget that is left                                | 0    | 1    | 1    |
+    | 19    | share of 400 steps that is left                                      | 0    | 1    | 1    |
     | 20    | a fruit is in the gripper and on its stem                            | 0    | 1    | 1    |
     | 21    | a fruit is in the gripper and off its stem                           | 0    | 1    | 1    |
     | 22    | fruit still to try, in fifties                                       | 0    | 1    | 1    |
@@ -217,12 +217,6 @@ class PickEnv(ArmEnv):
         """Number of the true arm in its population; 0 for a fixed one."""
         return self._arm or 0
 
-    @property
-    def longest(self) -> int:
-        """Steps that the time budget allows."""
-        given = None if self.spec is None else self.spec.max_episode_steps
-        return given if given and given > 0 else LONGEST
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Information]:
@@ -326,7 +320,7 @@ class PickEnv(ArmEnv):
             upright_turn(np.array(believed[6:9])),
             [
                 self._still,
-                max(0.0, 1.0 - self._step / self.longest),
+                max(0.0, 1.0 - self._step / LONGEST),
                 held and not scene.holds_detached,
                 scene.holds_detached,
                 min(1.0, scene.waiting.sum() / MOST_LEFT),
