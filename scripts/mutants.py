@@ -128,7 +128,12 @@ ROOMS = {
     "wrappers": room(
         "pickenv/wrappers", "compensation sb3", "tests/envs", "compensation_wrapper compensation_vector sb3"
     ),
-    "orchard": room("pickenv/orchard", "camera stereo vision gripper", "tests/orchard", "gripper camera vision"),
+    "orchard": room(
+        "pickenv/orchard",
+        "camera stereo vision gripper",
+        "tests/orchard",
+        "gripper camera_by_hand vision_by_hand camera vision bad_input",
+    ),
     "harvester": room(
         "pickenv/harvester",
         "assignment rules optimiser pick_point true_machine zones",
