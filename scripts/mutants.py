@@ -117,7 +117,7 @@ ROOMS = {
         "pickenv/envs/harvesting",
         "harvest_batch harvest_env harvest_vector",
         "tests",
-        "envs/harvest_by_hand harvester/one_cup harvester/environments",
+        "envs/harvest_by_hand harvester/harvest_vector harvester/one_cup",
     ),
     "reaching": room(
         "pickenv/envs/reaching",

@@ -213,6 +213,16 @@ def test_an_empty_cup_sees_where_its_own_push_has_left_the_fruit(begin):
     assert env.state.believed[0, 0] - env.state.fruit[0, 0] == pytest.approx([0.35 * 0.016, 0.0, 0.0])
 
 
+def test_a_cup_finds_a_fruit_where_it_was_pushed_to(begin):
+    """The cup is where a fruit hangs since it was pushed 30 mm; one 60 mm away is still 30 short, and is not taken."""
+    env = begin([[-0.03, 0.0, 0.0], FAR], reachable=[True, False])
+    env.state.shift[0, 0, 0] = 0.03
+    assert counters(env.step(action())[-1])[:3] == (1, 0, 1)
+    env = begin([[-0.06, 0.0, 0.0], FAR], reachable=[True, False])
+    env.state.shift[0, 0, 0] = 0.03
+    assert counters(env.step(action())[-1])[:3] == (0, 0, 1)
+
+
 def side_by_side(level):
     """The left arm swung until its cup is ``level`` m beside the line of the middle arm, and both straight lengths."""
     joints = JOINTS.copy()
@@ -262,3 +272,44 @@ def test_time_runs_out_after_the_periods_that_are_given():
     assert [late for *_, late in ends] == [False, False, True]
     assert [reward for reward, *_ in ends] == pytest.approx([-0.005] * 3)
     assert gym.spec("pickenv/Harvest-v0").max_episode_steps == 600
+
+
+def test_the_observation_is_right_of_ahead_of_and_above_frame_3(begin):
+    """The master heads along -y (turn -90 degrees): right is -x, and frame 3 stands where `Machine.frame3` says."""
+    joints = JOINTS.copy()
+    joints[0] = -math.pi / 2
+    env = begin([[0.1, -0.2, 0.3], FAR, [0.0, 0.0, 0.4]], joints, reachable=[True, True, False], busy=[0, 5, 10])
+    machine, seen = env.task.machine, batch.observe(env.task, env.state)[0]
+    away = env.state.believed[0] - machine.frame3(joints[:3])
+    assert seen[:12] == pytest.approx(2 * (joints - machine.lower) / (machine.upper - machine.lower) - 1, abs=1e-6)
+    assert seen[12:15] == pytest.approx([0.0, 0.5, 1.0])
+    assert seen[15:19] == pytest.approx([-away[0, 0], -away[0, 1], away[0, 2], 1.0], abs=1e-6)
+    assert seen[19:23] == pytest.approx([-away[1, 0], -2.0, away[1, 2], 1.0], abs=1e-6)  # 2 m at the most are shown
+    assert seen[23:].tolist() == [0.0, 0.0, 0.0, 0.0]
+
+
+def test_a_zone_is_drawn_where_the_class_says():
+    """0.7 x 0.4 x 0.55 m on the tree's side, 1.0 to 1.4 m away; the master at its pick point, the slaves at rest."""
+    task = batch.make_harvest_task(fruit=40)
+    state = batch.begin_zones(task, [np.random.default_rng(seed) for seed in range(60)])
+    size = state.fruit.max(axis=1) - state.fruit.min(axis=1)
+    assert (size <= [0.7, 0.4, 0.55]).all() and (size.mean(axis=0) > 0.9 * np.array([0.7, 0.4, 0.55])).all()
+    canopy, height = task.orchard.canopy, state.fruit[..., 2] + task.machine.base_height
+    assert -canopy.standoff - 0.4 <= state.fruit[..., 1].min() and state.fruit[..., 1].max() <= -canopy.standoff
+    assert np.abs(state.fruit[..., 0]).max() <= canopy.width / 2
+    assert canopy.bottom <= height.min() < canopy.bottom + 0.1 and canopy.top - 0.1 < height.max() <= canopy.top
+    assert np.abs(state.fruit[..., 0]).max() > canopy.width / 2 - 0.1
+    error = state.believed - state.fruit
+    assert error.std(axis=(0, 1)) == pytest.approx([0.0008, 0.0012, 0.0008], rel=0.06)
+    assert (state.joints[:, 3:].reshape(60, 3, 3) == task.machine.slave_home).all()
+    reached = [task.machine.reach(joints[:3], seen).any(axis=0) for joints, seen in
+               zip(state.joints, state.believed, strict=True)]  # fmt: skip
+    assert np.array_equal(state.reachable, reached)
+    assert not state.status.any() and not state.busy.any() and (state.tried == -1).all() and not state.periods.any()
+    assert (state.closest == pytest.approx(0.35)) and len(np.unique(state.fruit[:, 0, 0])) == 60
+
+
+@pytest.mark.parametrize("slaves", [1, 2])
+def test_one_arm_alone_is_as_clear_as_can_be_shown(slaves):
+    env = HarvestEnv(slaves=slaves, fruit=1)
+    assert env.reset(seed=0)[1]["closest_mm"] == pytest.approx(2000.0 if slaves == 1 else 350.0)
