@@ -2,14 +2,17 @@
 
 import math
 import re
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pickenv.arm import forward
 from pickenv.envs.picking.pick import PickEnv
-from pickenv.envs.picking.pick_scene import PickScene
+from pickenv.envs.picking.pick_reach import reach_of
+from pickenv.envs.picking.pick_scene import PickScene, upright_turn
 from pickenv.orchard import Strength
 
 STAGES = ("present", "visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
@@ -205,6 +208,42 @@ def test_a_fruit_that_is_blocked_from_below_is_not_in_reach_and_success_does_wit
     env.scene.collected[1:] = True
     *_, info = env.step(np.zeros(7))
     assert info["collected"] == 2 and info["is_success"]
+
+
+def test_the_camera_finds_what_is_within_its_range_from_a_metre_before_the_canopy():
+    """It stands at y = -0.53 + 1 m: 1.07 m from the first fruit, sqrt(0.3^2 + 1.27^2) = 1.305 m from the other."""
+    env = PickEnv(plant="ideal", camera="perfect")
+    fruit = {"fruit": [[0.6, -0.6, 0.55], [0.9, -0.8, 0.55]]}
+    for nearest, farthest, found in ((1.0, 1.3, [True, False]), (1.0, 1.31, [True, True]), (1.1, 1.31, [False, True])):
+        camera = replace(env.orchard.camera, nearest=nearest, farthest=farthest)
+        env.orchard = replace(env.orchard, camera=camera)
+        _, info = env.reset(seed=0, options=fruit)
+        assert env.scene.visible.tolist() == env.scene.reachable.tolist() == found
+        assert (info["present"], info["visible"]) == (2, sum(found))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-3, 0.5, math.pi / 2, 3.0])
+def test_the_shortest_turn_brings_an_axis_upright(angle):
+    heading = 0.7
+    axis = np.array([math.sin(angle) * math.cos(heading), math.sin(angle) * math.sin(heading), math.cos(angle)])
+    turn = upright_turn(axis)
+    assert np.linalg.norm(turn) == pytest.approx(angle, abs=1e-12) and turn[2] == 0.0
+    assert Rotation.from_rotvec(turn).apply(axis) == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
+
+
+def test_reach_is_asked_with_tools_upright_in_the_yaw_of_the_poses_that_it_starts_from(env):
+    """The nearest upright attitude keeps the heading of the tool's x axis; each start is within 30 degrees of it."""
+    reach = reach_of(env.plant.arm.nominal, env.orchard.station.approach)
+    rotation = forward(reach.geometry, reach.joints).rotation
+    heading = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+    wanted = Rotation.from_euler("z", heading).as_matrix()
+    np.testing.assert_allclose(reach.rotations, wanted, atol=1e-12)
+    assert (rotation[:, 2, 2] > math.cos(math.radians(30.0))).all() and len(rotation) > 1000
+
+
+def test_a_tool_upside_down_is_half_a_turn_from_upright():
+    assert upright_turn(np.array([0.0, 0.0, -1.0])) == pytest.approx([math.pi, 0.0, 0.0])
+    assert not upright_turn(np.array([0.0, 0.0, 1.0])).any()
 
 
 @pytest.mark.parametrize("looks", [4, 16, 100])

@@ -277,7 +277,7 @@ class PickEnv(ArmEnv):
 
         if self.scene is None:
             return None
-        command, tool = np.array(self._command()), np.array(self._tool[9:12])
+        command, tool = np.array(self._command()), np.array(self._tool[9:])
         return pixels(draw_pick(self.plant, self.joint_target, command, tool, self.scene, self._number))
 
     def _take_arm(self, asked: int | None, *, again: bool) -> None:
@@ -294,7 +294,7 @@ class PickEnv(ArmEnv):
     def _next(self, believed: Frame) -> int:
         """Number of the next fruit, or of the last one where none waits."""
         assert self.scene is not None
-        number = self.scene.nearest(believed[9:12])
+        number = self.scene.nearest(believed[9:])
         return self._number if number is None else number
 
     def _command(self) -> Sequence[float]:
@@ -310,7 +310,7 @@ class PickEnv(ArmEnv):
     def _observation(self, shown: Sequence[float], believed: Frame) -> NDArray[np.float32]:
         scene = self.scene
         assert scene is not None
-        seen, tool = scene.seen[self._number], np.array(believed[9:12])
+        seen, tool = scene.seen[self._number], np.array(believed[9:])
         held = scene.held is not None
         parts = [
             scaled(FLOATS, self.task, shown),
@@ -332,7 +332,7 @@ class PickEnv(ArmEnv):
     def _information(self, command: Sequence[float]) -> Information:
         scene = self.scene
         assert scene is not None
-        tool, fruit = np.array(self._tool[9:12]), scene.positions[self._number]
+        tool, fruit = np.array(self._tool[9:]), scene.positions[self._number]
         funnel = scene.funnel()
         return {
             **funnel,
