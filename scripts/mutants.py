@@ -138,10 +138,12 @@ ROOMS = {
         "pickenv/harvester",
         "assignment rules optimiser pick_point true_machine zones",
         "tests/harvester",
-        "pick_point true_machine assignment harvest",
+        "pick_point true_machine clock_by_hand assignment",
     ),
-    "policies": room("agents/policies", "servo adaptive scripted gap", "tests/agents", "scripted policies learned"),
-    "rollouts": room("agents/evaluation", "rollout reaches", "tests/agents", "evaluation policies grid"),
+    "policies": room(
+        "agents/policies", "servo adaptive scripted gap", "tests/agents", "policies_by_hand scripted policies learned"
+    ),
+    "rollouts": room("agents/evaluation", "rollout reaches", "tests/agents", "policies_by_hand evaluation"),
     "yields": room(
         "pickenv/study",
         "results/outcomes results/quantiles results/yields",

@@ -10,6 +10,7 @@ import pytest
 
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_env import HarvestEnv
+from pickenv.errors import InputError
 from pickenv.harvester.picking import Luck
 
 MIDDLE, SIDE, LEFT = 1, 2, 0
@@ -313,3 +314,11 @@ def test_a_zone_is_drawn_where_the_class_says():
 def test_one_arm_alone_is_as_clear_as_can_be_shown(slaves):
     env = HarvestEnv(slaves=slaves, fruit=1)
     assert env.reset(seed=0)[1]["closest_mm"] == pytest.approx(2000.0 if slaves == 1 else 350.0)
+
+
+def test_a_zone_has_one_to_forty_fruit():
+    for fruit in (1, 40):
+        assert HarvestEnv(fruit=fruit).observation_space.shape == (12 + 3 + 4 * fruit,)
+    for fruit in (0, 41, 2.0, True):
+        with pytest.raises(InputError, match="whole number from 1 to 40"):
+            HarvestEnv(fruit=fruit)

@@ -199,9 +199,6 @@ class PickEnv(ArmEnv):
         self.observation_space = gym.spaces.Box(self._low, self._high, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.task.joints + 1,), np.float32)
         self.scene: PickScene | None = None
-        self._number = 0
-        self._step = 0
-        self._still = 0.0
         self._target: Sequence[float] = self.task.middle
         self._state = PlantState()
         self._tool: Frame = ()
@@ -260,7 +257,7 @@ class PickEnv(ArmEnv):
         self._state, self._tool = self.plant.advance(math, self._state, command, CONTROL_PERIOD)
         shown = self._shown(command)
         believed = nominal_frames(FLOATS, self.task, shown)[1]
-        scene.advance(before, self._tool, self._number if scene.held is None else None, CONTROL_PERIOD)
+        scene.advance(before, self._tool, self._number, CONTROL_PERIOD)
         scene.work_gripper(gripper, self._number, believed, self._tool)
         if scene.held is None and not scene.waiting[self._number]:
             self._number = self._next(believed)

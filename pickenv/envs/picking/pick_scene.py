@@ -241,8 +241,7 @@ class PickScene:
     def twist(self, share: float) -> None:
         """Twist the fruit by a share of the gripper's largest torque; what is pulled or twisted enough comes off."""
         i, branch = self.held, self.orchard.branch
-        if i is None or self.detached[i]:
-            return
+        assert i is not None
         spring = np.array([branch.stiffness_sideways] * 2 + [branch.stiffness_upright])
         pull = float(np.linalg.norm(spring * self.displacement[i]))
         torque = self.orchard.station.twist * max(share, 0.0)
