@@ -112,7 +112,7 @@ ROOMS = {
         "tests/harvester",
         "picking assignment interference harvest environments",
     ),
-    "picking env": room("pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick"),
+    "picking env": room("pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"),
     "harvesting env": room(
         "pickenv/envs/harvesting",
         "harvest_batch harvest_env harvest_vector",
@@ -138,7 +138,7 @@ ROOMS = {
         "pickenv/harvester",
         "assignment rules optimiser pick_point true_machine zones",
         "tests/harvester",
-        "pick_point true_machine clock_by_hand assignment",
+        "plans_by_hand clock_by_hand pick_point true_machine assignment",
     ),
     "policies": room(
         "agents/policies", "servo adaptive scripted gap", "tests/agents", "policies_by_hand scripted policies learned"

@@ -317,10 +317,10 @@ class PickEnv(ArmEnv):
             upright_turn(np.array(believed[6:9])),
             [
                 self._still,
-                max(0.0, 1.0 - self._step / LONGEST),
+                1.0 - self._step / LONGEST,
                 held and not scene.holds_detached,
                 scene.holds_detached,
-                min(1.0, scene.waiting.sum() / MOST_LEFT),
+                scene.waiting.sum() / MOST_LEFT,
             ],
         ]
         values = np.concatenate(parts, dtype=np.float64)
