@@ -1,5 +1,6 @@
 """Policies and what becomes of their episodes, number by number: filters, scalings, captures and counted steps."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -145,6 +146,41 @@ def test_what_an_episode_showed_is_one_observation_of_the_place_where_the_arm_st
     assert not asked
 
 
+def test_settings_of_which_nothing_is_said_are_a_camera_of_a_millimetre_and_half_of_one_unmodelled(monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        extended_kalman_filter, "update", lambda state, *given, gate: asked.append((given, gate)) or state
+    )
+    monkeypatch.setattr(extended_kalman_filter, "predict", None)  # no drift, so nothing is predicted
+    policy = AdaptiveReach(far_reaching())
+    policy.act(seen_at(GOAL, camera=np.zeros(3)))
+    policy.reset()
+    (((_, _, noise), gate),) = asked
+    assert noise.position_std == pytest.approx(1e-3 * np.sqrt(2 + 0.25)) and gate is None
+
+
+def test_the_filters_begin_with_the_prior_that_is_given_in_tolerances():
+    for prior in (1.0, 0.2):
+        start = AdaptiveReach(far_reaching(), AdaptiveSettings(prior=prior)).start
+        np.testing.assert_allclose(np.sqrt(np.diag(start.covariance)), prior * start.tolerance)
+    assert np.array_equal(AdaptiveReach(far_reaching()).start.covariance, np.diag(start.tolerance**2))
+
+
+def test_each_arm_of_a_batch_notes_its_own_pictures_and_goes_to_its_own_joints(monkeypatch):
+    """Of two arms the second has not arrived: only the first one's filter learns."""
+    asked = []
+    monkeypatch.setattr(extended_kalman_filter, "update", lambda state, *given, gate: asked.append(given) or state)
+    policy = AdaptiveReach(far_reaching())
+    policy.increment = np.full(6, 0.05)
+    pictures = np.array([[0.01, 0.0, 0.0], [0.0, 0.02, 0.0]])
+    action = policy.act(np.stack([seen_at(GOAL, pictures[0]), seen_at(GOAL + 0.05, pictures[1])]))
+    assert action.shape == (2, 6) and np.abs(action[0]).max() < 1e-4 and action[1] == pytest.approx(-1.0, abs=1e-3)
+    policy.reset()
+    ((joints, place, _),) = asked
+    assert joints == pytest.approx(GOAL, abs=1e-6)
+    assert place == pytest.approx(forward(ARM, GOAL).position - pictures[0], abs=1e-9)
+
+
 def test_random_actions_are_even_from_minus_one_to_one():
     env = SimpleNamespace(unwrapped=SimpleNamespace(increment=np.zeros(4)))
     actions = RandomReach(env, np.random.default_rng(0)).act(np.zeros((5000, 16)))
@@ -168,6 +204,7 @@ def test_a_scaling_shows_a_gap_as_direction_and_logarithm(kind, gap, turn, input
         wanted = [0.3, -0.4, *(values[row, gap] / 0.1 / size), *(values[row, turn] / 0.2 / size), np.log10(size) / 2]
         assert scaling.observe(values[row], np) == pytest.approx(wanted)
         assert scaling.share(values[row], np) == pytest.approx([min(size, 1.0)])
+    assert (replace(scaling, actions=False).share(values, np) == 1.0).all()
     assert scaling.observe(values, np).shape == (3, 9) and scaling.share(values, np).shape == (3, 1)
     scaling.check(inputs)
     with pytest.raises(InputError, match=f"observations of {inputs} numbers, but the environment gives 9"):
