@@ -163,6 +163,29 @@ def test_a_fruit_pulled_off_untwisted_is_damaged_and_never_counts_as_collected(e
         assert scene.collected.tolist() == [True]
 
 
+@pytest.mark.parametrize(("pull", "twist", "off", "torn"), [
+    (7.5, 0.3, True, True), (7.6, 0.3, False, False), (9.0, 0.25, True, False), (7.5, 0.25, True, False)
+])  # fmt: skip
+def test_a_limit_that_is_just_met_takes_the_fruit_off(env, pull, twist, off, torn):
+    """62.5 mm upwards against 120 N/m are 7.5 N, and half of the gripper's twist 0.25 N m, exactly."""
+    scene = scene_of(env.orchard, [[0.0, 0.0, 0.0]], strength=Strength(np.array([pull]), np.array([twist])))
+    scene.grasp(0, upright(np.zeros(3)))
+    scene.displacement[0] = [0.0, 0.0, 0.0625]
+    scene.twist(0.5)
+    assert (scene.detached.tolist(), scene.damaged.tolist()) == ([off], [torn])
+
+
+def test_a_fruit_in_the_gripper_goes_with_the_tool_and_is_let_go_at_rest(env):
+    """50 mm aside; its neighbour, 150 mm off, is pulled along by exp(-1) of that."""
+    scene = scene_of(env.orchard, [[0.0, 0.0, 0.0], [-0.15, 0.0, 0.0]])
+    scene.grasp(0, upright([0.002, 0.0, 0.0]))
+    scene.advance(upright([0.002, 0.0, 0.0]), upright([0.002, 0.05, 0.0]), 0, 0.1)
+    assert scene.displacement[0] == pytest.approx([0.0, 0.05, 0.0]) and not scene.velocity[0].any()
+    assert scene.displacement[1] == pytest.approx([0.0, 0.05 / math.e, 0.0])
+    scene.let_go()
+    assert scene.held is None and not scene.damaged.any()
+
+
 def test_a_fruit_that_is_pulled_and_twisted_off_at_once_is_whole(env):
     before(env, [0.0, 0.0, 0.0])
     act(env, CLOSE)
@@ -206,7 +229,7 @@ def test_the_tool_is_a_cylinder_that_touches_fruit_beside_and_below_its_point(en
     assert scene.displacement[1].any() == touched and not scene.damaged.any()
 
 
-@pytest.mark.parametrize(("aside", "goes_in"), [(0.037, True), (0.038, False)])
+@pytest.mark.parametrize(("aside", "goes_in"), [(0.037, True), (0.0375, True), (0.038, False)])
 def test_what_stands_above_the_opening_of_the_tool_goes_in(env, aside, goes_in):
     scene = scene_of(env.orchard, [[aside, 0.0, 0.0], [-0.3, 0.0, 0.0]])
     scene.advance(upright([0.0, 0.0, -0.001]), upright(np.zeros(3)), 0, 0.1)

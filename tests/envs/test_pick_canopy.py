@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import forward
 from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_scene import make_setting, to_base, to_orchard, upright_turn
+from pickenv.envs.picking.pick_scene import draw_scene, make_setting, to_base, to_orchard, upright_turn
+from pickenv.errors import InputError
 from pickenv.orchard import load_canopy, occlusion, sample_fruit, shipped
 
 
@@ -136,3 +137,13 @@ def test_an_environment_of_which_nothing_is_said_is_the_one_of_the_class():
     setting = PickEnv().orchard
     made = make_setting("li2016", "li2016_lab", "li2016", "laser_line", "li_cup", 10.0, 16)
     assert vars(setting) == vars(made) and setting.looks == 16
+    assert PickEnv(arms="per_env").task.population == 256
+
+
+@pytest.mark.parametrize(("given", "asked"), [([[0.6, -0.7, 0.5]], 10), (None, 200)])
+def test_fruit_is_drawn_until_some_is_in_reach_but_not_for_ever(env, given, asked):
+    calls = []
+    with pytest.raises(InputError, match="within the arm's reach"):
+        draw_scene(env.orchard, lambda seen: calls.append(seen) or np.zeros(len(seen), bool),
+                   np.random.default_rng(0), given)  # fmt: skip
+    assert len(calls) == asked

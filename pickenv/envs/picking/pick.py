@@ -323,8 +323,7 @@ class PickEnv(ArmEnv):
                 scene.waiting.sum() / MOST_LEFT,
             ],
         ]
-        values = np.concatenate(parts, dtype=np.float64)
-        return np.asarray(values.clip(self._low, self._high), dtype=np.float32)
+        return np.asarray(np.concatenate(parts).clip(self._low, self._high), dtype=np.float32)
 
     def _information(self, command: Sequence[float]) -> Information:
         scene = self.scene

@@ -159,7 +159,7 @@ class PickScene:
 
     def funnel(self) -> dict[str, int]:
         """Fruit that got through each stage; none has more than the one before."""
-        stages = ("visible", "reachable", *FATES[:3])
+        stages = ("visible", "reachable", "attempted", "attached", "detached")
         passed = {stage: int(getattr(self, stage).sum()) for stage in stages}
         return {"present": len(self.rest), **passed, "collected": int((self.collected & ~self.damaged).sum())}
 
