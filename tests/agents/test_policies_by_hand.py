@@ -15,6 +15,7 @@ from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
 from pickenv.agents.policies.servo import ServoReach
 from pickenv.arm import forward, inverse, joint_jacobian, load_arm
 from pickenv.arm.kinematics.inverse import InverseSolution
+from pickenv.calibration import link_model, random_joints
 from pickenv.calibration.identification import extended_kalman_filter
 from pickenv.errors import InputError
 from pickenv.inspect.runs.episode_ends import Reaches
@@ -164,6 +165,15 @@ def test_the_filters_begin_with_the_prior_that_is_given_in_tolerances():
         start = AdaptiveReach(far_reaching(), AdaptiveSettings(prior=prior)).start
         np.testing.assert_allclose(np.sqrt(np.diag(start.covariance)), prior * start.tolerance)
     assert np.array_equal(AdaptiveReach(far_reaching()).start.covariance, np.diag(start.tolerance**2))
+
+
+def test_the_filters_know_only_what_positions_can_tell():
+    """The tool's turns are among what a full pose would tell besides."""
+    policy, typical = AdaptiveReach(far_reaching()), random_joints(ARM, 200, np.random.default_rng(0))
+    full, part = (
+        extended_kalman_filter.start_filter(link_model(ARM), ARM, typical, full_pose=pose) for pose in (True, False)
+    )
+    assert policy.start.columns.tolist() == part.columns.tolist() and len(part.columns) < len(full.columns)
 
 
 def test_each_arm_of_a_batch_notes_its_own_pictures_and_goes_to_its_own_joints(monkeypatch):
