@@ -310,6 +310,40 @@ def test_a_zone_is_drawn_where_the_class_says():
     assert (state.closest == pytest.approx(0.35)) and len(np.unique(state.fruit[:, 0, 0])) == 60
 
 
+def test_what_is_made_of_nothing_said_is_li_s_machine_as_built_before_eight_fruit():
+    task = batch.make_harvest_task()
+    machine = task.machine
+    assert (machine.arms, task.fruit, task.lead) == (3, 8, 10) and machine.spacing == pytest.approx(0.35)
+    slaves = JOINTS[3:].reshape(1, 3, 3)
+    for made, off in ((task, True), (batch.make_harvest_task(ideal=True), False)):
+        error = made.true.tips(JOINTS[None, :3], slaves)[0] - machine.tips(JOINTS[:3], slaves[0])
+        assert (np.linalg.norm(error, axis=1) > 1e-3).all() == off and (np.abs(error).max() > 1e-9) == off
+
+
+@pytest.mark.parametrize("slaves", [2, 3, 4])
+def test_the_guard_watches_every_pair_of_neighbours(slaves):
+    """All arms swing towards the last two's gap: what would meet is held, and one arm alone is never."""
+    env = HarvestEnv(slaves=slaves, fruit=1)
+    env.reset(seed=0)
+    held, closest = 0, np.inf
+    for _ in range(12):
+        moves = np.zeros(3 + 3 * slaves)
+        moves[5::3], moves[4::3] = 1.0, np.where(np.arange(slaves) == slaves - 1, 1.0, -1.0)
+        *_, info = env.step(moves)
+        held, closest = held + info["held"], min(closest, info["closest_mm"])
+    assert held > 0 and closest >= 100.0 - 1e-6
+    alone = HarvestEnv(slaves=1, fruit=1)
+    alone.reset(seed=0)
+    assert alone.step(np.ones(6))[-1]["held"] == 0
+
+
+def test_the_spaces_have_room_for_joints_blades_fruit_and_what_else_is_asked():
+    seen, acted = batch.spaces(batch.make_harvest_task(slaves=2, fruit=2), extra=3)
+    assert seen.high.tolist() == [1.0] * 11 + [2.0, 2.0, 2.0, 1.0] * 2 + [1.0] * 3
+    assert seen.low.tolist() == [-1.0] * 9 + [0.0] * 2 + [-2.0, -2.0, -2.0, 0.0] * 2 + [0.0] * 3
+    assert acted.high.tolist() == [1.0] * 9 and acted.low.tolist() == [-1.0] * 9
+
+
 @pytest.mark.parametrize("slaves", [1, 2])
 def test_one_arm_alone_is_as_clear_as_can_be_shown(slaves):
     env = HarvestEnv(slaves=slaves, fruit=1)

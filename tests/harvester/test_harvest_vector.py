@@ -6,6 +6,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import pickenv  # noqa: F401
+from pickenv.envs.harvesting.harvest_batch import COLLECTED
 from pickenv.envs.harvesting.harvest_env import HarvestEnv
 from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
 from pickenv.errors import InputError
@@ -88,3 +89,20 @@ def test_a_compensator_gets_the_joints_of_all_and_none_may_be_missing():
     envs.compensator = lambda joints: asked.append(joints) or joints
     envs.step(np.zeros((2, 12)))
     assert [joints.shape for joints in asked] == [(2, 12)]
+
+
+def test_an_episode_that_ends_by_itself_begins_anew_in_the_next_step_without_a_reward():
+    envs = HarvestVectorEnv(2, fruit=2)
+    envs.reset(seed=0)
+    rest = np.zeros(envs.action_space.shape)
+    for _ in range(2):
+        envs.state.status[0] = COLLECTED
+        _, rewards, terminated, truncated, info = envs.step(rest)
+        assert terminated.tolist() == [True, False] and not truncated.any() and info["collected"].tolist() == [2, 0]
+        _, rewards, terminated, truncated, info = envs.step(rest)
+        assert not terminated.any() and not truncated.any() and rewards == pytest.approx([0.0, -0.005])
+        assert envs.state.periods[0] == 0 and info["collected"].tolist() == [0, 0]
+
+
+def test_one_harvester_is_a_vector_too():
+    assert HarvestVectorEnv().reset(seed=0)[0].shape == (1, 12 + 3 + 32)
