@@ -52,6 +52,15 @@ def test_numbers_operators_conditions_and_options_are_changed_and_nothing_else(s
 def test_a_larger_sample_holds_a_smaller_one_and_every_room_has_files_and_tests(script):
     for name, room in script.ROOMS.items():
         assert all((script.ROOT / path).is_file() for path in (*room.sources, *room.tests)), name
-    keys = [[mutant.key for mutant in script.shuffled("yields", seed)] for seed in (0, 0, 1)]
+    keys = [[mutant.key for mutant in script.shuffled("yields", seed, {})] for seed in (0, 0, 1)]
     assert keys[0] == keys[1] != keys[2] and sorted(keys[0]) == sorted(keys[2])
     assert len(set(keys[0])) == len(keys[0])
+
+
+def test_the_copy_holds_every_module_and_nothing_that_was_made(script, tmp_path):
+    """Also a package that is called as a folder of results is."""
+    copy = script.copied_project(tmp_path)
+    for package in ("pickenv", "calibration", "agents"):
+        here, there = ({p.relative_to(root) for p in (root / package).rglob("*.py")} for root in (script.ROOT, copy))
+        assert here == there
+    assert not (copy / "runs").exists() and not (copy / ".git").exists()
