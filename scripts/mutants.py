@@ -128,7 +128,7 @@ ROOMS = {
         "residual_referees bpnn residual_models",
     ),
     "processes": room("calibration/residuals", "gaussian_process", "tests/calibration/residuals", "residual_referees gaussian_process"),
-    "gate": room("calibration/residuals", "gate", "tests/calibration/residuals", "gate"),
+    "gate": room("calibration/residuals", "gate", "tests/calibration/residuals", "gate_figures gate"),
     "assessment": room(
         "calibration/assessment",
         "quality base_frame states screen metrics",
@@ -138,7 +138,7 @@ ROOMS = {
     "kalman": room(
         "calibration/identification", "extended_kalman_filter", "tests/calibration/identification", "filter_steps kalman"
     ),
-    "planning": room("calibration/planning", "plan exchange travel", "tests/calibration/planning", "planning"),
+    "planning": room("calibration/planning", "plan exchange travel", "tests/calibration/planning", "plan_figures planning"),
     "pipeline": room(
         "calibration/pipeline",
         "apply uncertainty result fitting stages calibration export",
