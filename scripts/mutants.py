@@ -119,7 +119,7 @@ ROOMS = {
         "pickenv/study",
         "results/outcomes results/quantiles results/yields",
         "tests/study",
-        "yields quantiles rows report",
+        "outcomes yields quantiles rows report",
     ),
     "networks": room(
         "calibration/residuals",
@@ -127,7 +127,9 @@ ROOMS = {
         "tests/calibration/residuals",
         "residual_referees bpnn residual_models",
     ),
-    "processes": room("calibration/residuals", "gaussian_process", "tests/calibration/residuals", "residual_referees gaussian_process"),
+    "processes": room(
+        "calibration/residuals", "gaussian_process", "tests/calibration/residuals", "residual_referees gaussian_process"
+    ),
     "gate": room("calibration/residuals", "gate", "tests/calibration/residuals", "gate_figures gate"),
     "assessment": room(
         "calibration/assessment",
@@ -136,19 +138,29 @@ ROOMS = {
         "thresholds metrics quality verdict",
     ),
     "kalman": room(
-        "calibration/identification", "extended_kalman_filter", "tests/calibration/identification", "filter_steps kalman"
+        "calibration/identification",
+        "extended_kalman_filter",
+        "tests/calibration/identification",
+        "filter_steps kalman",
     ),
-    "planning": room("calibration/planning", "plan exchange travel", "tests/calibration/planning", "plan_figures planning"),
+    "planning": room(
+        "calibration/planning", "plan exchange travel", "tests/calibration/planning", "plan_figures planning"
+    ),
     "pipeline": room(
         "calibration/pipeline",
         "apply uncertainty result fitting stages calibration export",
         "tests/calibration/pipeline",
-        "apply export stages calibration_file",
+        "command_figures apply export stages calibration_file",
     ),
     "inverse": room(
         "pickenv/arm/kinematics", "inverse task_space workspace", "tests/arm/kinematics", "inverse workspace"
     ),
-    "arm files": room("pickenv/arm/files", "urdf arm_file joint_keys", "tests/arm/files", "urdf arm_file"),
+    "arm files": room(
+        "pickenv/arm/files",
+        "urdf arm_file joint_keys",
+        "tests/arm",
+        "files/urdf kinematics/mimic files/arm_file plant/plant_file",
+    ),
     "study": room(
         "pickenv/study/running", "batched batched_identification arm_by_arm", "tests/study", "batched executors"
     ),
@@ -160,7 +172,7 @@ ROOMS = {
         "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
         "reports/calibration_report reports/report_words",
         "tests/inspect",
-        "report calibration_report figures",
+        "shown_numbers figures calibration_report report",
     ),
 }
 
