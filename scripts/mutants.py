@@ -128,7 +128,10 @@ ROOMS = {
         "residual_referees bpnn residual_models",
     ),
     "processes": room(
-        "calibration/residuals", "gaussian_process", "tests/calibration/residuals", "residual_referees gaussian_process"
+        "calibration/residuals",
+        "gaussian_process",
+        "tests/calibration/residuals",
+        "residual_referees gaussian_process",
     ),
     "gate": room("calibration/residuals", "gate", "tests/calibration/residuals", "gate_figures gate"),
     "assessment": room(
