@@ -227,6 +227,13 @@ def is_guard(node: cst.CSTNode) -> bool:
     return isinstance(node, cst.Arg) and node.keyword is not None and node.keyword.value == "strict"
 
 
+def sizes_to_work_out(call: cst.Call) -> list[cst.CSTNode]:
+    """The 1 in ``reshape(-1, ...)``: NumPy works out the size in place of any number below zero."""
+    if not (isinstance(call.func, cst.Attribute) and call.func.attr.value == "reshape"):
+        return []
+    return [argument.value.expression for argument in call.args if isinstance(argument.value, cst.UnaryOperation)]
+
+
 OPERATORS: mutators.OPERATORS_TYPE = [
     (cst.BaseNumber, mutators.operator_number),
     (cst.Name, mutators.operator_name),
@@ -243,17 +250,23 @@ OPERATORS: mutators.OPERATORS_TYPE = [
 class Changes(MutationVisitor):
     """mutmut's search for changes, but for what is said to people."""
 
+    def __init__(self) -> None:
+        super().__init__(OPERATORS, IgnoredCode(set(), set(), set()))
+        self.left: list[cst.CSTNode] = []
+
     def on_visit(self, node: cst.CSTNode) -> bool:
         """Whether to look into a node."""
+        if isinstance(node, cst.Call):
+            self.left += sizes_to_work_out(node)
         said = isinstance(node, cst.Raise | cst.Assert | cst.FormattedString)
-        return not said and not is_guard(node) and super().on_visit(node)
+        return not said and not is_guard(node) and node not in self.left and super().on_visit(node)
 
 
 def mutants_of(path: str, code: str) -> list[Mutant]:
     """Every mutant of a file, in the order of its lines."""
     wrapper = MetadataWrapper(cst.parse_module(code))
     places = wrapper.resolve(PositionProvider)
-    visitor = Changes(OPERATORS, IgnoredCode(set(), set(), set()))
+    visitor = Changes()
     module = wrapper.visit(visitor)
     lines = code.splitlines()
     found: list[Mutant] = []

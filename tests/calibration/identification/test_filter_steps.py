@@ -19,8 +19,10 @@ from pickenv.calibration.identification.extended_kalman_filter import (
     update,
 )
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.error_model import complete_model, link_model
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.error_model import complete_model, link_model, with_terms
 from pickenv.calibration.model.measurements import Measurements, random_joints
+from pickenv.calibration.model.terms import ThermalTerm
 from pickenv.errors import InputError
 
 NOISE = MeasurementNoise(2e-4, 5e-4)
@@ -206,6 +208,25 @@ def test_one_pass_is_row_after_row(qiao, positions):
         )
         known = name in found.identifiability.kept_names
         assert np.isfinite(found.standard_deviation[k]) == known and (known or found.delta[k] == 0.0)
+
+
+def test_each_pose_is_predicted_at_its_own_temperature(qiao):
+    """Links grow with the temperature of each row; the filter learns by how much, and each innovation shrinks."""
+    start = ArmModel.of(qiao.nominal, (ThermalTerm(),))
+    data = exact_poses(qiao, 40)
+    conditions = Conditions(temperature=np.random.default_rng(1).uniform(-20.0, 20.0, 40))
+    change = np.zeros(len(start.parameter_names))
+    change[start.parameter_names.index("thermal")] = 23e-6
+    pose = start.displaced(change).pose(data.joints, conditions)
+    data = replace(data, position=pose.position, rotation=pose.rotation, conditions=conditions)
+    model = with_terms(link_model(qiao.nominal), start)
+    noise = MeasurementNoise(1e-5, 1e-5)
+    found = filter_measurements(model, start, data, noise=noise)
+    state = start_filter(link_model(qiao.nominal), qiao.nominal, data.joints)
+    blind = filter_measurements(link_model(qiao.nominal), qiao.nominal, data, noise=noise)
+    assert "thermal" in " ".join(found.state.names) and "thermal" not in " ".join(state.names)
+    late = [np.abs(each.innovations[-10:]).max() for each in (found, blind)]
+    assert late[0] < 0.1 * late[1]
 
 
 def test_where_every_pose_is_refused_nothing_can_be_said_of_the_noise(qiao):
