@@ -156,7 +156,10 @@ ROOMS = {
         "command_figures apply export stages calibration_file",
     ),
     "inverse": room(
-        "pickenv/arm/kinematics", "inverse task_space workspace", "tests/arm/kinematics", "inverse workspace"
+        "pickenv/arm/kinematics",
+        "inverse task_space workspace",
+        "tests/arm/kinematics",
+        "inverse_steps inverse workspace",
     ),
     "arm files": room(
         "pickenv/arm/files",
@@ -223,8 +226,14 @@ def dropped_options(call: cst.Call) -> Iterator[cst.CSTNode]:
 
 
 def is_guard(node: cst.CSTNode) -> bool:
-    """Whether it is the ``strict=True`` of a zip, which changes nothing where lengths are equal."""
-    return isinstance(node, cst.Arg) and node.keyword is not None and node.keyword.value == "strict"
+    """Whether it is the ``strict=True`` of a zip, or a ``dtype=float``, which change nothing where the input is sound.
+
+    Lengths are equal then, and numbers are floats.
+    """
+    if not isinstance(node, cst.Arg) or node.keyword is None:
+        return False
+    is_float = isinstance(node.value, cst.Name) and node.value.value == "float"
+    return node.keyword.value == "strict" or (node.keyword.value == "dtype" and is_float)
 
 
 def sizes_to_work_out(call: cst.Call) -> list[cst.CSTNode]:
