@@ -307,3 +307,62 @@ def test_the_process_keeps_no_more_rows_than_allowed_and_predicts_in_chunks(monk
     np.testing.assert_allclose(process.predict(later), expected, rtol=1e-5, atol=1e-8)
     np.testing.assert_allclose(process.predict_std(later), std, rtol=1e-9)
     assert process.predict_std(later.reshape(5, 5, 3)).shape == (5, 5, 2)
+
+
+def searches(monkeypatch, rows):
+    """Each search of one output: its start, how many rows it sees, its precision; the fourth start is told the best."""
+    told = []
+
+    def standing(start, inputs, target, precision, settings):
+        told.append((np.exp(start), len(inputs), precision))
+        assert len(inputs) == len(target)
+        value = {3: -5.0, 7: -4.0}.get(len(told) - 1, 1.0) if precision == gaussian_process.COARSE else -len(told)
+        return start, value
+
+    monkeypatch.setattr(gaussian_process, "_search", standing)
+    x = np.random.default_rng(0).normal(size=(rows, 2))
+    return told, fit_gaussian_process(x, x[:, :1] ** 2, np.random.default_rng(0))
+
+
+def test_the_process_is_searched_from_ten_starts_on_200_rows_and_the_best_two_go_on_with_600(monkeypatch):
+    """And one plain start with them, since some rows may show noise alone; what the last search says is taken."""
+    told, process = searches(monkeypatch, 2003)
+    assert len(process.rows) == 2000
+    assert [rows for _, rows, _ in told] == [200] * 10 + [600] * 3
+    assert [precision for _, _, precision in told] == [1e-5] * 10 + [1e-7] * 3
+    np.testing.assert_allclose(told[0][0], [1.0, 1.0, 1.0, 0.5])
+    np.testing.assert_allclose(told[1][0], [1.0, 2.0, 2.0, 0.05])
+    drawn = np.array([start for start, _, _ in told[2:10]])
+    np.testing.assert_allclose(drawn[:, 0], 1.0)
+    assert ((drawn[:, 1:3] >= 0.7) & (drawn[:, 1:3] <= 5.0)).all() and len(np.unique(drawn[:, 1:3])) == 16
+    assert ((drawn[:, 3] >= 0.1) & (drawn[:, 3] <= 0.7)).all() and drawn[:, 3].std() > 0.05
+    np.testing.assert_allclose(told[12][0], [1.0, 1.0, 1.0, 0.5])
+    for final, start in zip(told[10:12], (told[3], told[7]), strict=True):
+        np.testing.assert_array_equal(final[0], start[0])
+    assert (process.amplitude, process.noise) == (pytest.approx(1.0), pytest.approx(0.5))
+    np.testing.assert_allclose(process.length_scales, [[1.0, 1.0]])
+
+
+def test_where_every_start_sees_all_rows_the_best_two_alone_go_on(monkeypatch):
+    told, process = searches(monkeypatch, 150)
+    assert [rows for _, rows, _ in told] == [150] * 12 and len(process.rows) == 150
+    np.testing.assert_allclose(process.length_scales[0], told[7][0][1:3])
+    assert process.noise[0] == pytest.approx(told[7][0][3])
+
+
+def test_a_search_stays_within_its_bounds_and_ends_by_its_precision(monkeypatch):
+    import scipy.optimize
+
+    asked = []
+
+    def climb(function, start, args, bounds, factr, maxiter):
+        asked.append((bounds, factr, maxiter))
+        return start, 1.5, {}
+
+    monkeypatch.setattr(scipy.optimize, "fmin_l_bfgs_b", climb)
+    start = np.zeros(4)
+    found, value = gaussian_process._search(start, np.zeros((5, 2)), np.zeros(5), 1e-5, GaussianProcessSettings())
+    ((bounds, factr, iterations),) = asked
+    np.testing.assert_allclose(np.exp(bounds), [[0.03, 30.0], [0.1, 1e3], [0.1, 1e3], [1e-3, 2.0]])
+    assert factr * np.finfo(float).eps == pytest.approx(1e-5) and iterations == 100
+    assert found is start and value == 1.5
