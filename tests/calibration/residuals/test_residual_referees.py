@@ -221,8 +221,10 @@ def test_no_rows_in_are_no_rows_out(fitter):
 
 
 def test_a_column_is_constant_below_a_billionth_of_its_largest_value():
-    values = np.array([[1.0, 5.0, 0.0], [1.0 + 1e-6, 5.0 + 4e-9, 0.0], [1.0 + 2e-6, 5.0, 0.0]])
-    np.testing.assert_allclose(column_std(values, 7.0), [values[:, 0].std(), 7.0, 7.0])
+    values = np.array(
+        [[1.0, 5.0, 0.0, 1e-5], [1.0 + 1e-6, 5.0 + 4e-9, 0.0, 1e-5 + 1e-10], [1.0 + 2e-6, 5.0, 0.0, 1e-5]]
+    )
+    np.testing.assert_allclose(column_std(values, 7.0), [values[:, 0].std(), 7.0, 7.0, values[:, 3].std()])
     edge = np.array([[1.0], [1.0 + 3e-9]])  # spread of 1.5 billionths
     assert column_std(edge, 7.0)[0] == pytest.approx(1.5e-9, rel=1e-3)
     assert column_std(np.array([[-1.0], [-1.0 - 1e-9]]), 7.0)[0] == 7.0
