@@ -153,7 +153,7 @@ ROOMS = {
         "calibration/pipeline",
         "apply uncertainty result fitting stages calibration export",
         "tests/calibration/pipeline",
-        "command_figures apply export stages calibration_file",
+        "command_figures apply export stage_choices stages calibration_file",
     ),
     "inverse": room(
         "pickenv/arm/kinematics",

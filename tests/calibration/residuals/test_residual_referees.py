@@ -313,17 +313,23 @@ def test_the_process_keeps_no_more_rows_than_allowed_and_predicts_in_chunks(monk
 
 def searches(monkeypatch, rows):
     """Each search of one output: its start, how many rows it sees, its precision; the fourth start is told the best."""
-    told = []
+    told, seen = [], []
 
     def standing(start, inputs, target, precision, settings):
         told.append((np.exp(start), len(inputs), precision))
+        seen.append(inputs)
         assert len(inputs) == len(target)
         value = {3: -5.0, 7: -4.0}.get(len(told) - 1, 1.0) if precision == gaussian_process.COARSE else -len(told)
         return start, value
 
     monkeypatch.setattr(gaussian_process, "_search", standing)
     x = np.random.default_rng(0).normal(size=(rows, 2))
-    return told, fit_gaussian_process(x, x[:, :1] ** 2, np.random.default_rng(0))
+    process = fit_gaussian_process(x, x[:, :1] ** 2, np.random.default_rng(0))
+    chosen = np.sort(np.random.default_rng(0).permutation(rows)[:600])
+    some = chosen[np.linspace(0, len(chosen) - 1, min(200, len(chosen))).astype(int)]
+    np.testing.assert_array_equal(seen[0], x[some])
+    np.testing.assert_array_equal(seen[-1], x[chosen])
+    return told, process
 
 
 def test_the_process_is_searched_from_ten_starts_on_200_rows_and_the_best_two_go_on_with_600(monkeypatch):
