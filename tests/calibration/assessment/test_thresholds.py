@@ -154,6 +154,9 @@ def test_pairs_that_correlate_by_more_than_nine_tenths_are_named_strongest_first
     assert any(
         f"1 pair of parameters correlate by more than 0.9, most {names[2]} and {names[5]} (-0.95)" in n for n in notes
     )
+    matrix = np.eye(found.identifiability.rank)
+    matrix[0, 1] = matrix[1, 0] = 0.9
+    assert correlated_pairs(replace(found, covariance=matrix)) == ()  # not more than nine tenths
     unknown = replace(found, covariance=np.full_like(found.covariance, np.nan))
     assert grade_quality(unknown, errors(1e-4), errors(2e-3), errors(1e-4)).pairs == ()
 
