@@ -17,8 +17,11 @@ from pickenv.calibration.assessment.quality import (
 )
 from pickenv.calibration.assessment.screen import Block, figure, is_number, main_parts, unit_of
 from pickenv.calibration.assessment.states import HELD, LOST, MEASURED, States, parameter_states
-from pickenv.calibration.model.error_model import frames_model
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.error_model import frames_model, with_terms
 from pickenv.calibration.model.identifiability import Dropped, Identifiability
+from pickenv.calibration.model.prior import EXPECTED
+from pickenv.calibration.model.terms import ThermalTerm
 
 JUST = 1e-9
 
@@ -204,6 +207,22 @@ def test_what_is_known_less_well_than_parts_are_made_is_lost(found):
         assert states.of(angle) == states.of(length) == state
         assert states.of(found.identifiability.dropped[0].name) == LOST
     assert set(states.geometry) == set(found.identifiability.names) and states.terms == {}
+
+
+@pytest.mark.parametrize(("share", "state"), [(0.499, MEASURED), (0.501, HELD)])
+def test_a_term_is_measured_where_its_spread_is_below_half_of_what_its_prior_expects(qiao, exact, found, share, state):
+    """What is expected grows with what the fit leaves, against what is left without terms: here four times as much."""
+    start = ArmModel.of(qiao.nominal, (ThermalTerm(),))
+    data = exact(qiao.true, 40)
+    data = replace(data, conditions=Conditions(temperature=np.linspace(-20.0, 20.0, 40)))
+    wide = identify(with_terms(link_model(qiao.nominal), start), start, data)
+    expected = ThermalTerm().tolerances(qiao.nominal)[0] * EXPECTED * 4.0
+    wide = with_scatter(wide, {"thermal": share * expected}, 4.0 * wide.degrees_of_freedom)
+    bare = with_scatter(found, {}, 0.25 * found.degrees_of_freedom)
+    assert parameter_states(wide, bare).terms == {"thermal": state}
+    lost = replace(wide, identifiability=replace(wide.identifiability, kept=wide.identifiability.kept[:-1]))
+    lost = replace(lost, covariance=wide.covariance[:-1, :-1])
+    assert parameter_states(lost, bare).of("thermal") == LOST
 
 
 def test_base_and_tool_may_lie_anywhere(qiao, exact):
