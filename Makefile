@@ -3,6 +3,7 @@
 #   make demo                 calibrate the arm, pick with it, look at the error: runs/demo
 #   make test                 style, types, tests
 #   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
+#   make coverage-of-intervals  how often every 95 % interval holds the truth, on data of known truth
 #   make mutants              change the lines that make numbers, one at a time: runs/mutants.json says what the tests
 #                             did not notice, docs/mutants.md the score by room. Hours for all; goes on where it was;
 #                             ARGS="--sample 40" for a random part of each room, ARGS="--room plant" for one room alone
@@ -28,7 +29,7 @@ BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatom
 TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
-.PHONY: demo test test-slow test-browser lint format benchmark mutants clean
+.PHONY: demo test test-slow test-browser coverage-of-intervals lint format benchmark mutants clean
 
 demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
@@ -42,6 +43,9 @@ test-slow: $(DEVELOPMENT)
 test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser
 	$(PYTEST) -m browser tests/browser tests/inspect --durations=5 $(ARGS)
+
+coverage-of-intervals: $(DEVELOPMENT)
+	$(PYTEST) -m coverage -n 2 $(ARGS)
 
 lint: $(DEVELOPMENT)
 	$(BIN)/ruff check

@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[1]
 
 GROUND = (
     "pickenv.bootstrap",
+    "pickenv.intervals",
     "pickenv.faces",
     "pickenv.files",
     "pickenv.limits",

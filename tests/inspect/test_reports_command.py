@@ -54,6 +54,7 @@ def call(*arguments: object) -> str:
 
 def controller(scale: float) -> dict[str, object]:
     pose = {"name": "P1", "accuracy_mm": 2.345 * scale, "repeatability_mm": 0.0625, "accuracy_deg": 0.1}
+    pose |= {"repeatability_ci95_mm": None}
     return {
         "poses": [pose | {"repeatability_deg": [0.01, 0.02, 0.03]}],
         "variation_mm": {"P1": 0.3},

@@ -19,9 +19,13 @@ from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import Cube, largest_cube
 from pickenv.arm.plant.motion import Pace, moved
 from pickenv.errors import InputError
+from pickenv.intervals import Ends, statistic_interval
 
 Compensate = Callable[[Array], Array]
 """Joint targets ``(..., n)`` for the nominal arm to joint commands for the real one."""
+
+CYCLES = 30
+"""Measurements of a pose by the standard; fewer tell too little of RP for an interval."""
 
 ORDER = (4, 3, 2, 1, 0)
 """One cycle: P5, P4, P3, P2, P1."""
@@ -47,7 +51,7 @@ class Iso9283Settings:
         drift_cycles: Measurements averaged each time.
     """
 
-    cycles: int = 30
+    cycles: int = CYCLES
     pace: Pace = field(default_factory=lambda: Pace(dwell=2.0))
     warm_up: float = 4 * 3600.0
     approach: float = 0.05
@@ -72,6 +76,7 @@ class PosePerformance:
         accuracy_deg: The same for the attitude: angle of the mean rotation vector.
         repeatability_mm: RP_l, mean distance from the mean + 3 standard deviations.
         repeatability_deg: RP_a, RP_b, RP_c: three standard deviations about each world axis.
+        repeatability_ci95_mm: 95 % interval of RP_l over cycles; None with fewer than `CYCLES` or without any scatter.
         mean_error_mm: Mean error in x, y, z of the world.
     """
 
@@ -80,6 +85,7 @@ class PosePerformance:
     accuracy_deg: float
     repeatability_mm: float
     repeatability_deg: tuple[float, float, float]
+    repeatability_ci95_mm: Ends | None
     mean_error_mm: tuple[float, float, float]
 
 
@@ -167,15 +173,21 @@ class Iso9283Result:
             f"measured {s.pace.dwell:g} s after arrival, on for {s.warm_up / 3600:g} h",
             f"cube of {1e3 * self.cube.edge:.0f} mm about ({centre}) mm",
             f"the instrument's noise alone would show RP {self.instrument_mm:.3f} mm",
+            "figures are of this one simulated arm; intervals of RP are over its cycles"
+            + ("" if s.cycles >= CYCLES else f", and need {CYCLES} of them"),
         ]
         for name, performance in self.performances().items():
             lines += [
                 "",
-                f"{name + ':':<12}{'AP [mm]':>9}{'RP [mm]':>9}{'AP [deg]':>10}{'RP [deg]':>10}{'vAP [mm]':>10}",
+                f"{name + ':':<12}{'AP [mm]':>9}{'RP [mm]':>9}  {'95 % of RP':<14}{'AP [deg]':>10}{'RP [deg]':>10}"
+                f"{'vAP [mm]':>10}",
             ]
             for pose in performance.poses:
                 turn = max(pose.repeatability_deg)
-                figures = f"{pose.accuracy_mm:9.3f}{pose.repeatability_mm:9.3f}{pose.accuracy_deg:10.4f}{turn:10.4f}"
+                ends = pose.repeatability_ci95_mm
+                interval = "-" if ends is None else f"{ends[0]:.3f} to {ends[1]:.3f}"
+                figures = f"{pose.accuracy_mm:9.3f}{pose.repeatability_mm:9.3f}  {interval:<14}"
+                figures += f"{pose.accuracy_deg:10.4f}{turn:10.4f}"
                 variation = performance.variation_mm.get(pose.name)
                 lines.append(f"{pose.name:<12}{figures}" + (f"{variation:10.3f}" if variation is not None else ""))
             lines.append(
@@ -348,14 +360,24 @@ class _Test:
 def _pose_performance(name: str, errors: Array) -> PosePerformance:
     """Figures of errors ``(cycles, 6)`` in m and rad."""
     mean = errors.mean(axis=0)
-    distance = np.linalg.norm(errors[:, :3] - mean[:3], axis=-1)
+    repeated = _repeatability(errors)
+    ends = None  # an arm that repeats to rounding has no scatter to resample
+    if repeated > 1e-12:
+        ends = statistic_interval(errors, lambda some: math.log(1e3 * _repeatability(some)), CYCLES)
     turns = np.degrees(3.0 * errors[:, 3:].std(axis=0, ddof=1))
     x, y, z = (1e3 * mean[:3]).tolist()
     return PosePerformance(
         name=name,
         accuracy_mm=1e3 * float(np.linalg.norm(mean[:3])),
         accuracy_deg=math.degrees(float(np.linalg.norm(mean[3:]))),
-        repeatability_mm=1e3 * float(distance.mean() + 3.0 * distance.std(ddof=1)),
+        repeatability_mm=1e3 * repeated,
         repeatability_deg=(float(turns[0]), float(turns[1]), float(turns[2])),
+        repeatability_ci95_mm=None if ends is None else (math.exp(ends[0]), math.exp(ends[1])),
         mean_error_mm=(x, y, z),
     )
+
+
+def _repeatability(errors: Array) -> float:
+    """RP_l of errors ``(cycles, 6)``: mean distance from the mean position, and three standard deviations, m."""
+    distance = np.linalg.norm(errors[:, :3] - errors[:, :3].mean(axis=0), axis=-1)
+    return float(distance.mean() + 3.0 * distance.std(ddof=1))

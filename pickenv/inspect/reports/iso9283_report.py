@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict
+from pickenv.inspect.reports.report_words import estimated
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_iso9283
 
 CONTROLLERS = ("raw", "calibrated")
@@ -53,7 +57,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         (
             f"{name} {pose['name']}",
             f"{pose['accuracy_mm']:.3f}",
-            f"{pose['repeatability_mm']:.3f}",
+            _repeated(pose),
             f"{pose['accuracy_deg']:.4f}",
             f"{max(pose['repeatability_deg']):.4f}",
             f"{found['variation_mm'][pose['name']]:.3f}" if pose["name"] in found["variation_mm"] else "–",
@@ -61,11 +65,19 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         for name, found in controllers.items()
         for pose in found["poses"]
     ]
-    heads = ("test pose", "AP (mm)", "RP (mm)", "AP (deg)", "RP (deg)", "vAP (mm)")
+    heads = ("test pose", "AP (mm)", "RP (mm), 95 % interval over cycles", "AP (deg)", "RP (deg)", "vAP (mm)")
     settings = result["settings"]
     subtitle = (
         f"Simulated arm {result['plant']}; {result['standard']}, {settings['cycles']} cycles at "
         f"{100 * settings['speed_share']:.0f} % speed, measured {settings['dwell_s']:g} s after arrival"
     )
-    table = PageTable("Accuracy and repeatability at each test pose", heads, rows)
+    table = PageTable("Accuracy and repeatability of this one arm at each test pose", heads, rows)
     return plain_report(run, "Accuracy by ISO 9283", subtitle, verdict, (table,), drawings(run))
+
+
+def _repeated(pose: Mapping[str, Any]) -> str:
+    """RP of a pose with its interval, where there are cycles enough for one, mm."""
+    ends = pose["repeatability_ci95_mm"]
+    return (
+        f"{pose['repeatability_mm']:.3f}" if ends is None else estimated(pose["repeatability_mm"], ends[0], ends[1], 3)
+    )

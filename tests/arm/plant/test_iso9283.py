@@ -43,6 +43,10 @@ def test_figures_are_the_formulas_of_the_standard():
     spread = np.sqrt(((distances - distances.mean()) ** 2).sum() / 29)
     assert found.accuracy_mm == pytest.approx(1e3 * np.sqrt((mean[:3] ** 2).sum()))
     assert found.repeatability_mm == pytest.approx(1e3 * (distances.mean() + 3 * spread))
+    low, high = found.repeatability_ci95_mm
+    assert low < found.repeatability_mm < high
+    assert _pose_performance("P1", errors[:29]).repeatability_ci95_mm is None  # the standard's thirty, or none
+    assert _pose_performance("P1", np.tile(errors[0], (30, 1))).repeatability_ci95_mm is None
     turn = 3 * np.degrees(np.sqrt(((errors - mean)[:, 3:] ** 2).sum(axis=0) / 29))
     assert found.repeatability_deg == pytest.approx(tuple(turn))
     assert found.mean_error_mm == pytest.approx(tuple(1e3 * mean[:3]))

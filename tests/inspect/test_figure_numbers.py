@@ -1,0 +1,401 @@
+"""What figures draw and say, read back from the drawing and computed anew from the arrays they were given.
+
+Which curve has which name is checked by its colour, since a swapped legend is the worst fault that a figure can have.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.container import BarContainer, ErrorbarContainer
+from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
+
+from pickenv.harvester.harvest_summary import Measure
+from pickenv.inspect.colours import arm_colour, policy_colours, viridis
+from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
+from pickenv.inspect.figures.field_figure import error_fields
+from pickenv.inspect.figures.plot_policies import CycleCurve
+from pickenv.inspect.figures.plot_slices import error_slices
+from pickenv.inspect.figures.run_drawings import comparison_drawings
+from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
+
+RNG = np.random.default_rng(17)
+ERRORS = {"raw": RNG.gamma(4, 1.5, 37), "LS": RNG.gamma(4, 0.15, 50), "LS + BPNN": RNG.gamma(2, 0.1, 44)}
+COLOURS = dict(zip(ERRORS, [tuple(c / 255 for c in rgb) for rgb in policy_colours(list(ERRORS))], strict=True))
+
+
+def colour_of(artist: Any) -> tuple[float, ...]:
+    return tuple(round(float(c), 6) for c in to_rgb(artist.get_color()))
+
+
+def same(first: Iterable[float], second: Iterable[float]) -> bool:
+    return np.allclose(list(first), list(second), atol=1e-6)
+
+
+def legend(figure: Figure, axes: Axes | None = None) -> dict[str, Any]:
+    """The handles of a figure's legend by their text."""
+    (shown,) = figure.legends if axes is None else [axes.get_legend()]
+    return {text.get_text(): handle for text, handle in zip(shown.get_texts(), shown.legend_handles, strict=True)}
+
+
+def line_in(axes: Axes, colour: Iterable[float], points: int) -> np.ndarray:
+    """The one line of a colour with so many points ``(N, 2)``."""
+    (found,) = [
+        line
+        for line in axes.get_lines()
+        if same(colour_of(line), colour) and len(np.asarray(line.get_xdata())) == points
+    ]
+    return np.asarray(found.get_xydata())
+
+
+def test_error_per_pose() -> None:
+    figure = plot_errors.error_per_pose(ERRORS)
+    (axes,) = figure.axes
+    texts = legend(figure)
+    for label, values in ERRORS.items():
+        drawn = line_in(axes, COLOURS[label], len(values))
+        np.testing.assert_allclose(drawn, np.stack([np.arange(1, len(values) + 1), values], axis=1))
+        (text,) = [text for text in texts if text.startswith(f"{label}: ")]
+        assert text == f"{label}: mean {sum(values) / len(values):.2f} mm, max {max(values):.2f} mm"
+        assert same(colour_of(texts[text]), COLOURS[label])
+    assert axes.get_xlim()[1] == 50.5 and axes.get_ylim()[0] == 0.0
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+def test_error_by_method(logarithmic: bool) -> None:
+    figure = plot_errors.error_by_method(ERRORS, logarithmic=logarithmic, counted="reaches")
+    (axes,) = figure.axes
+    assert axes.get_yscale() == ("log" if logarithmic else "linear")
+    assert axes.get_xlabel() == "method (number of reaches)"
+    labels = [label.get_text() for label in axes.get_xticklabels()]
+    assert labels == [f"{label}\n({len(values)})" for label, values in ERRORS.items()]
+    medians = [
+        line.get_ydata() for line in axes.get_lines() if line.get_linewidth() == 1.4 and len(line.get_ydata()) == 2
+    ]
+    np.testing.assert_allclose(np.mean(medians, axis=1), [np.median(values) for values in ERRORS.values()])
+    means = [float(line.get_ydata()[0]) for line in axes.get_lines() if line.get_marker() == "D"]
+    np.testing.assert_allclose(means, [np.mean(values) for values in ERRORS.values()])
+    written = [text for text in axes.texts if re.fullmatch(r"[\d.e-]+", text.get_text())]
+    assert [text.get_text() for text in written] == [f"{np.mean(values):.3g}" for values in ERRORS.values()]
+    np.testing.assert_allclose([text.xy[1] for text in written], means)  # type: ignore[attr-defined]
+    for box, label in zip(axes.patches, ERRORS, strict=True):
+        assert same(to_rgb(box.get_facecolor()), COLOURS[label])
+        low, high = np.percentile(ERRORS[label], [25, 75])
+        ends = box.get_path().vertices[:, 1]  # type: ignore[attr-defined]
+        np.testing.assert_allclose([ends.min(), ends.max()], [low, high])
+
+
+def test_error_histogram() -> None:
+    figure = plot_errors.error_histogram(ERRORS)
+    (axes,) = figure.axes
+    width = float(re.search(r"share of poses in ([\d.]+) mm", axes.get_ylabel())[1])  # type: ignore[index]
+    for label, values in ERRORS.items():
+        (outline,) = [p for p in axes.patches if same(to_rgb(p.get_facecolor()), COLOURS[label])]
+        corners = np.asarray(outline.get_path().vertices)
+        for k in range(int(values.max() / width) + 1):
+            wanted = 100.0 * np.mean((values >= k * width) & (values < (k + 1) * width))
+            here = corners[np.isclose(corners[:, 0], k * width)][:, 1]
+            assert np.isclose(here, wanted).any()
+        assert same(colour_of(legend(figure)[label]), COLOURS[label])
+
+
+def test_error_cumulative() -> None:
+    figure = plot_errors.error_cumulative(ERRORS, tolerance=0.7, unit="deg", counted="reaches")
+    (axes,) = figure.axes
+    for label, values in ERRORS.items():
+        drawn = line_in(axes, COLOURS[label], len(values) + 1)
+        for x, share in drawn[1:]:
+            assert share == pytest.approx(np.mean(values <= x + 1e-12))
+        assert same(colour_of(legend(figure)[label]), COLOURS[label])
+    (line,) = [line for line in axes.get_lines() if line.get_linestyle() == "--"]
+    assert list(line.get_xdata()) == [0.7, 0.7] and line.get_label() == "tolerance 0.7 deg"
+    assert [float(t.get_text()) for t in axes.get_yticklabels()] == pytest.approx(100 * axes.get_yticks())
+    assert "reaches" in axes.get_ylabel()
+
+
+@pytest.mark.parametrize("values", [np.repeat([0.0, 0.25, 0.5], 8), RNG.uniform(0, 2, 24)])
+def test_error_against(values: np.ndarray) -> None:
+    errors = {"raw": RNG.gamma(4, 1.0, 24), "LS": RNG.gamma(4, 0.1, 24)}
+    figure = plot_errors.error_against(values, errors, name="payload", unit="kg", groups=6)
+    (axes,) = figure.axes
+    known = np.unique(values)
+    order = np.argsort(values, kind="stable")
+    parts = [values == v for v in known] if len(known) <= 6 else np.split(order, 6)
+    for label, error in errors.items():
+        means = np.array([[np.mean(values[part]), np.mean(error[part])] for part in parts])
+        np.testing.assert_allclose(line_in(axes, COLOURS[label], len(parts)), means)
+        np.testing.assert_allclose(line_in(axes, COLOURS[label], 24), np.stack([values, error], axis=1))
+
+
+def test_least_squares_convergence() -> None:
+    rms, attitude = [6.8, 0.9, 0.512], [0.31, 0.02, 0.0213]
+    figure = plot_calibration.least_squares_convergence(rms, attitude)
+    for axes, values, unit in zip(figure.axes, (rms, attitude), ("(mm)", "(deg)"), strict=True):
+        np.testing.assert_allclose(axes.get_lines()[0].get_xydata(), np.stack([range(3), values], axis=1))
+        assert [t.get_text() for t in axes.texts] == [f"{values[0]:.3g}", f"{values[-1]:.3g}"]
+        assert unit in axes.get_ylabel()
+
+
+def test_network_convergence() -> None:
+    loss = [1.0, 0.5, 0.31]
+    (axes,) = plot_calibration.network_convergence(loss).axes
+    np.testing.assert_allclose(axes.get_lines()[0].get_ydata(), loss)
+    assert axes.get_yscale() == "log"
+
+
+def test_parameter_spectrum() -> None:
+    magnitudes, kept = np.array([5.0, 2.0, 0.4, 1e-5, 0.0]), np.array([True, True, True, False, False])
+    names = ["a", "b", "c", "d", "e"]
+    figure = plot_calibration.parameter_spectrum(magnitudes, kept, names=names, threshold=1e-3)
+    (axes,) = figure.axes
+    assert axes.get_title("left") == "Identifiability: 3 of 5 parameters kept"
+    marks = {line.get_label(): np.asarray(line.get_xydata()) for line in axes.get_lines()}
+    np.testing.assert_allclose(marks["kept (3)"], np.stack([[0, 1, 2], magnitudes[:3]], axis=1))
+    np.testing.assert_allclose(marks["dropped (2)"][0], [3, 1e-5])
+    np.testing.assert_allclose(marks["threshold 0.001"][:, 1], 1e-3)
+    (axes,) = plot_calibration.parameter_spectrum(magnitudes, kept).axes
+    assert axes.get_title("left") == "Identifiability: condition number 12.5"
+
+
+def test_joint_coverage(comparison: Comparison) -> None:
+    geometry = comparison.nominal
+    sets = {
+        name: RNG.uniform(geometry.lower, geometry.upper, (n, geometry.joints)) for name, n in (("a", 40), ("b", 9))
+    }
+    figure = plot_calibration.joint_coverage(geometry, sets)
+    scale = [1e3 if slides else 180 / np.pi for slides in geometry.prismatic]
+    grid = np.array(figure.axes).reshape(geometry.joints, geometry.joints)
+    for row in range(geometry.joints):
+        for column in range(row):
+            clouds = grid[row, column].collections
+            for cloud, joints in zip(clouds, sets.values(), strict=True):
+                wanted = np.stack([joints[:, column] * scale[column], joints[:, row] * scale[row]], axis=1)
+                np.testing.assert_allclose(cloud.get_offsets(), wanted)
+    assert list(legend(figure)) == ["a (40)", "b (9)"]
+
+
+POINTS = np.stack(np.meshgrid(*[0.1 * np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+FIELDS = {"raw": RNG.normal(scale=(1e-3, 1e-5, 1e-3), size=(64, 3)), "LS": RNG.normal(scale=2e-4, size=(64, 3))}
+
+
+def test_error_slices() -> None:
+    figure = error_slices(POINTS, FIELDS, step=0.1, slices=2)
+    gain = float(re.search(r"×([\d.]+)", figure.get_suptitle())[1])  # type: ignore[index]
+    *panels, bar = figure.axes
+    assert "(mm)" in bar.get_xlabel()
+    top = np.percentile(1e3 * np.linalg.norm(FIELDS["raw"], axis=1), 99)
+    assert bar.get_xlim()[1] == pytest.approx(top)
+    for i, axes in enumerate(panels):
+        label, layer = list(FIELDS)[i // 2], (1, 2)[i % 2]
+        if i < 2:
+            assert axes.get_title() == f"y = {0.1 * layer:.2f} m"  # across y, where raw errs least
+        if i % 2 == 0:
+            assert axes.get_ylabel() == f"{label}\nz (m)"
+        here = np.isclose(POINTS[:, 1], 0.1 * layer)
+        (arrows,) = [c for c in axes.collections if isinstance(c, Quiver)]
+        np.testing.assert_allclose(np.stack([arrows.U, arrows.V], axis=1), gain * FIELDS[label][here][:, [0, 2]])
+        np.testing.assert_allclose(arrows.XY, POINTS[here][:, [0, 2]])
+        lengths = 1e3 * np.linalg.norm(FIELDS[label][here], axis=1)
+        np.testing.assert_allclose(arrows.get_facecolor()[:, :3], viridis(lengths / top) / 255.0)
+
+
+def test_error_fields(comparison: Comparison) -> None:
+    figure = error_fields(comparison, gain=40.0)
+    *panels, bar = figure.axes
+    top = np.percentile(1e3 * np.linalg.norm(comparison.policies[0].field_errors, axis=1), 99)
+    assert bar.get_xlim()[1] == pytest.approx(top)
+    for axes, policy in zip(panels, comparison.policies, strict=True):
+        mm = [1e3 * np.sqrt(x * x + y * y + z * z) for x, y, z in policy.field_errors]
+        assert axes.get_title() == policy.label
+        assert f"mean {sum(mm) / len(mm):.2f} mm, max {max(mm):.2f} mm" in [t.get_text() for t in axes.texts]
+        (arrows,) = [c for c in axes.collections if isinstance(c, PolyCollection)]
+        lengths = 1e3 * np.linalg.norm(policy.field_errors, axis=1)
+        known = {tuple(c) for c in np.asarray(viridis(lengths / top) / 255.0)}
+        assert {tuple(c[:3]) for c in arrows.get_facecolor()} <= known
+    assert "×40" in figure.get_suptitle()
+
+
+def test_success_points_are_the_policies_own(comparison: Comparison) -> None:
+    """On the figure of a run: each policy's colour stands at its own mean error and share of fruit held."""
+    from pickenv.inspect.runs.gripping import gripped
+
+    (draw,) = [d.draw for d in comparison_drawings(comparison) if d.name == "success_against_misalignment"]  # type: ignore[union-attr]
+    figure = draw()
+    (axes,) = figure.axes
+    labels = [policy.label for policy in comparison.policies]
+    colours = dict(zip(labels, [np.array(c) / 255 for c in policy_colours(labels)], strict=True))
+    texts = legend(figure)
+    for label, held in gripped(comparison).items():
+        assert same(colour_of(texts[f"{label}: mean error, success"]), colours[label])
+        points = [
+            np.asarray(line.get_xydata())[0]
+            for line in axes.get_lines()
+            if same(colour_of(line), colours[label]) and len(np.asarray(line.get_xdata())) == 1
+        ]
+        wanted = [(np.mean(held.lateral_mm), 100 * np.mean(p)) for p in held.success.values()]
+        np.testing.assert_allclose(points, wanted)
+
+
+def test_cycle_time() -> None:
+    curves = [
+        CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)),
+        CycleCurve("ppo", "LS", np.geomspace(200, 0.5, 50)),
+        CycleCurve("scripted", "LS", np.geomspace(300, 1e-5, 60)),
+    ]
+    figure = plot_policies.accuracy_against_cycle_time(curves, 0.05)
+    (axes,) = figure.axes
+    colours = dict(zip(("raw", "LS"), [np.array(c) / 255 for c in policy_colours(["raw", "LS"])], strict=True))
+    lines = [line for line in axes.get_lines() if len(np.asarray(line.get_xdata()))]
+    for curve, line in zip(curves, lines, strict=False):
+        assert same(colour_of(line), colours[curve.compensation])
+        np.testing.assert_allclose(line.get_xdata(), 0.05 * np.arange(1, len(curve.error_mm) + 1))
+        np.testing.assert_allclose(line.get_ydata(), np.maximum(curve.error_mm, 1e-3))
+    assert lines[0].get_linestyle() == lines[2].get_linestyle() != lines[1].get_linestyle()
+    best = [min(max(c.error_mm[k], 1e-3) for c in curves) for k in range(50)]
+    (front,) = [line for line in lines if line.get_label() == "best so far"]
+    np.testing.assert_allclose(front.get_ydata(), [min(best[: k + 1]) for k in range(50)])
+
+
+def test_iso9283_bars_and_drift() -> None:
+    accuracy = {"raw": [1.0, 2.0, 3.0, 4.0, 5.25], "LS": [0.1, 0.2, 0.1, 0.2, 0.1]}
+    repeated = {"raw": [0.05, 0.06, 0.07, 0.08, 0.09], "LS": [0.01, 0.02, 0.03, 0.01, 0.02]}
+    figure = plot_policies.accuracy_by_pose(accuracy, repeated)
+    for axes, kind, given in zip(figure.axes, ("AP", "RP"), (accuracy, repeated), strict=True):
+        assert axes.get_ylabel() == f"{kind} (mm)"
+        bars = [c for c in axes.containers if isinstance(c, BarContainer)]
+        for label, group in zip(given, bars, strict=True):
+            assert [bar.get_height() for bar in group] == given[label]
+            assert same(to_rgb(group[0].get_facecolor()), COLOURS[label])
+            assert group.get_label() == f"{label}: worst {max(given[label]):.3f} mm"
+    hours, drift = [0.0, 1.0, 2.5], {"raw": [1.0, 2.0, 2.5], "LS": [0.1, 0.4, 0.3]}
+    (axes,) = plot_policies.accuracy_drift(hours, drift).axes
+    for label, values in drift.items():
+        np.testing.assert_allclose(line_in(axes, COLOURS[label], 3), np.stack([hours, values], axis=1))
+    assert axes.get_ylim()[1] > 2.5
+
+
+def picked_tree() -> PickedTree:
+    return PickedTree(
+        seconds=20.4,
+        fruit=RNG.uniform((-0.8, -1.4, 0.5), (0.8, -1.0, 2.5), size=(6, 3)),
+        collected=np.array([True, True, False, True, False, True]),
+        by_arm=np.array([0, 1, 1, 0, -1, 2]),
+        zones=np.array([[-0.8, 0.0, 0.5, 1.5], [0.0, 0.8, 1.5, 2.5]]),
+        stands=np.array([[2.0, 8.0], [10.0, 18.0]]),
+        arm=np.array([0, 1, 2]),
+        start=np.array([2.0, 3.0, 11.0]),
+        end=np.array([5.0, 7.0, 15.0]),
+        held=np.array([0.0, 0.5, 0.0]),
+        got=np.array([True, False, True]),
+    )
+
+
+def arm(i: int) -> tuple[float, ...]:
+    return tuple(c / 255 for c in arm_colour(i))
+
+
+def test_gantt() -> None:
+    tree = picked_tree()
+    (axes,) = plot_harvest.gantt({"raw": tree}, 3).axes
+    assert axes.get_title("left") == "raw: 4 of 6 fruit in 20 s"
+    bars = {
+        (round(b.get_x(), 6), round(b.get_width(), 6), round(b.get_y() + b.get_height() / 2, 6)): b
+        for b in axes.patches
+    }
+    for k, (start, end, number, got) in enumerate(zip(tree.start, tree.end, tree.arm, tree.got, strict=True)):
+        bar = bars[start, end - start, number]
+        assert same(to_rgb(bar.get_edgecolor()), arm(int(number))), k
+        assert (bar.get_facecolor()[3] > 0) == bool(got)
+    assert (2.0, 6.0, 3.0) in bars and (10.0, 8.0, 3.0) in bars  # the master's stands, in the lane above the arms
+    assert (2.5, 0.5, 1.0) in bars  # what arm 2 was held back, before it started
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["arm 1", "arm 2", "arm 3", "master stands"]
+
+
+def test_pick_map_and_funnel() -> None:
+    tree = picked_tree()
+    few = replace(tree, by_arm=np.array([0, 0, 0, 0, -1, 0]))
+    figure = plot_harvest.pick_map({"raw": tree, "few": few})
+    axes, other = figure.axes
+    assert (axes.get_title("left"), other.get_title("left")) == ("raw", "few")
+    np.testing.assert_allclose(other.collections[0].get_offsets(), few.fruit[few.collected][:, [0, 2]])
+    assert list(legend(figure)) == ["arm 1", "arm 2", "arm 3", "not collected"]
+    for number in range(3):
+        wanted = tree.fruit[tree.collected & (tree.by_arm == number)][:, [0, 2]]
+        (cloud, *_) = [
+            c for c in axes.collections if len(c.get_facecolor()) and same(to_rgb(c.get_facecolor()[0]), arm(number))
+        ]
+        np.testing.assert_allclose(cloud.get_offsets(), wanted)
+    funnels = {
+        "raw": {"present": 40, "reachable": 30, "collected": 21},
+        "best": {"present": 50, "reachable": 45, "collected": 44},
+    }
+    figure = plot_harvest.funnel_bars(funnels)
+    (axes,) = figure.axes
+    for i, (group, (name, counts)) in enumerate(zip(axes.containers, funnels.items(), strict=True)):
+        heights = [bar.get_height() for bar in group]  # type: ignore[attr-defined]
+        assert heights == pytest.approx([100 * n / counts["present"] for n in counts.values()])
+        assert group.get_label() == f"{name}: {100 * counts['collected'] / counts['present']:.1f} %"
+        assert same(to_rgb(group[0].get_facecolor()), arm(i))  # type: ignore[index]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["present", "reachable", "collected"]
+
+
+def test_throughput_by_arms() -> None:
+    given = {"thin": {1: Measure(500, 450, 540), 3: Measure(900, 870, 990)}, "dense": {1: Measure(600, 590, 640)}}
+    (axes,) = plot_harvest.throughput_by_arms(given).axes
+    bars = [c for c in axes.containers if isinstance(c, ErrorbarContainer)]
+    for found, (label, measures) in zip(bars, given.items(), strict=True):
+        line, _, (ends,) = found.lines
+        assert found.get_label() == label
+        np.testing.assert_allclose(line.get_xydata(), [[n, m.value] for n, m in measures.items()])
+        for segment, m in zip(ends.get_segments(), measures.values(), strict=True):
+            np.testing.assert_allclose(segment[:, 1], [m.low, m.high])
+
+
+def test_workspace_and_joint_curves() -> None:
+    cloud = RNG.normal(size=(50, 3, 3))
+    figure = plot_harvest.workspace_cloud(cloud)
+    for axes, (a, b) in zip(figure.axes, ((0, 1), (0, 2)), strict=True):
+        for number, points in enumerate(axes.collections[:3]):
+            np.testing.assert_allclose(points.get_offsets(), cloud[:, number, [a, b]])
+            assert same(to_rgb(points.get_facecolor()[0]), arm(number))
+        assert axes.get_xlabel() == f"{'xyz'[a]} (m)" and axes.get_ylabel() == f"{'xyz'[b]} (m)"
+    t = np.linspace(0, 1, 9)
+    curves = JointCurves(t, {"master d2": t, "master theta1": t**2, "left d4": 2 * t}, ("master theta1",))
+    slides, turns = plot_harvest.joint_displacements(curves).axes
+    drawn = {line.get_label(): np.asarray(line.get_ydata()) for axes in (slides, turns) for line in axes.get_lines()}
+    np.testing.assert_allclose(drawn["master d2"], 1e3 * t)
+    np.testing.assert_allclose(drawn["left d4"], 2e3 * t)
+    np.testing.assert_allclose(drawn["master theta1"], 180 / np.pi * t**2)
+    assert [line.get_label() for line in turns.get_lines()] == ["master theta1"]
+
+
+def test_the_figures_of_a_run_are_of_its_own_policies(comparison: Comparison) -> None:
+    """Errors of one policy changed: its box moves, and no other's."""
+    last = comparison.policies[-1]
+    worse = replace(
+        last, position_error_mm=3.0 * last.position_error_mm, attitude_error_deg=5.0 * last.attitude_error_deg
+    )
+    changed = replace(comparison, policies=(*comparison.policies[:-1], worse))
+
+    def means(which: Comparison, name: str) -> np.ndarray:
+        (draw,) = [d.draw for d in comparison_drawings(which) if d.name == name]  # type: ignore[union-attr]
+        (axes,) = draw().axes
+        return np.array([float(line.get_ydata()[0]) for line in axes.get_lines() if line.get_marker() == "D"])
+
+    for name, field, factor in (
+        ("position_error_by_policy", "position_error_mm", 3.0),
+        ("attitude_error_by_policy", "attitude_error_deg", 5.0),
+    ):
+        before = [np.mean(getattr(policy, field)) for policy in comparison.policies]
+        np.testing.assert_allclose(means(comparison, name), before)
+        np.testing.assert_allclose(means(changed, name), [*before[:-1], factor * before[-1]])
