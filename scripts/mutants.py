@@ -159,7 +159,7 @@ ROOMS = {
         "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
         "reports/calibration_report reports/report_words",
         "tests/inspect",
-        "shown_numbers figures calibration_report report",
+        "runs/summary_numbers figure_numbers page_numbers calibration_report report",
     ),
 }
 

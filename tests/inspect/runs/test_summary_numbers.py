@@ -1,4 +1,4 @@
-"""Numbers beside and inside the pictures, recomputed: summary, bins and scales, labels, group means, tiles."""
+"""Numbers beside the pictures, recomputed: the summary, bins and scales, the tiles of a calibration."""
 
 import re
 from dataclasses import replace
@@ -9,7 +9,6 @@ import pytest
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.result import assess
-from pickenv.inspect.figures import plot_calibration, plot_errors
 from pickenv.inspect.reports.calibration_report import calibration_page
 from pickenv.inspect.runs.comparison_summary import (
     attitude_scale_deg,
@@ -23,9 +22,6 @@ from pickenv.inspect.runs.comparison_summary import (
     ticks,
     uncertainty_scale_mm,
 )
-
-RNG = np.random.default_rng(11)
-ERRORS = {"raw": RNG.gamma(4, 1.5, 48), "LS": RNG.gamma(4, 0.15, 48)}
 
 
 def numbers(values):
@@ -108,8 +104,9 @@ def test_a_field_alone_has_its_own_table(without_reaches):
 
 
 def test_spread_of_errors_of_any_shape():
-    found = error_spread(ERRORS["raw"].reshape(6, 8))
-    assert (found.mean, found.rms, found.p95, found.largest) == pytest.approx(numbers(ERRORS["raw"]))
+    errors = np.random.default_rng(11).gamma(4, 1.5, 48)
+    found = error_spread(errors.reshape(6, 8))
+    assert (found.mean, found.rms, found.p95, found.largest) == pytest.approx(numbers(errors))
     assert all(np.isnan(value) for value in vars(error_spread([])).values())
 
 
@@ -147,78 +144,6 @@ def test_scales_end_at_the_99th_percentile_and_at_one_where_there_is_nothing():
 def test_cells_hold_the_means_of_their_points():
     cells, means = cell_means(np.array([[1, 0, 0], [0, 0, 2], [1, 0, 0]]), np.array([1.0, 5.0, 4.0]))
     assert cells.tolist() == [[0, 0, 2], [1, 0, 0]] and means.tolist() == [5.0, 2.5]
-
-
-def legend(figure_):
-    return [text.get_text() for text in figure_.legends[0].get_texts()]
-
-
-def test_the_legend_of_errors_per_pose_states_mean_and_maximum():
-    figure_ = plot_errors.error_per_pose(ERRORS)
-    assert legend(figure_) == [
-        f"{n}: mean {np.sum(v) / 48:.2f} mm, max {np.sort(v)[-1]:.2f} mm" for n, v in ERRORS.items()
-    ]
-    for line, values in zip(figure_.axes[0].get_lines(), ERRORS.values(), strict=True):
-        np.testing.assert_array_equal(line.get_xdata(), np.arange(1, 49))
-        np.testing.assert_array_equal(line.get_ydata(), values)
-    assert figure_.axes[0].get_xlim() == (0.5, 48.5) and figure_.axes[0].get_ylim()[0] == 0.0
-
-
-def test_boxes_stand_at_quartiles_and_are_labelled_with_means_and_counts():
-    axes = plot_errors.error_by_method(ERRORS).axes[0]
-    said = [text for text in axes.texts if re.fullmatch(r"[\d.]+", text.get_text())]
-    for i, (text, values) in enumerate(zip(said, ERRORS.values(), strict=True), start=1):
-        assert text.get_text() == f"{values.mean():.3g}" and text.xy == (i + 0.3, values.mean())
-    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["raw\n(48)", "LS\n(48)"]
-    for box, values in zip(axes.patches, ERRORS.values(), strict=True):
-        heights = box.get_path().vertices[:, 1]
-        assert (heights.min(), heights.max()) == pytest.approx(tuple(np.percentile(values, [25, 75])))
-
-
-def test_a_cumulative_curve_is_the_share_of_errors_below():
-    axes = plot_errors.error_cumulative(ERRORS, tolerance=5.0).axes[0]
-    *curves, limit = axes.get_lines()
-    assert limit.get_xdata()[0] == 5.0 and limit.get_label() == "tolerance 5 mm"
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["0", "20", "40", "60", "80", "100"]
-    np.testing.assert_allclose(axes.get_yticks(), [0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    for line, values in zip(curves, ERRORS.values(), strict=True):
-        x, y = (np.asarray(data, dtype=float)[1:] for data in line.get_data())
-        np.testing.assert_array_equal(x, np.sort(values))
-        np.testing.assert_allclose(y, np.arange(1, 49) / 48)
-
-
-def test_bars_of_the_histogram_are_percent_of_the_poses_in_bins_of_round_width():
-    axes = plot_errors.error_histogram(ERRORS).axes[0]
-    width = round_step(max(values.max() for values in ERRORS.values()) / 40)
-    assert axes.get_ylabel() == f"share of poses in {width:g} mm (%)"
-    for patch, values in zip(axes.patches, ERRORS.values(), strict=True):
-        counts = np.bincount((values / width).astype(int))
-        outline = patch.get_path().vertices
-        heights = {round(100 * count / 48, 6) for count in counts} | {0.0}
-        assert {round(float(height), 6) for height in outline[:, 1]} == heights
-        assert outline[:, 0].max() == pytest.approx(width * len(counts))
-    still = plot_errors.error_histogram({"raw": np.zeros(4)}).axes[0]
-    assert still.get_ylabel() == f"share of poses in {round_step(1 / 40):g} mm (%)"
-
-
-@pytest.mark.parametrize(("values", "groups"), [(48, 8), (48, 5), (3, 8)])
-def test_group_means_are_means_of_groups_of_equal_size_or_of_each_value(values, groups):
-    x = np.sort(RNG.random(48)) if values == 48 else np.repeat([1.0, 2.0, 4.0], 16)
-    axes = plot_errors.error_against(x, ERRORS, name="payload", unit="kg", groups=groups).axes[0]
-    lines = [line for line in axes.get_lines() if line.get_linestyle() == "-"]
-    parts = np.array_split(np.arange(48), min(groups, values))
-    for line, errors in zip(lines, ERRORS.values(), strict=True):
-        np.testing.assert_allclose(line.get_xdata(), [sum(x[p]) / len(p) for p in parts])
-        np.testing.assert_allclose(line.get_ydata(), [sum(errors[p]) / len(p) for p in parts])
-
-
-def test_the_spectrum_and_the_convergence_show_what_they_are_given():
-    figure_ = plot_calibration.least_squares_convergence([6.8, 0.9, 0.5], [0.3, 0.02, 0.01])
-    drawn = [line.get_ydata() for axes in figure_.axes for line in axes.get_lines()]
-    for series in ([6.8, 0.9, 0.5], [0.3, 0.02, 0.01]):
-        assert any(len(line) == 3 and np.allclose(line, series) for line in drawn)
-    loss = plot_calibration.network_convergence([1.0, 0.3, 0.2]).axes[0].get_lines()
-    assert any(np.allclose(line.get_ydata(), [1.0, 0.3, 0.2]) for line in loss if len(line.get_ydata()) == 3)
 
 
 @pytest.fixture(scope="module")
