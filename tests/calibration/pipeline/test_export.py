@@ -157,6 +157,7 @@ def test_what_remains_is_terms_and_learnt_residual_each_with_its_own_conditions(
     """A residual that was learnt without temperatures is not given the one that the terms need."""
     rng = np.random.default_rng(0)
     joints, warmth = random_joints(qiao.nominal, 40, rng), rng.uniform(0.0, 10.0, (40, 1))
+    errors, known = 1e-4 * rng.normal(size=(40, 3)), warmth if knows else None
     learnt = fit_residual(
         "rbf",
         joints,
