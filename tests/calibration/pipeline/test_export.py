@@ -158,14 +158,7 @@ def test_what_remains_is_terms_and_learnt_residual_each_with_its_own_conditions(
     rng = np.random.default_rng(0)
     joints, warmth = random_joints(qiao.nominal, 40, rng), rng.uniform(0.0, 10.0, (40, 1))
     errors, known = 1e-4 * rng.normal(size=(40, 3)), warmth if knows else None
-    learnt = fit_residual(
-        "rbf",
-        joints,
-        1e-4 * rng.normal(size=(40, 3)),
-        qiao.nominal.prismatic,
-        rng,
-        conditions=warmth if knows else None,
-    )
+    learnt = fit_residual("rbf", joints, errors, qiao.nominal.prismatic, rng, conditions=known)
     model = ArmModel.of(qiao.nominal, (ThermalTerm(),))
     change = np.zeros(len(model.parameter_names))
     change[-1] = 23e-6

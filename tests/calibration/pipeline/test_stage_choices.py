@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.calibration import Choices, random_joints, simulated_tracker
+from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict
@@ -148,3 +149,52 @@ def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monke
     order = np.random.default_rng(9).permutation(40)
     np.testing.assert_array_equal(draft.train.joints, sets[0].joints[np.sort(order[:32])])
     np.testing.assert_array_equal(draft.test.joints, sets[0].joints[np.sort(order[32:])])
+
+
+def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
+    """Fits step by step, the choice of terms, the gate's verdicts, rows left out, and what the poses hide."""
+    choice = TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3})
+    gate = GateReport((verdict("rbf"),), "rbf", 1e-3, ())
+    monkeypatch.setattr(stages, "choose_terms", lambda *_: choice)
+    monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: gate)
+    left = (LeftOut("tracker.csv", 7, False, 5e-3, None, 9.0),)
+    seen = []
+    monkeypatch.setattr(
+        stages, "STAGES", (*stages.STAGES, lambda draft: seen.append(replace(draft, left_out=left)) or seen[0])
+    )
+    found = stages.calibrate(dynamic.arm, sets[0], test=sets[1], choices=AUTO, unit="17")
+    (draft,) = seen
+    assert list(found.errors) == ["nominal", "geometric", "geometry+gravity", "geometry+gravity+rbf"]
+    assert found.terms is choice and found.gate is gate and found.left_out is left and found.unit == "17"
+    assert found.quality.coverage is draft.coverage is not None
+    assert found.fit is draft.best[1] and found.geometric is draft.fits["geometry"]
+    assert found.best_model == "geometry+gravity+rbf"
+    assert found.calibration.record["left_out"] == ["tracker.csv:7"]
+    held = {
+        "geometric": sets[1].difference(draft.fits["geometry"].calibration.model),
+        "geometry+gravity": sets[1].difference(draft.fits["geometry+gravity"].calibration.model),
+    }
+    for name, errors in held.items():
+        np.testing.assert_allclose(found.errors[name], errors, atol=1e-15)
+    learnt = draft.best[1].calibration.learnt.predict(sets[1].joints)
+    np.testing.assert_allclose(found.errors["geometry+gravity+rbf"], held["geometry+gravity"] - learnt, atol=1e-12)
+    rows = next(block for block in found.blocks() if block.title == "Further terms").rows
+    assert rows == (("none", "2.000"), ("gravity", "1.000"))
+    assert found.as_dict()["terms"] == {"chosen": "gravity", "blocked_rms_mm": {"none": 2.0, "gravity": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("frames", "label"), [("known", "nominal"), ("fitted", "nominal, base and tool fitted")], ids=["known", "fitted"]
+)
+def test_the_first_row_says_whether_base_and_tool_were_fitted(dynamic, sets, frames, label):
+    choices = replace(AUTO, frames=frames, terms="none", residual="none")
+    found = stages.calibrate(dynamic.arm, sets[0], test=sets[1], choices=choices)
+    block = next(block for block in found.blocks() if block.title == "Errors on held-out rows")
+    assert [row[0] for row in block.rows] == [label, "geometry"]
+    assert found.known_frames == (frames == "known") == (found.base_frame is None)
+    assert found.as_dict()["frames"] == frames
+    assert (found.as_dict()["base_frame"] is None) == (frames == "known")
+    record = found.calibration.record
+    assert ("base_frame" in record) == (frames == "fitted") and record["frames"] == frames
+    said = found.frames_text
+    assert ("base and tool are known" in said) == (frames == "known")
