@@ -240,3 +240,27 @@ def test_the_five_poses_are_those_of_the_standard():
     corners = 0.25 * np.array([[0, 0, 0], [-1, -1, 1], [-1, 1, 1], [1, 1, -1], [1, -1, -1]])
     np.testing.assert_allclose(poses.position, [1.0, 2.0, 3.0] + 0.8 * corners)
     np.testing.assert_array_equal(poses.rotation, np.broadcast_to(np.eye(3), (5, 3, 3)))
+
+
+def test_each_grid_point_near_a_sample_is_sought_once_from_the_nearest_one(qiao, monkeypatch):
+    """Ten steps, no restarts; points farther than a grid step from every sample are not asked about."""
+    asked = []
+
+    def listening(geometry, goals, start, **options):
+        asked.append((goals, start, options))
+        return inverse(geometry, goals, start, **options)
+
+    monkeypatch.setattr(workspace, "inverse", listening)
+    workspace.largest_cube(qiao.nominal, steps=6)
+    ((goals, start, options),) = asked
+    assert options == {"max_iterations": 10, "restarts": 0}
+    joints = qiao.nominal.lower + np.ptp([qiao.nominal.lower, qiao.nominal.upper], axis=0) * qmc.Halton(
+        6, scramble=False
+    ).random(2**14)
+    points = forward(qiao.nominal, joints).position
+    step = np.ptp(points, axis=0).max() / 6
+    for goal, begin in zip(goals.position, start, strict=True):
+        distance = np.linalg.norm(points - goal, axis=1)
+        assert distance.min() < step
+        np.testing.assert_allclose(begin, joints[np.argmin(distance)])
+    assert 20 < len(start) < 7**3

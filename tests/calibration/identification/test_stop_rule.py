@@ -1,5 +1,6 @@
 """The steps of least squares and their stop rule: each bound from both sides, ridge and covariance written out."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import torch
 
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import describe_absorption, identify, is_angle, judged_step
-from pickenv.calibration.model.error_model import link_model
+from pickenv.calibration.model.error_model import geometric_model, link_model
 from pickenv.calibration.model.identifiability import identifiability
 from pickenv.errors import InputError
 
@@ -161,6 +162,22 @@ def test_what_absorbs_a_parameter_is_named_largest_first_and_four_at_most():
     shares = {"a": 0.5, "b": -2.0, "c": 0.1, "d": 1.0}
     assert describe_absorption(shares) == "absorbed by -2 b +1 d +0.5 a +0.1 c"
     assert describe_absorption(shares | {"e": 0.01}) == "absorbed by -2 b +1 d +0.5 a +0.1 c and 1 more"
+
+
+def test_base_and_tool_are_parameters_where_they_are_not_known(qiao):
+    """And betas only between parallel axes: of the picking arm J1 and J2, J5 and J6."""
+    known, fitted = (geometric_model(qiao.nominal, known).names for known in (True, False))
+    assert len(known) == 24 and not any(name.startswith(("base", "tool", "beta")) for name in known)
+    assert set(fitted) - set(known) == {
+        *(f"{part}_{axis}" for part in ("base", "tool") for axis in ("x", "y", "z", "rx", "ry", "rz")),
+        *(f"beta{i}" for i in range(1, 6) if qiao.nominal.alpha[i] == 0.0),
+    }
+
+
+def test_a_solution_takes_no_longer_than_the_call(qiao, exact):
+    data, begin = exact(qiao.true, 20), time.perf_counter()
+    found = identify(link_model(qiao.nominal), qiao.nominal, data)
+    assert 0.0 < found.solve_seconds < time.perf_counter() - begin
 
 
 @pytest.mark.parametrize("rows", [40, 5])

@@ -1,5 +1,6 @@
 """What a plan prints beside its poses, recomputed: chance's sets, travel, errors to expect; and its smallest sets."""
 
+import time
 from dataclasses import replace
 from itertools import pairwise
 
@@ -101,7 +102,9 @@ def test_the_error_to_expect_is_the_parameters_covariance_carried_to_the_test_po
 
 
 def test_without_test_poses_nothing_is_said_of_an_error(qiao):
+    begin = time.perf_counter()
     plan = plan_poses(qiao, link_model(qiao.nominal), 8, np.random.default_rng(0), candidates=40, kind="position")
+    assert 0.0 < plan.seconds < time.perf_counter() - begin
     assert plan.predicted_error is None and plan.random_predicted_error is None
     assert "predicted_error_mm" not in plan.as_dict() and "error to expect" not in plan.report()
     assert plan.design.rows.shape[:2] == (40, 3) and len(plan.design.weight) == 3
