@@ -96,6 +96,38 @@ ROOMS = {
         "tests/harvester",
         "picking assignment interference harvest environments",
     ),
+    "picking env": room("pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"),
+    "harvesting env": room(
+        "pickenv/envs/harvesting",
+        "harvest_batch harvest_env harvest_vector",
+        "tests",
+        "envs/harvest_by_hand harvester/harvest_vector harvester/one_cup",
+    ),
+    "reaching": room(
+        "pickenv/envs/reaching",
+        "batch numpy_batch torch_batch vector",
+        "tests/envs",
+        "autoreset streams compensation_vector vector",
+    ),
+    "wrappers": room(
+        "pickenv/wrappers", "compensation sb3", "tests/envs", "compensation_wrapper compensation_vector sb3"
+    ),
+    "orchard": room(
+        "pickenv/orchard",
+        "camera stereo vision gripper",
+        "tests/orchard",
+        "gripper camera_by_hand vision_by_hand camera vision bad_input",
+    ),
+    "harvester": room(
+        "pickenv/harvester",
+        "assignment rules optimiser pick_point true_machine zones",
+        "tests/harvester",
+        "plans_by_hand clock_by_hand pick_point true_machine assignment",
+    ),
+    "policies": room(
+        "agents/policies", "servo adaptive scripted gap", "tests/agents", "policies_by_hand scripted policies learned"
+    ),
+    "rollouts": room("agents/evaluation", "rollout reaches", "tests/agents", "policies_by_hand evaluation"),
     "yields": room(
         "pickenv/study",
         "results/outcomes results/quantiles results/yields",
