@@ -96,7 +96,9 @@ ROOMS = {
         "tests/harvester",
         "picking assignment interference harvest environments",
     ),
-    "picking env": room("pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"),
+    "picking env": room(
+        "pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"
+    ),
     "harvesting env": room(
         "pickenv/envs/harvesting",
         "harvest_batch harvest_env harvest_vector",
@@ -191,7 +193,7 @@ ROOMS = {
         "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
         "reports/calibration_report reports/report_words",
         "tests/inspect",
-        "runs/summary_numbers figure_numbers page_numbers calibration_report report",
+        "runs/summary_numbers figure_numbers figures page_numbers calibration_report report",
     ),
 }
 
