@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +35,8 @@ from pickenv.agents.evaluation.calibrated import CalibrationPlan
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
 from pickenv.agents.evaluation.grid_figures import LABELS, aggregate_figure, success_curves
 from pickenv.agents.evaluation.grid_tables import gain_words, interval_words, with_interval
-from pickenv.agents.evaluation.statistics import mean_over_arms, quantile_over_arms, share_over_arms
+from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.files import write_text
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import WIDTH, new_figure, rgb, save_figure
@@ -114,15 +116,19 @@ def policies_findings(grid: PolicyGrid) -> list[Finding]:
         "arms, mm): "
         f"{', '.join(means)}; a servo with a camera of 1 mm per axis leaves {_of(servo)} on raw arms."
     )
-    cup = grid.grippers["li_cup"]
-    rates = [
-        f"{100 * share_over_arms(grid.cell('scripted', key, 'encoders', plant).chances(cup)).value:.1f} %"
+    taken = {
+        (plant, key): grid.cell("scripted", key, "encoders", plant).chances(grid.grippers["li_cup"])
         for plant in PLANTS
         for key in ("raw", "ls")
-    ]
+    }
+    change = mean_over_arms(taken["orchard", "ls"] - taken["orchard", "raw"])
+    rates = {where: with_interval(found.value, found.ci95, 1, 100.0, " %") for where, found in _shares(taken).items()}
     second = (
-        f"For Li's cup, least squares turn {rates[0]} of taken fruit into {rates[1]} on `qiao2026` and "
-        f"{rates[2]} into {rates[3]} on `orchard`; the marks' bars are 95 % intervals over arms."
+        f"On `qiao2026` Li's cup takes {rates['qiao2026', 'raw']} of the fruit from the raw arm, blind, and "
+        f"{rates['qiao2026', 'ls']} behind least squares; on `orchard`, which also drifts, {rates['orchard', 'raw']} "
+        "and "
+        f"{rates['orchard', 'ls']}, a change on the same arms and fruit of {100 * change.value:+.1f} "
+        f"({interval_words(change.ci95, 1, 100.0, '+') or change.missing}) points."
     )
     return [
         Finding(
@@ -130,6 +136,10 @@ def policies_findings(grid: PolicyGrid) -> list[Finding]:
         ),
         Finding("Whether it changes a pick", second, "success", success_curves(grid, "orchard"), success_table(grid)),
     ]
+
+
+def _shares(taken: Mapping[tuple[str, str], Array]) -> dict[tuple[str, str], Estimate]:
+    return {where: share_over_arms(chances) for where, chances in taken.items()}
 
 
 def error_tables(grid: PolicyGrid) -> list[str]:
@@ -213,7 +223,7 @@ def adaptive_finding(sizes: Sizes, runs: Path) -> Finding:
     return Finding("Calibrating while picking", sentence, "adaptive", figure, [*lines, ""])
 
 
-def _of(found: Any) -> str:
+def _of(found: Estimate) -> str:
     return with_interval(found.value, found.ci95, 2)
 
 
