@@ -186,12 +186,19 @@ def success_table(grid: PolicyGrid) -> list[str]:
     return [*lines, ""]
 
 
-def adaptive_finding(sizes: Sizes, runs: Path) -> Finding:
+def run_adaptive(sizes: Sizes, runs: Path) -> PolicyGrid:
     """The policy that calibrates while it picks."""
-    settings = settings_of(
-        sizes, policies=("adaptive",), feedback=("camera",), plants=tuple(PLANTS), compensations=("raw", "ls")
+    return run_grid(
+        settings_of(
+            sizes, policies=("adaptive",), feedback=("camera",), plants=tuple(PLANTS), compensations=("raw", "ls")
+        ),
+        runs,
     )
-    grid = run_grid(settings, runs)
+
+
+def adaptive_finding(grid: PolicyGrid) -> Finding:
+    """By the number of the pick."""
+    settings = grid.settings
     half = settings.episodes // 2
     parts = {"first pick": slice(1), "picks 2 to 8": slice(1, 8), "second half": slice(half, None)}
     lines = [
@@ -275,7 +282,7 @@ def main() -> None:
             title = "Open loop calibrated against closed loop raw"
             findings.append(Finding(title, noise_sentence(noise), "noise", noise_figure(noise), noise_tables(noise)))
         elif name == "adaptive":
-            findings.append(adaptive_finding(sizes, calibrations))
+            findings.append(adaptive_finding(run_adaptive(sizes, calibrations)))
         elif name == "day":
             day = run_day(settings_of(sizes), sizes.picks)
             findings.append(Finding("A day in the orchard", day_sentence(day), "day", day_figure(day), day_tables(day)))
