@@ -39,7 +39,7 @@ from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quant
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.files import write_text
 from pickenv.inspect.colours import policy_colours
-from pickenv.inspect.figures.style import WIDTH, new_figure, rgb, save_figure
+from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, rgb, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -150,14 +150,14 @@ def error_tables(grid: PolicyGrid) -> list[str]:
         "one "
         "training each.",
         "",
-        "| plant | policy | feedback | calibration | mean | median arm | 95th percentile arm |",
-        "|---|---|---|---|---|---|---|",
+        "| plant | policy | feedback | calibration | mean | median arm | 95th percentile arm | largest reach |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for cell in grid.cells:
         numbers = mean_over_arms(cell.errors_mm), *(quantile_over_arms(cell.errors_mm, p) for p in (0.5, 0.95))
         lines.append(
             f"| {cell.plant} | {cell.policy} | {cell.feedback} | {LABELS[cell.compensation]} | "
-            f"{' | '.join(map(_of, numbers))} |"
+            f"{' | '.join(map(_of, numbers))} | {cell.errors_mm.max():.1f} |"
         )
     lines += ["", "Paired differences (mm), on the same arms and fruit, open loop:", ""]
     lines += ["| plant | policy | from | to | difference | 95 % | significant |", "|---|---|---|---|---|---|---|"]
@@ -207,8 +207,8 @@ def adaptive_finding(grid: PolicyGrid) -> Finding:
         "drift "
         "to follow (see the day). Mean error (mm), 95 % interval over arms.",
         "",
-        "| plant | starting from | " + " | ".join(parts) + " |",
-        "|---|---|" + "---|" * len(parts),
+        "| plant | starting from | " + " | ".join(parts) + " | largest |",
+        "|---|---|" + "---|" * (len(parts) + 1),
     ]
     names = [f"{cell.plant}, {LABELS[cell.compensation]}" for cell in grid.cells]
     with new_figure(WIDTH, 3.0) as figure:
@@ -216,8 +216,9 @@ def adaptive_finding(grid: PolicyGrid) -> Finding:
         for cell, name, colour in zip(grid.cells, names, rgb(policy_colours(names)), strict=True):
             errors = cell.errors_mm
             found = [_of(mean_over_arms(errors[:, :, part])) for part in parts.values()]
-            lines.append(f"| {cell.plant} | {LABELS[cell.compensation]} | {' | '.join(found)} |")
+            lines.append(f"| {cell.plant} | {LABELS[cell.compensation]} | {' | '.join(found)} | {errors.max():.1f} |")
             axes.plot(np.arange(1, settings.episodes + 1), errors.mean(axis=(0, 1)), color=colour, label=name)
+        plain_decades(axes.yaxis)
         figure.legend(loc="outside right center")
     errors = grid.cells[0].errors_mm
     gain = mean_over_arms(errors[:, :, half:].mean(axis=2, keepdims=True) - errors[:, :, :1])
