@@ -17,6 +17,7 @@ from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.inspect.runs.episode_ends import Reaches, reaches_of
 from pickenv.orchard.gripper import Gripper, capture_probability, misalignment
+from pickenv.seeds import seed_words, stream
 from pickenv.wrappers import Compensate
 
 MOST_ROWS = 2048
@@ -121,7 +122,7 @@ def roll_out(
             env = ReachVectorEnv(len(rows), max_episode_steps=None, autoreset_mode="Disabled", **arguments)
             if compensators is not None:
                 env.compensator = PerArm(tuple(compensators), tuple(rows.tolist()))
-            policy = make(env, seed + first)
+            policy = make(env, seed_words(stream(seed, "policy", first), 1)[0])
         assert policy is not None
         parts.append(_run(env, policy, rows, block.ravel(), steps))
     return _joined(parts)
