@@ -13,7 +13,7 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.study.analysis.sensitivity import ARMS_PER_TERM, sensitivities_of
-from pickenv.study.analysis.sobol import SAMPLES, SCRAMBLES, sobol_indices
+from pickenv.study.analysis.sobol import LEAST, SAMPLES, sobol_indices
 from pickenv.study.results.variance_indices import variance_indices
 
 DEVIATIONS = 24
@@ -59,13 +59,13 @@ def test_shares(repeats: Any, arms: int) -> None:
     assert spared / null >= 0.93, f"holds zero in {spared} of {null}"
     assert abs(np.mean(estimates)) < 4.0 * np.std(estimates) / np.sqrt(null / 4)
     for name, count in held.items():
-        assert 0.93 - chance <= count / times <= 0.97 + chance + 0.01, f"{name}: {count} of {times}"
+        assert 0.93 - chance <= count / times <= 0.97 + chance, f"{name}: {count} of {times}"
 
 
 ISHIGAMI = {"first_order": (0.3139, 0.4424, 0.0), "total": (0.5576, 0.4424, 0.2437)}
 
 
-@pytest.mark.parametrize("samples", [2 * SCRAMBLES, SAMPLES])
+@pytest.mark.parametrize("samples", [LEAST, SAMPLES])
 def test_sobol_indices(repeats: Any, samples: int) -> None:
     def model(even: np.ndarray, _rows: np.ndarray) -> np.ndarray:
         x = np.pi * (2 * even - 1)
@@ -79,7 +79,7 @@ def test_sobol_indices(repeats: Any, samples: int) -> None:
             held[key] += [r[f"{key}_low"] <= t <= r[f"{key}_high"] for r, t in zip(rows, truth, strict=True)]
     chance = 0.0 if repeats.full else 3.0 * np.sqrt(0.05 * 0.95 / times)
     for key, counts in held.items():
-        assert (counts / times >= 0.93 - chance).all() and (counts / times <= 0.98 + chance).all(), (key, counts)
+        assert (counts / times >= 0.93 - chance).all() and (counts / times <= 0.97 + chance).all(), (key, counts)
 
 
 @pytest.mark.parametrize("arms", [20, 256])
@@ -97,5 +97,4 @@ def test_components(repeats: Any, arms: int) -> None:
             other["total_low"] <= 0.375 <= other["total_high"],
         ]
     chance = 0.0 if repeats.full else 3.0 * np.sqrt(0.05 * 0.95 / times)
-    least = 0.93 if arms > 100 else 0.88
-    assert (held / times >= least - chance).all() and (held / times <= 0.985 + chance).all(), held / times
+    assert (held / times >= 0.93 - chance).all() and (held / times <= 0.97 + chance).all(), held / times

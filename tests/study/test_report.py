@@ -227,7 +227,7 @@ def test_the_recorded_arms_reach_for_the_worst_arms_fruit(folder):
 def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, found, tmp_path):
     """Angles explain the raw arms, stiffness the calibrated ones, whichever way it is found."""
     protocol, settings = prepared_study(found.config), list(found.sensitivities)
-    path = write_sobol(folder, settings, 128)
+    path = write_sobol(folder, settings, 256)
     try:
         raw, calibrated = read_sobol(folder).values()
         text = Parsed(study_page(folder, found)).text
@@ -242,8 +242,8 @@ def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, fou
         assert regressed["share_low"] < total[chief]["total_high"]
         assert all(row["total"] >= row["first_order"] for row in rows)
     assert "Sobol indices, medium, IT8, raw" in text and f"{100 * raw[0]['total']:.1f}" in text
-    assert raw[0]["arms"] == 128 * 7
-    assert sobol_of(protocol, protocol.settings[0], 64) == sobol_of(protocol, protocol.settings[0], 64)
+    assert raw[0]["arms"] == 256 * 7
+    assert sobol_of(protocol, protocol.settings[0], 256) == sobol_of(protocol, protocol.settings[0], 256)
 
 
 def test_groups_name_each_random_number_of_the_effects_that_are_on(found):
