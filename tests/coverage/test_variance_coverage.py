@@ -1,6 +1,7 @@
 """Shares of variance and Sobol indices hold the truth as often as they say; a cause without effect may have none.
 
-Rows like a study's, but of known truth: even deviations, errors that are skewed and unequally scattered.
+Rows like a study's, but of known truth: even deviations, errors that are skewed and unequally scattered. One draw takes
+a tenth of a second, so that a thousand tell the coverage to within 1.4 points: so much is allowed on either side.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def test_shares(repeats: Any, arms: int) -> None:
             null += 1
             spared += found[name]["share_low"] <= 0.0 <= found[name]["share_high"]
             estimates.append(found[name]["share"])
-    chance = 0.0 if repeats.full else 3.0 * np.sqrt(0.05 * 0.95 / times)
+    chance = (2.0 if repeats.full else 3.0) * np.sqrt(0.05 * 0.95 / times)
     assert spared / null >= 0.93, f"holds zero in {spared} of {null}"
     assert abs(np.mean(estimates)) < 4.0 * np.std(estimates) / np.sqrt(null / 4)
     for name, count in held.items():
@@ -77,7 +78,7 @@ def test_sobol_indices(repeats: Any, samples: int) -> None:
         rows = sobol_indices(model, {"x1": [0], "x2": [1], "x3": [2]}, samples, rng)
         for key, truth in ISHIGAMI.items():
             held[key] += [r[f"{key}_low"] <= t <= r[f"{key}_high"] for r, t in zip(rows, truth, strict=True)]
-    chance = 0.0 if repeats.full else 3.0 * np.sqrt(0.05 * 0.95 / times)
+    chance = (2.0 if repeats.full else 3.0) * np.sqrt(0.05 * 0.95 / times)
     for key, counts in held.items():
         assert (counts / times >= 0.93 - chance).all() and (counts / times <= 0.97 + chance).all(), (key, counts)
 
@@ -96,5 +97,5 @@ def test_components(repeats: Any, arms: int) -> None:
             one["first_order_low"] <= 0.5 <= one["first_order_high"],
             other["total_low"] <= 0.375 <= other["total_high"],
         ]
-    chance = 0.0 if repeats.full else 3.0 * np.sqrt(0.05 * 0.95 / times)
+    chance = (2.0 if repeats.full else 3.0) * np.sqrt(0.05 * 0.95 / times)
     assert (held / times >= 0.93 - chance).all() and (held / times <= 0.97 + chance).all(), held / times
