@@ -37,8 +37,9 @@ def between(low: float | None, high: float | None, digits: int, sign: str = "") 
 
 
 def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "") -> str:
-    """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34)."""
-    return f"{_plain(value, digits):.{digits}f}{unit} ({between(low, high, digits)})"
+    """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34); alone where there is no interval."""
+    said = f"{_plain(value, digits):.{digits}f}{unit}"
+    return said if low is None and high is None else f"{said} ({between(low, high, digits)})"
 
 
 def _plain(value: float, digits: int) -> float:
@@ -46,9 +47,10 @@ def _plain(value: float, digits: int) -> float:
     return round(value, digits) + 0.0
 
 
-def percent(share: float, low: float, high: float, digits: int = 0) -> str:
-    """A share with its 95 % interval: 93 % (88 to 97)."""
-    return estimated(100 * share, 100 * low, 100 * high, digits, " %")
+def percent(share: float, low: float | None, high: float | None, digits: int = 0) -> str:
+    """A share with its 95 % interval: 93 % (88 to 97); alone where there is no interval."""
+    ends = [None if end is None else 100 * end for end in (low, high)]
+    return estimated(100 * share, ends[0], ends[1], digits, " %")
 
 
 def named_values(values: Mapping[str, object]) -> str:
