@@ -20,13 +20,13 @@ from pytest_benchmark.fixture import BenchmarkFixture
 ROOT = Path(__file__).parents[1]
 
 GROUND = (
-    "pickenv.bootstrap",
     "pickenv.intervals",
     "pickenv.faces",
     "pickenv.files",
     "pickenv.limits",
     "pickenv.locks",
     "pickenv.sealed",
+    "pickenv.seeds",
     "pickenv.container",
     "pickenv.provenance",
     "pickenv.reservations",
