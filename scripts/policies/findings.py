@@ -2,7 +2,7 @@
 
 Simulated arms of tolerance class coarse that nothing was trained on, each with its own calibration. 95 % intervals over
 arms, and over training seeds where a policy was trained several times (`pickenv.intervals`). What an earlier run
-left in `--runs` (calibrations, trainings) is not made again. `python scripts/policies/findings_seeds.py` asks other seeds.
+left in `--runs` (calibrations, trainings) is not made again. `findings_seeds.py` beside it asks other seeds.
 """
 
 from __future__ import annotations
@@ -265,7 +265,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/findings"))
     parser.add_argument("--quick", action="store_true", help="Small sizes, to see that it runs.")
     parser.add_argument(
-        "--steps", type=int, default=Sizes().steps, help="Steps of each training of the transfer study."
+        "--steps", type=int, default=Sizes().steps, help="Steps of each training."
     )
     parser.add_argument("--without", choices=SECTIONS, nargs="*", default=[], help="Sections to leave out.")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="Processes that fit residual models.")

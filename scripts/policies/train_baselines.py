@@ -143,7 +143,7 @@ def main() -> None:
     parser.add_argument("--only", choices=tuple(BASELINES_BY_NAME))
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--cards", action="store_true", help="Judge the shipped policies anew; train nothing.")
-    parser.add_argument("--compensations", nargs="+", default=["raw", "ls", "best"])
+    parser.add_argument("--compensations", nargs="+", default=["raw", "ls"])
     options = parser.parse_args()
     for name in [options.only] if options.only else BASELINES_BY_NAME:
         if options.cards:
