@@ -96,7 +96,9 @@ ROOMS = {
         "tests/harvester",
         "picking assignment interference harvest environments",
     ),
-    "picking env": room("pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"),
+    "picking env": room(
+        "pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"
+    ),
     "harvesting env": room(
         "pickenv/envs/harvesting",
         "harvest_batch harvest_env harvest_vector",
