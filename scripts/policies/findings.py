@@ -264,9 +264,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs"))
     parser.add_argument("--runs", type=Path, default=Path("runs/findings"))
     parser.add_argument("--quick", action="store_true", help="Small sizes, to see that it runs.")
-    parser.add_argument(
-        "--steps", type=int, default=Sizes().steps, help="Steps of each training."
-    )
+    parser.add_argument("--steps", type=int, default=Sizes().steps, help="Steps of each training.")
     parser.add_argument("--without", choices=SECTIONS, nargs="*", default=[], help="Sections to leave out.")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="Processes that fit residual models.")
     options = parser.parse_args()
