@@ -27,7 +27,12 @@ def test_blocks_of_known_spread(repeats: Any, blocks: int, apart: float) -> None
     repeats.check(lambda rng: error_statistics(errors(rng), number).mean_ci95, NORM * np.exp(apart**2 / 2.0), share=0.2)
     if apart < 0.4:  # of ten blocks that differ more, the interval of the root mean square holds in 92 %
         truth = np.sqrt(3.0) * np.exp(apart**2)
-        repeats.check(lambda rng: error_statistics(errors(rng), number).rms_ci95, truth, share=0.2)
+
+        def of_rms(rng: np.random.Generator) -> Any:
+            """Of data that have one: now and then a sample looks further apart than it is."""
+            return next(ends for _ in range(100) if (ends := error_statistics(errors(rng), number).rms_ci95))
+
+        repeats.check(of_rms, truth, share=0.2)
 
 
 def test_rows_of_alike_errors_judged_without_their_block(repeats: Any) -> None:

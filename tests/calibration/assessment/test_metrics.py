@@ -85,6 +85,14 @@ def test_between_blocks_of_equal_size_the_interval_is_that_of_their_means():
     assert np.log(high / low) == pytest.approx(np.ptp(mean_interval(squares)) / 2, rel=0.1)
 
 
+@pytest.mark.parametrize(("apart", "bounded"), [(0.39, True), (0.41, False)])
+def test_blocks_too_far_apart_bound_no_root_mean_square(apart, bounded):
+    sizes = np.linspace(-1.0, 1.0, 10)
+    norms = np.repeat(np.exp(sizes * apart / sizes.std(ddof=1)), 20)
+    found = error_statistics(norms, np.repeat(np.arange(10), 20))
+    assert (found.rms_ci95 is not None) == bounded and found.mean_ci95 is not None
+
+
 def test_alike_errors_of_a_block_widen_the_interval():
     """Ten blocks of a hundred equal errors are ten values, not a thousand."""
     values = np.repeat(np.linspace(1.0, 2.0, 10), 100)
