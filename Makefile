@@ -38,7 +38,7 @@ test: lint
 	$(PYTEST) -n 2 $(ARGS)
 
 test-slow: $(DEVELOPMENT)
-	$(PYTEST) -m slow -n 2 $(ARGS)
+	$(PYTEST) -m "slow and not coverage" -n 2 $(ARGS)
 
 test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser

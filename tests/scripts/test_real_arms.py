@@ -65,9 +65,14 @@ def test_random_splits_are_stated_by_their_mean_and_range(data_folder: Path) -> 
 
 
 @pytest.mark.slow
-def test_the_readmes_table_is_what_the_script_prints(data_folder: Path, tmp_path: Path) -> None:
-    """All rows anew; some minutes."""
-    command = [sys.executable, ROOT / "scripts/real_arms.py", "--data", data_folder, "--out", tmp_path]
+def test_the_readmes_rows_are_what_the_script_prints(data_folder: Path, tmp_path: Path) -> None:
+    """The rows without learnt models, anew; all of them take more than half an hour, by the script itself."""
+    names = ["ur5_random", "ur10_b_random", "ur10_d_random", "positioner_random", "positioner_blocks"]
+    only = [word for name in names for word in ("--only", name)]
+    command = [sys.executable, ROOT / "scripts/real_arms.py", "--data", data_folder, "--out", tmp_path, *only]
     subprocess.run(command, check=True, capture_output=True)
-    assert (tmp_path / "real_arms.md").read_text(encoding="utf-8") in README
+    rows = (tmp_path / "real_arms.md").read_text(encoding="utf-8").splitlines()
+    rows = [row for row in rows if row.startswith("|")][2:]
+    assert len(rows) == len(names)
+    assert [row for row in rows if row not in README] == []
     assert json.loads((tmp_path / "real_arms.json").read_text(encoding="utf-8"))["splits"] == 10
