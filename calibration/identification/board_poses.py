@@ -49,4 +49,6 @@ def _homography(flat: Array, rays: Array) -> Array:
         [np.hstack([points, blank, -rays[:, :1] * points]), np.hstack([blank, points, -rays[:, 1:] * points])]
     )
     found = np.linalg.svd(rows)[2][-1].reshape(3, 3)
-    return np.asarray(found @ np.array([[size, 0.0, -size * middle[0]], [0.0, size, -size * middle[1]], [0.0, 0.0, 1.0]]))
+    return np.asarray(
+        found @ np.array([[size, 0.0, -size * middle[0]], [0.0, size, -size * middle[1]], [0.0, 0.0, 1.0]])
+    )

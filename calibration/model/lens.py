@@ -59,7 +59,7 @@ def distorted(values: Array, ideal: Array) -> Array:
 
 
 def undistorted(values: Array, pixels: Array) -> Array:
-    """Slopes of the rays ``(..., 2)`` that the lens puts at ``pixels`` ``(..., 2)``: fixed-point iteration, as OpenCV."""
+    """Slopes of the rays ``(..., 2)`` that the lens puts at ``pixels`` ``(..., 2)``, by fixed-point iteration."""
     seen = (pixels - values[2:4]) / values[:2]
     found = seen
     for _ in range(UNDISTORTING_STEPS):

@@ -129,7 +129,7 @@ class PixelObservations(OneGroup):
             lever = points - tool.position[rows]
             moved = point_jacobian(pose[rows], lever)
         else:
-            lever = np.broadcast_to(self.board, self.corners.shape[:2] + (3,))[self.seen] - tool.position[rows]
+            lever = np.broadcast_to(self.board, (*self.corners.shape[:2], 3))[self.seen] - tool.position[rows]
             moved = -np.swapaxes(tool.rotation, 1, 2)[rows] @ point_jacobian(pose[rows], lever)
         weight = 1.0 / self.std[self.seen][:, None, None]
         by_arm = (lens.by_point(values, points) @ moved * weight).reshape(-1, pose.shape[-1])
