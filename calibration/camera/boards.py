@@ -79,8 +79,8 @@ class Board:
             raise InputError(f"[board] has {self.columns} x {self.rows} squares; give at least 3 x 3")
         if self.kind == "chessboard" and (self.columns + self.rows) % 2 == 0:
             raise InputError(
-                f"a chessboard of {self.columns} x {self.rows} squares looks the same upside down; give one with an even "
-                "number of columns and an odd one of rows, or the other way round"
+                f"a chessboard of {self.columns} x {self.rows} squares looks the same upside down; give one with an "
+                "even number of columns and an odd one of rows, or the other way round"
             )
 
     @property
