@@ -117,15 +117,16 @@ def opencv_board(board: Board) -> Any:
     cv2 = opencv()
     assert board.dictionary is not None
     markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[board.dictionary]))
-    size = (board.columns, board.rows)
-    try:
-        if board.kind == "apriltags":
-            return cv2.aruco.GridBoard(size, board.square, board.gap, markers)
-        made = cv2.aruco.CharucoBoard(size, board.square, board.marker, markers)
-    except cv2.error as error:
+    needed = board.columns * board.rows // (1 if board.kind == "apriltags" else 2)
+    if needed > len(markers.bytesList):
         raise InputError(
-            f"dictionary {board.dictionary} has too few markers for {board.columns} x {board.rows}; give a larger one"
-        ) from error
+            f"dictionary {board.dictionary} has {len(markers.bytesList)} markers, too few for {board.columns} x "
+            f"{board.rows}; give a larger one"
+        )
+    size = (board.columns, board.rows)
+    if board.kind == "apriltags":
+        return cv2.aruco.GridBoard(size, board.square, board.gap, markers)
+    made = cv2.aruco.CharucoBoard(size, board.square, board.marker, markers)
     made.setLegacyPattern(board.legacy)
     return made
 

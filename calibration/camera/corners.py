@@ -7,6 +7,7 @@ finds; the figures are ours.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,9 @@ from pickenv.errors import InputError
 WINDOW = 5
 """px; a corner is refined, and judged, within a square of this half width."""
 
-LEAST_STD = 0.05
-"""px; no corner is surer, whatever its picture's noise: edges are not perfectly straight."""
+LEAST_STD = MappingProxyType({"charuco": 0.05, "chessboard": 0.05, "apriltags": 0.3})
+"""px; no corner is surer, whatever its picture's noise: crossings of edges, and the outer corners of tags, which blur
+shifts (both measured on rendered pictures)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +59,12 @@ def find_corners(board: Board, picture: Grey, where: str) -> FoundCorners:
         raise InputError(f"{where}: no corner of the board was found; {_reason(board, picture)}")
     pixels, seen, std = np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count)
     pixels[numbers], seen[numbers] = places, True
-    std[numbers] = corner_std(picture, places)
+    std[numbers] = corner_std(picture, places, LEAST_STD[board.kind])
     height, width = picture.shape
     return FoundCorners(pixels, seen, std, (width, height))
 
 
-def corner_std(picture: Grey, corners: Array, half: int = WINDOW) -> Array:
+def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) -> Array:
     """Standard uncertainty of corners ``(N, 2)`` along their worse direction ``(N,)``, px.
 
     Where the picture's noise of standard deviation s meets gradients g, the covariance is s^2 (sum g g^T)^-1.
@@ -75,7 +77,7 @@ def corner_std(picture: Grey, corners: Array, half: int = WINDOW) -> Array:
         window = (slice(max(y - half, 0), y + half + 1), slice(max(x - half, 0), x + half + 1))
         g = np.stack([across[window].ravel(), down[window].ravel()])
         found[i] = noise / np.sqrt(max(float(np.linalg.eigvalsh(g @ g.T)[0]), 1e-9))
-    return np.hypot(found, LEAST_STD)
+    return np.hypot(found, least)
 
 
 def picture_noise(grey: Array) -> float:
