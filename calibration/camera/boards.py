@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.files import write_whole
-from pickenv.toml_tables import MM, WHOLE, Check, toml_table
+from pickenv.texts import is_file, shortened
+from pickenv.toml_tables import MM, WHOLE, Check, read, toml_table
 
 Grey = NDArray[np.uint8]
 
@@ -34,6 +35,8 @@ DICTIONARIES: Mapping[str, str] = MappingProxyType(
     }
 )
 """Markers by name, and OpenCV's name for them."""
+
+SHIPPED = Path(__file__).parent / "shipped_boards"
 
 PIXELS_PER_SQUARE = 120
 """Of a board's picture; its page is drawn from it without smoothing, so that edges stay where they are."""
@@ -97,10 +100,33 @@ class Board:
         return np.column_stack([flat, np.zeros(len(flat))])
 
     @property
+    def title(self) -> str:
+        """What it is, in words."""
+        marker = f", markers {1e3 * self.marker:g} mm" if self.marker else ""
+        gap = f", gaps {1e3 * self.gap:g} mm" if self.gap else ""
+        names = f", {self.dictionary}" if self.dictionary else ""
+        return f"{self.kind} {self.columns} x {self.rows}{marker}{gap}{names}"
+
+    @property
     def size(self) -> tuple[float, float]:
         """Width and height of what is printed, m."""
         step = self.square + (self.gap or 0.0)
         return self.columns * step - (self.gap or 0.0), self.rows * step - (self.gap or 0.0)
+
+
+def load_board(name: str | Path) -> Board:
+    """Read a board by name (a shipped one) or from a TOML file with a table [board].
+
+    Raises:
+        InputError: If it is unknown or malformed; the message names the file and key.
+    """
+    path = Path(name)
+    if path.suffix != ".toml":
+        path = SHIPPED / f"{name}.toml"
+    if not is_file(path):
+        known = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.toml")))
+        raise InputError(f"unknown board '{shortened(name)}'; give one of {known}, or a path (.toml)")
+    return read(Board, path, section="board")
 
 
 def opencv() -> Any:
@@ -181,16 +207,8 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
     rule.text(
         margin,
         0.004,
-        f"{1e3 * length:g} mm when printed at 100 %; squares {side}; {_label(board)}",
+        f"{1e3 * length:g} mm when printed at 100 %; squares {side}; {board.title}",
         fontsize=6,
         va="center",
     )
     return write_whole(path, lambda temporary: figure.savefig(temporary, format=path.suffix[1:]))
-
-
-def _label(board: Board) -> str:
-    marker = f", markers {1e3 * board.marker:g} mm" if board.marker else ""
-    gap = f", gaps {1e3 * board.gap:g} mm" if board.gap else ""
-    return (
-        f"{board.kind} {board.columns} x {board.rows}{marker}{gap}{f', {board.dictionary}' if board.dictionary else ''}"
-    )
