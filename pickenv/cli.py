@@ -11,7 +11,7 @@ import typer
 
 import pickenv
 from pickenv.commands import corrections, inspection, learning, plants, reports
-from pickenv.commands.boards import board
+from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
 from pickenv.commands.guard import INTERRUPTED, guarded

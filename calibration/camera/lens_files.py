@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import yaml
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.lens import Lens
@@ -25,17 +24,6 @@ MODELS = ("plumb_bob", "opencv5")
 COEFFICIENTS = 5
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML that also knows OpenCV's matrices."""
-
-
-def _opencv_matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> Any:
-    return loader.construct_mapping(node, deep=True)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
-
-
 def read_lens(path: str | Path) -> Lens:
     """Read a lens from a ROS camera_info file or an OpenCV file (.yaml, .yml).
 
@@ -48,12 +36,7 @@ def read_lens(path: str | Path) -> Lens:
     text = read_text(path, "a camera file")
     if text.startswith("%YAML:1.0"):  # OpenCV's header is no YAML
         text = text.partition("\n")[2]
-    try:
-        found = yaml.load(text, _Loader)  # a safe loader, with one harmless tag more
-    except yaml.YAMLError as error:
-        place = getattr(error, "problem_mark", None)
-        where = f", line {place.line + 1}" if place is not None else ""
-        raise InputError(f"{path}{where}: is not YAML; give a ROS camera_info or OpenCV YAML file") from error
+    found = _content(text, path)
     if not isinstance(found, dict):
         raise InputError(f"{path}: holds no camera; give a ROS camera_info or OpenCV YAML file")
     model = found.get("distortion_model", "plumb_bob")
@@ -77,6 +60,8 @@ def read_lens(path: str | Path) -> Lens:
 
 def write_lens(lens: Lens, path: str | Path, form: LensFormat = "ros") -> Path:
     """Write a lens as ROS camera_info YAML, or as OpenCV's, whole or not at all; all digits are kept."""
+    import yaml
+
     fx, fy, cx, cy, *distortion = (float(value) for value in lens.values)
     matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
     width, height = lens.size
@@ -98,6 +83,25 @@ def write_lens(lens: Lens, path: str | Path, form: LensFormat = "ros") -> Path:
         "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
     }
     return write_text(Path(path), yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
+
+
+def _content(text: str, path: Path) -> Any:
+    """What YAML holds that also knows OpenCV's matrices."""
+    import yaml  # late: a camera file is read once
+
+    class Loader(yaml.SafeLoader):
+        """A safe loader, with one harmless tag more."""
+
+    def matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> Any:
+        return loader.construct_mapping(node, deep=True)
+
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", matrix)
+    try:
+        return yaml.load(text, Loader)
+    except yaml.YAMLError as error:
+        place = getattr(error, "problem_mark", None)
+        where = f", line {place.line + 1}" if place is not None else ""
+        raise InputError(f"{path}{where}: is not YAML; give a ROS camera_info or OpenCV YAML file") from error
 
 
 def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array:

@@ -36,7 +36,7 @@ class Lens:
     name: str = "camera"
 
 
-def project(values: Array, points: Array) -> Array:
+def projected(values: Array, points: Array) -> Array:
     """Pixels ``(..., 2)`` of points ``(..., 3)`` in the camera's frame."""
     fx, fy, cx, cy = values[:4]
     x, y = np.moveaxis(distorted(values, points[..., :2] / points[..., 2:]), -1, 0)
@@ -68,7 +68,7 @@ def undistorted(values: Array, pixels: Array) -> Array:
 
 
 def by_point(values: Array, points: Array) -> Array:
-    """Derivative of `project` by the point ``(..., 2, 3)``."""
+    """Derivative of `projected` by the point ``(..., 2, 3)``."""
     z = points[..., 2]
     x, y = points[..., 0] / z, points[..., 1] / z
     k1, k2, p1, p2, k3 = values[4:]
@@ -86,7 +86,7 @@ def by_point(values: Array, points: Array) -> Array:
 
 
 def by_values(values: Array, points: Array) -> Array:
-    """Derivative of `project` by the lens' numbers ``(..., 2, 9)``."""
+    """Derivative of `projected` by the lens' numbers ``(..., 2, 9)``."""
     fx, fy = values[:2]
     ideal = points[..., :2] / points[..., 2:]
     bent = distorted(values, ideal)

@@ -98,7 +98,7 @@ class PixelObservations(OneGroup):
 
     def predict(self, model: ArmModel, unknowns: Array) -> Array:
         """Where the corners should be ``(V, K, 2)``, px."""
-        return lens.project(self.lens_values(unknowns), self.in_camera(model))
+        return lens.projected(self.lens_values(unknowns), self.in_camera(model))
 
     def pixel_errors(self, model: ArmModel, unknowns: Array) -> Array:
         """Found minus predicted ``(R, 2)``, px, of the corners found, view by view."""

@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from pickenv.arm import Geometry, Pose
 from pickenv.arm.kinematics.geometry import Array
@@ -104,6 +103,7 @@ def _table(path: Path, pixels: PixelsTable, description: ColumnDescription) -> t
 
 def _entry(file: Path) -> dict[str, str]:
     """A small YAML file of one view's numbers, and its name as column "file"."""
+    import yaml  # late: most files are none
 
     def flat() -> dict[str, str]:
         found = yaml.safe_load(read_text(file, "a YAML file"))

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import Pose
 from pickenv.calibration.camera.boards import Board, board_picture, opencv_board, write_board
 from pickenv.calibration.camera.corners import corner_std, find_corners, picture_noise
-from pickenv.calibration.model.lens import Lens, project
+from pickenv.calibration.model.lens import Lens, projected
 from pickenv.errors import InputError
 from pickenv.toml_tables import made
 
@@ -67,7 +67,7 @@ def test_rendered_corners_are_found_as_surely_as_is_said(
         middle = np.append(np.array(board.size) / 2, 0.0)
         pose = Pose(np.array([0.01, -0.005, 0.42]) - rotation @ middle, rotation)
         found = find_corners(board, rendered(board, webcam, pose, rng), "x.png")
-        truth = project(webcam.values, board.corners @ rotation.T + pose.position)
+        truth = projected(webcam.values, board.corners @ rotation.T + pose.position)
         assert found.seen.mean() > 0.8
         sizes.append(((found.pixels - truth) / found.std[:, None])[found.seen])
     errors = np.concatenate(sizes)

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from pickenv.calibration.camera.lens_files import read_lens, write_lens
-from pickenv.calibration.model.lens import NAMES, Lens, by_point, by_values, project, undistorted
+from pickenv.calibration.model.lens import NAMES, Lens, by_point, by_values, projected, undistorted
 from pickenv.errors import InputError
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)) * (0.3, 0.3, 0.1) + (0.0, 0.0, 1.2)
@@ -20,7 +20,7 @@ def test_projection_is_opencvs(webcam: Lens) -> None:
     fx, fy, cx, cy, *distortion = webcam.values
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     wanted = cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), matrix, np.array(distortion))[0].reshape(-1, 2)
-    np.testing.assert_allclose(project(webcam.values, POINTS), wanted, atol=1e-9)
+    np.testing.assert_allclose(projected(webcam.values, POINTS), wanted, atol=1e-9)
     np.testing.assert_allclose(undistorted(webcam.values, wanted), POINTS[:, :2] / POINTS[:, 2:], atol=1e-9)
 
 
@@ -30,7 +30,7 @@ def test_derivatives_are_those_of_the_projection(webcam: Lens) -> None:
         (by_point, lambda e: (webcam.values, POINTS + e), 3),
         (by_values, lambda e: (webcam.values + e, POINTS), 9),
     ):
-        ends = [[project(*step(sign * h * e)) for e in np.eye(count)] for sign in (1, -1)]
+        ends = [[projected(*step(sign * h * e)) for e in np.eye(count)] for sign in (1, -1)]
         central = (np.stack(ends[0], -1) - np.stack(ends[1], -1)) / (2 * h)
         np.testing.assert_allclose(found(webcam.values, POINTS), central, atol=1e-5)
 

@@ -14,7 +14,7 @@ from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import frames_model
 from pickenv.calibration.model.finished_poses import joints_of_finished_poses, pose_carrier
-from pickenv.calibration.model.lens import Lens, project
+from pickenv.calibration.model.lens import Lens, projected
 from pickenv.calibration.model.pixels import PixelObservations
 
 BOARD = Board(kind="charuco", columns=6, rows=8, square=0.03, marker=0.022, dictionary="5x5_100")
@@ -55,7 +55,7 @@ def views_of(
         std=np.full((views, count), max(noise, 0.1)),
         mount=mount,  # type: ignore[arg-type]
     )
-    found = project(LENS.values, data.in_camera(ArmModel.of(geometry)))
+    found = projected(LENS.values, data.in_camera(ArmModel.of(geometry)))
     return geometry, replace(data, corners=found + np.random.default_rng(seed).normal(0, 1.0, found.shape) * noise)
 
 
@@ -121,7 +121,7 @@ def test_an_unknown_lens_is_found_with_the_frames() -> None:
     off, std = (own - LENS.values)[:4], found.standard_deviation[:4]
     assert np.abs(off / std).max() < 4.5  # distortions that these views hardly tell apart stand in for one another
     seen = data.in_camera(ArmModel.of(truth))[data.seen]
-    theirs, ours = (project(values, seen) for values in (LENS.values, own))
+    theirs, ours = (projected(values, seen) for values in (LENS.values, own))
     assert np.sqrt(np.mean((ours - theirs - (ours - theirs).mean(axis=0)) ** 2)) < 0.3
     assert np.sqrt(np.mean(data.pixel_errors(found.arm_model, own) ** 2)) == pytest.approx(0.2, rel=0.05)
 
