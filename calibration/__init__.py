@@ -7,7 +7,6 @@ torch is loaded when a network is trained, not before.
 from types import ModuleType as _ModuleType
 
 from pickenv.calibration.assessment.metrics import ErrorStatistics as ErrorStatistics
-from pickenv.calibration.assessment.metrics import bootstrap_interval as bootstrap_interval
 from pickenv.calibration.assessment.metrics import error_statistics as error_statistics
 from pickenv.calibration.assessment.metrics import held_out_r2 as held_out_r2
 from pickenv.calibration.assessment.metrics import paper_eta as paper_eta

@@ -60,6 +60,8 @@ def demo(
 
 def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     from pickenv.demo import LABELS
+    from pickenv.inspect.reports.report_words import between, percent
+    from pickenv.intervals import LEAST
 
     found = summary["identifiability"]
     heads = (
@@ -74,12 +76,17 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     )
     rows = []
     for key, row in summary["policies"].items():
-        position, (low, high) = row["position_mm"], row["position_mm"]["mean_ci95"]
+        position, interval = row["position_mm"], row["position_mm"]["mean_ci95"]
         numbers = (position["rms"], position["p95"], row["attitude_deg"]["mean"], row["noncompensable_deg"])
-        cells = [f"{position['mean']:.3f}", f"{low:.3f} to {high:.3f}", *(f"{number:.3f}" for number in numbers)]
-        rows.append([LABELS[key], *cells, f"{100 * row['success_rate']:.0f} %"])
+        said = "none" if interval is None else between(interval[0], interval[1], 3)
+        cells = [f"{position['mean']:.3f}", said, *(f"{number:.3f}" for number in numbers)]
+        rows.append([LABELS[key], *cells, percent(row["success_rate"], *row["success_ci95"])])
     title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
-    caption = f"success: within {summary['tolerance_mm']} mm; floor: attitude error that no joint motion removes"
+    caption = (
+        f"success: within {summary['tolerance_mm']:g} mm and {summary['attitude_tolerance_deg']:g} deg; floor: attitude"
+        " error that no joint motion removes; all of this one calibration: intervals are over fruit"
+        + ("" if summary["reaches"] >= LEAST else f", and means have none with fewer than {LEAST}")
+    )
     print_table(title, heads, rows, words=("policy",), caption=caption)
     dropped = ", ".join(found["dropped"])
     print(f"identifiable: {found['rank']} of {found['parameters']} parameters; dropped as redundant: {dropped}")

@@ -35,6 +35,7 @@ from pickenv.files import write_json, write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors
 from pickenv.inspect.runs.field_grid import field_grid
+from pickenv.intervals import share_interval
 from pickenv.wrappers import CompensationWrapper
 
 LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN"}
@@ -57,6 +58,7 @@ class DemoSettings:
         epochs: Passes of the network's training.
         tolerance_mm: Radius that counts as a success: tighter than any gripper's, since the raw arm's error is itself
             within the 5 mm that Li's cup forgives.
+        attitude_tolerance_deg: Attitude error that a success may have.
         grid_step: Cell size of the error field, m.
     """
 
@@ -68,6 +70,7 @@ class DemoSettings:
     reaches: int = 100
     epochs: int = 500
     tolerance_mm: float = 1.0
+    attitude_tolerance_deg: float = 10.0
     grid_step: float = 0.1
 
     @staticmethod
@@ -151,7 +154,12 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     seeds = episode_seeds(settings.seed, settings.reaches)
     reaches = {}
     for key, compensator in compensators.items():
-        env: gym.Env[Any, Any] = gym.make("pickenv/Reach-v0", plant=settings.plant, tolerance_mm=settings.tolerance_mm)
+        env: gym.Env[Any, Any] = gym.make(
+            "pickenv/Reach-v0",
+            plant=settings.plant,
+            tolerance_mm=settings.tolerance_mm,
+            angle_tolerance_deg=settings.attitude_tolerance_deg,
+        )
         if compensator is not None:
             env = CompensationWrapper(env, compensator)
         stage = f"reaching, {LABELS[key]}"
@@ -210,7 +218,9 @@ def summarise(result: DemoResult) -> dict[str, Any]:
     found = result.calibrated.fit.identification.identifiability
     policies = {}
     for key, run in result.reaches.items():
-        policies[key] = _figures(run.pose_error, run.noncompensable) | {"success_rate": float(run.success.mean())}
+        policies[key] = _figures(run.pose_error, run.noncompensable)
+        policies[key]["success_rate"] = float(run.success.mean())
+        policies[key]["success_ci95"] = share_interval(int(run.success.sum()), len(run.success))
     joints, geometry = result.test.joints, result.plant.geometry
     test = {key: _figures(e, noncompensable_error(geometry, joints, e)) for key, e in result.test_errors.items()}
     axes = ("x", "y", "z", "rx", "ry", "rz")
@@ -220,6 +230,8 @@ def summarise(result: DemoResult) -> dict[str, Any]:
         "plant": result.settings.plant,
         "simulated": True,
         "tolerance_mm": result.settings.tolerance_mm,
+        "attitude_tolerance_deg": result.settings.attitude_tolerance_deg,
+        "intervals": "over the fruit reached with this one calibration",
         "poses": {
             "identification": len(result.identification),
             "network": len(result.network),

@@ -306,7 +306,7 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
 
 def row_of(mutants: int, verdicts: list[str]) -> dict[str, Any]:
     """The score of some verdicts."""
-    from pickenv.calibration.assessment.metrics import wilson_interval  # late: see WARM
+    from pickenv.intervals import share_interval as wilson_interval  # late: see WARM
 
     late, killed = verdicts.count("took too long"), len(verdicts) - verdicts.count("passed")
     return {

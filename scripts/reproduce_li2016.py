@@ -121,14 +121,14 @@ class Study:
 
 def compare(true: TrueMachine, ways: list[Strategy], trees: int, images: int, workers: int) -> Study:
     """The same trees and images under each strategy."""
-    model, orchard, grid, rng = load_picking(), load_orchard(), load_grid(), np.random.default_rng(SEED)
+    model, orchard, grid = load_picking(), load_orchard(), load_grid()
     worked, measures, seen = {}, {}, {}
     first = (0, 0)
     for way in ways:
         worked[way.name] = work_trees(true, way, model, orchard, grid, count=trees, seed=SEED, workers=workers)
-        measures[way.name] = summary(true.machine, worked[way.name], rng)
+        measures[way.name] = summary(true.machine, worked[way.name])
         pictures = work_images(true, way, model, count=images, seed=SEED)
-        seen[way.name] = summary(true.machine, pictures, rng)
+        seen[way.name] = summary(true.machine, pictures)
         if way.name == "raw":
             found = funnel(pictures[: load_lab().runs])
             first = found["collected"], found["reachable"]
@@ -197,7 +197,9 @@ def printed_against_ours(console: Console, true: TrueMachine, errors: dict[str, 
 
 def our_comparison(console: Console, study: Study, reach: dict[str, float], plans: dict[int, dict[str, float]]) -> None:
     """What calibration, pick points and assignment are worth."""
-    table = Table("measure", *study.measures, title="The same trees, 95 % intervals over trees")
+    table = Table(
+        "measure", *study.measures, title="The same trees; 95 % intervals over trees where there are ten or more"
+    )
     for key in study.measures["raw"]:
         table.add_row(key, *(str(measures[key]) for measures in study.measures.values()))
     console.print(table)
@@ -227,7 +229,7 @@ def by_arms(trees: int) -> dict[str, dict[int, Measure]]:
             way = strategies(Controller(true.machine), Controller(true.machine))[-1]
             orchard = load_orchard(per_metre=density)
             done = work_trees(true, way, load_picking(), orchard, grid, count=trees, seed=SEED)
-            found[label][count] = summary(true.machine, done, np.random.default_rng(SEED))["picks_per_hour"]
+            found[label][count] = summary(true.machine, done)["picks_per_hour"]
     return found
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.bootstrap import RESAMPLES, interval95, resampled
+from pickenv.intervals import Ends, mean_interval, statistic_interval
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,9 @@ class ErrorStatistics:
 
     Attributes:
         mean: Mean norm.
-        mean_ci95: Bootstrap 95 % interval of the mean.
+        mean_ci95: 95 % interval of the mean, over errors or over blocks of them; None where there are too few.
         rms: Root mean square of the norm.
+        rms_ci95: 95 % interval of the root mean square, as that of the mean.
         std: Standard deviation of the norm.
         p95: 95th percentile.
         max: Largest.
@@ -32,8 +33,9 @@ class ErrorStatistics:
     """
 
     mean: float
-    mean_ci95: tuple[float, float]
+    mean_ci95: Ends | None
     rms: float
+    rms_ci95: Ends | None
     std: float
     p95: float
     max: float
@@ -45,15 +47,13 @@ class ErrorStatistics:
         return asdict(self)
 
 
-def error_statistics(
-    errors: ArrayLike, *, rng: np.random.Generator | None = None, resamples: int = RESAMPLES
-) -> ErrorStatistics:
+def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> ErrorStatistics:
     """Statistics of error vectors ``(N, k)``, or of norms ``(N,)`` (then ``axis_rms`` is empty).
 
     Args:
         errors: The errors.
-        rng: Draws the bootstrap; a fixed one when left out, so that equal data print equal intervals.
-        resamples: Bootstrap samples.
+        blocks: Number of the block that each error belongs to ``(N,)``, where errors of one block are alike; then the
+            interval is one between blocks.
 
     Raises:
         ValueError: If there are no errors or some are not finite.
@@ -63,10 +63,14 @@ def error_statistics(
         raise ValueError("error statistics need at least one error, all finite")
     norms = np.abs(errors) if errors.ndim == 1 else np.linalg.norm(errors, axis=1)
     axis = () if errors.ndim == 1 else tuple(float(v) for v in np.sqrt(np.mean(errors**2, axis=0)))
+    of_mean, of_square = (
+        mean_interval(values) if blocks is None else block_interval(values, blocks) for values in (norms, norms**2)
+    )
     return ErrorStatistics(
         mean=float(norms.mean()),
-        mean_ci95=bootstrap_interval(norms, rng=rng, resamples=resamples),
+        mean_ci95=of_mean,
         rms=float(np.sqrt(np.mean(norms**2))),
+        rms_ci95=None if of_square is None else (max(of_square[0], 0.0) ** 0.5, of_square[1] ** 0.5),
         std=float(norms.std()),
         p95=float(np.percentile(norms, 95)),
         max=float(norms.max()),
@@ -75,13 +79,14 @@ def error_statistics(
     )
 
 
-def bootstrap_interval(
-    values: ArrayLike, *, rng: np.random.Generator | None = None, resamples: int = RESAMPLES
-) -> tuple[float, float]:
-    """Percentile bootstrap 95 % interval of the mean of ``values`` ``(N,)``; paired when given differences."""
-    values = np.asarray(values, dtype=float)
-    low, high = interval95(resampled(values[None], np.mean, rng or np.random.default_rng(0), resamples))
-    return float(low), float(high)
+def block_interval(values: ArrayLike, blocks: ArrayLike) -> Ends | None:
+    """95 % interval of the mean of values ``(N,)``, between blocks ``(N,)``; None with fewer than ten of them.
+
+    Of blocks of equal size it is `mean_interval` of their means.
+    """
+    which = np.unique(np.asarray(blocks), return_inverse=True)[1]
+    sums = np.stack([np.bincount(which, np.asarray(values, dtype=float)), np.bincount(which)], axis=1)
+    return statistic_interval(sums, lambda rows: rows[:, 0].sum() / rows[:, 1].sum())
 
 
 def held_out_r2(truth: ArrayLike, predicted: ArrayLike) -> Array:
@@ -100,11 +105,3 @@ def paper_eta(identified: ArrayLike, true: ArrayLike) -> float:
     identified, true = np.asarray(identified, dtype=float), np.asarray(true, dtype=float)
     rated = (true != 0) & np.isfinite(identified)
     return float(100.0 * np.mean(1.0 - np.abs(identified[rated] - true[rated]) / np.abs(true[rated])))
-
-
-def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Wilson's score interval of a share, 95 % (Wilson 1927)."""
-    from scipy.stats import binomtest  # late: half of SciPy comes along
-
-    interval = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
-    return float(interval.low), float(interval.high)

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from pickenv.arm.kinematics.geometry import Array
@@ -222,6 +223,7 @@ def grade_quality(
     geometric: Identification | None = None,
     parametric: Array | None = None,
     noise: str = "stated noise",
+    blocks: NDArray[np.int64] | None = None,
 ) -> Quality:
     """Grade a calibration.
 
@@ -237,6 +239,7 @@ def grade_quality(
         parametric: Held-out errors without a learnt residual, which are set against ``trained``; ``after`` if there is
             none.
         noise: What the instrument's noise is called.
+        blocks: The block of each held-out error ``(M,)``, where errors of one block are alike.
     """
     bare = geometric or found
     seen = observability_of(bare.identifiability, bare.poses)
@@ -251,7 +254,7 @@ def grade_quality(
             "affected"
         )
     texts: dict[Weight, Iterable[str]] = {
-        "fail": _failures(found, before, after),
+        "fail": _failures(found, before, after, blocks),
         "caution": _cautions(found, trained, unlearnt, seen, coverage),
         "note": notes,
     }
@@ -279,7 +282,7 @@ def _rms_mm(errors: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1)))) * 1e3
 
 
-def _failures(found: Identification, before: Array, after: Array) -> Iterator[str]:
+def _failures(found: Identification, before: Array, after: Array, blocks: NDArray[np.int64] | None) -> Iterator[str]:
     was, now = _rms_mm(before), _rms_mm(after)
     if not found.converged:
         yield "the identification did not converge, so its parameters mean nothing"
@@ -291,16 +294,18 @@ def _failures(found: Identification, before: Array, after: Array) -> Iterator[st
             f"on held-out rows the calibrated arm is no better ({now:#.4g} mm RMS) than the nominal one ({was:#.4g} mm "
             "RMS); check units, conventions and the order of rows"
         )
-    elif _chance(before, after) > SIGNIFICANCE:
+    elif _chance(before, after, blocks) > SIGNIFICANCE:
         yield (
             f"on {len(after)} held-out rows the calibrated arm ({now:#.4g} mm RMS) cannot be told from the nominal one "
             f"({was:#.4g} mm RMS); measure more rows, or with less noise"
         )
 
 
-def _chance(before: Array, after: Array) -> float:
-    """Chance of a gain this large, pose by pose, if the calibration changed nothing (one-sided paired t test)."""
+def _chance(before: Array, after: Array, blocks: NDArray[np.int64] | None) -> float:
+    """Chance of a gain this large if the calibration changed nothing: one-sided paired t test by pose, or by block."""
     gain = np.linalg.norm(before[:, :3], axis=1) - np.linalg.norm(after[:, :3], axis=1)
+    if blocks is not None:
+        gain = np.bincount(blocks, gain) / np.bincount(blocks)
     if np.ptp(gain) == 0:
         return 0.0 if gain[0] > 0 else 1.0
     return float(stats.ttest_1samp(gain, 0.0, alternative="greater").pvalue)

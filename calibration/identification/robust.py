@@ -182,9 +182,11 @@ def sizes_of(arm: ArmModel, measurements: Measurements, like: Sizes | None = Non
     """Sizes in the standard deviations of others, or in robust ones, never below the instrument's own uncertainty."""
     left = measurements.difference(arm)
     sizes = [np.linalg.norm(part, axis=1) for part in np.split(left, [3], axis=1)]
-    stated = (measurements.position_std, measurements.attitude_std)
-    scales = [max(float(np.median(size)) / MEDIAN_NORM, std) for size, std in zip(sizes, stated, strict=True)]
-    position, attitude = scales if like is None else (like.position_scale, like.attitude_scale)
+    position, attitude = (0.0, None) if like is None else (like.position_scale, like.attitude_scale)
+    if like is None:
+        stated = (measurements.position_std, measurements.attitude_std)
+        scales = [max(float(np.median(size)) / MEDIAN_NORM, std) for size, std in zip(sizes, stated, strict=True)]
+        position, attitude = scales[0], scales[1]
     if measurements.rotation is None or attitude is None:
         return Sizes(sizes[0], None, position, None)
     return Sizes(sizes[0], sizes[1], position, attitude)

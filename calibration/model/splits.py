@@ -1,7 +1,8 @@
 """Splits of a data set into training and held-out rows.
 
 A random split flatters models that interpolate between neighbouring poses; a blocked one holds out contiguous runs of
-rows, which a measuring plan usually makes contiguous regions of the workspace. Judge residual models on the latter.
+rows, which a measuring plan usually makes contiguous regions of the workspace. Judge residual models on the latter, and
+state errors of all blocks, held out in turn: one pair of blocks says little of another.
 """
 
 from __future__ import annotations
@@ -12,6 +13,9 @@ from numpy.typing import NDArray
 from pickenv.errors import InputError
 
 Rows = NDArray[np.int64]
+
+BLOCKS = 10
+"""Contiguous blocks that a blocked judgement holds out in turn."""
 
 
 def equally_spaced(rows: int, most: int) -> Rows:

@@ -25,7 +25,6 @@ from pickenv.calibration.assessment.states import LOST, MEASURED
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.least_squares import describe_absorption
-from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.coverage import Coverage, pose_coverage
@@ -35,12 +34,19 @@ from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.export import export
 from pickenv.calibration.pipeline.fitting import Fit
-from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, held_out_errors, pose_uncertainty
+from pickenv.calibration.pipeline.held_out import (
+    AS_CHOSEN,
+    GEOMETRIC,
+    NOMINAL,
+    HeldOut,
+    held_out_of,
+    what_is_left,
+    without_residual,
+)
+from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, pose_uncertainty
 from pickenv.calibration.reading.read import NoiseFloor
 from pickenv.calibration.residuals.gate import GateReport
-
-NOMINAL = "nominal"
-GEOMETRIC = "geometric"
+from pickenv.intervals import Ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +58,8 @@ class Result:
         fit: The calibration that will be used, and its evidence.
         geometric: The calibration of the geometry alone.
         train: Rows it was fitted to.
-        test: Rows held out.
-        errors: Held-out errors by model ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad: "nominal", "geometric", then
-            what was added; the last is what will be used.
+        test: Rows held out; all of them, in their blocks' order, where each block was judged without itself.
+        held_out: Errors on them.
         quality: The verdict and what it rests on.
         uncertainty: Of predicted poses; None for measurements of other kinds.
         base_frame: The error in the robot's own base frame; None where base and tool were known.
@@ -70,7 +75,7 @@ class Result:
     geometric: Fit
     train: Observations
     test: Observations
-    errors: Mapping[str, Array]
+    held_out: HeldOut
     quality: Quality
     uncertainty: PoseUncertainty | None
     base_frame: BaseFrameError | None
@@ -86,10 +91,15 @@ class Result:
         return self.base_frame is None
 
     @property
+    def errors(self) -> Mapping[str, Array]:
+        """Held-out errors by model ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad; the last is what will be used."""
+        return self.held_out.errors
+
+    @property
     def best_model(self) -> str:
         """Name of the model that will be used."""
         last = list(self.errors)[-1]
-        return "geometry" if last == GEOMETRIC else last
+        return "geometry" if last in (GEOMETRIC, AS_CHOSEN) else last
 
     @property
     def best(self) -> ErrorStatistics:
@@ -99,13 +109,15 @@ class Result:
     @cached_property
     def position(self) -> dict[str, ErrorStatistics]:
         """Held-out position errors by model, mm."""
-        return {name: error_statistics(values[:, :3] * 1e3) for name, values in self.errors.items()}
+        blocks = self.held_out.blocks
+        return {name: error_statistics(values[:, :3] * 1e3, blocks) for name, values in self.errors.items()}
 
     @cached_property
     def attitude(self) -> dict[str, ErrorStatistics]:
         """Held-out attitude errors by model, deg; empty where no attitude was measured."""
         wide = {name: values for name, values in self.errors.items() if values.shape[1] == 6}
-        return {name: error_statistics(np.degrees(values[:, 3:])) for name, values in wide.items()}
+        blocks = self.held_out.blocks
+        return {name: error_statistics(np.degrees(values[:, 3:]), blocks) for name, values in wide.items()}
 
     @cached_property
     def calibration(self) -> Calibration:
@@ -117,16 +129,23 @@ class Result:
             record["base_frame"] = self.base_frame.as_dict()
         if self.unit is not None:
             record["unit"] = self.unit
+        record["held_out"] = {
+            "how": self.held_out.text(len(self.test.joints), len(self.train.joints)),
+            "mean_mm": self.best.mean,
+            "mean_ci95_mm": self.best.mean_ci95,
+        }
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out]
         return replace(self.fit.calibration, record=record)
 
     @property
-    def own_mean_ci95(self) -> tuple[float, float]:
-        """95 % interval of the arm's own mean error in the instrument's frame, mm.
+    def own_mean_ci95(self) -> Ends | None:
+        """95 % interval of the arm's own mean error in the instrument's frame, mm; None where there are too few rows.
 
         The upper end is that of the held-out errors; from the lower one the instrument's noise is taken off, which a
         held-out error contains and a reach does not.
         """
+        if self.best.mean_ci95 is None:
+            return None
         low, high = self.best.mean_ci95
         if not isinstance(self.test, Measurements):
             return low, high
@@ -138,9 +157,11 @@ class Result:
         """What is known about base and tool, and the error in the robot's own base frame, in a sentence."""
         if self.base_frame is not None:
             return self.base_frame.sentences()
+        known = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
+        if self.own_mean_ci95 is None:
+            return known + f"{figure(self.best.mean)} mm ({self.held_out.no_interval}; with the instrument's noise)"
         low, high = self.own_mean_ci95
-        return (
-            "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
+        return known + (
             f"{figure(low)} to {figure(high)} mm (95 % interval; the lower end without the instrument's noise)"
         )
 
@@ -198,10 +219,10 @@ class Result:
         header += ("attitude mean (deg)",) if self.attitude else ()
         rows = []
         for name, s in self.position.items():
-            interval = f"{figure(s.mean_ci95[0])} to {figure(s.mean_ci95[1])}"
+            interval = "none" if s.mean_ci95 is None else " to ".join(map(figure, s.mean_ci95))
             cells = (self._label(name), figure(s.rms), figure(s.mean), interval, figure(s.p95), figure(s.max))
             rows.append(cells + ((figure(self.attitude[name].mean),) if name in self.attitude else ()))
-        note = f"{len(self.test.joints)} rows held out, {len(self.train.joints)} fitted; used: {self.best_model}"
+        note = f"{self.held_out.text(len(self.test.joints), len(self.train.joints))}; used: {self.best_model}"
         return Block("Errors on held-out rows", header, tuple(rows), note)
 
     def parameters(self) -> list[dict[str, Any]]:
@@ -277,6 +298,7 @@ class Result:
             "best_mean_ci95_mm": best.mean_ci95,
             "own_mean_ci95_mm": self.own_mean_ci95,
             "best_model": self.best_model,
+            "how": self.held_out.text(len(self.test.joints), len(self.train.joints)),
             **{f"{name}_mm": statistics.as_dict() for name, statistics in self.position.items()},
             **{f"{name}_deg": statistics.as_dict() for name, statistics in self.attitude.items()},
         }
@@ -318,6 +340,7 @@ def assess(
     test: Observations,
     *,
     fits: Mapping[str, Fit] | None = None,
+    held_out: HeldOut | None = None,
     terms: TermChoice | None = None,
     gate: GateReport | None = None,
     left_out: tuple[LeftOut, ...] = (),
@@ -332,22 +355,21 @@ def assess(
         test: Rows held out.
         fits: The calibration of the geometry alone and what was added to it, step by step, by name; the last is
             ``fit``. When left out ``fit`` without and with its learnt residual.
+        held_out: Errors on the rows held out; what the fits leave there when left out.
         terms: How terms were chosen.
         gate: The residual models' verdicts.
         left_out: Rows left out.
         coverage: What the poses hide, where it was computed already.
     """
-    unlearnt = replace(fit, calibration=fit.calibration.without_residual())
+    unlearnt = without_residual(fit)
     learnt = fit.calibration.learnt
     if fits is None:
         fits = {GEOMETRIC: unlearnt} if learnt is None else {GEOMETRIC: unlearnt, f"geometry+{learnt.kind}": fit}
     bare = next(iter(fits.values()))
-    nominal, aligned = ArmModel.of(bare.calibration.nominal), bare.aligned
-    names = (GEOMETRIC, *list(fits)[1:])
-    errors = {name: _left(step, test, train) for name, step in zip(names, fits.values(), strict=True)}
-    after = list(errors.values())[-1]
+    aligned = bare.aligned
+    held_out = held_out or held_out_of(fits, train, test)
+    before, after = held_out.errors[NOMINAL], list(held_out.errors.values())[-1]
     if isinstance(test, Measurements) and isinstance(train, Measurements):
-        before = test.difference(nominal)
         if coverage is None:
             start = bare.calibration.nominal
             coverage = pose_coverage(geometric_model(start, aligned is None), start, train)
@@ -355,8 +377,6 @@ def assess(
         said = "stated noise" if train.std_stated else "noise assumed, since none is stated,"
         noise = f"{said} of {train.position_std * 1e3:.4g} mm"
     else:
-        assert aligned is not None
-        before = test.misses(aligned.arm_model, unknowns_of(aligned, train))
         uncertainty, noise = None, "noise stated or assumed"
     base_frame = None
     if aligned is not None:
@@ -368,15 +388,16 @@ def assess(
         geometric=bare,
         train=train,
         test=test,
-        errors={NOMINAL: before, **errors},
+        held_out=held_out,
         quality=grade_quality(
             fit.identification,
-            _left(unlearnt, train, train),
+            what_is_left(unlearnt, train),
             before,
             after,
             coverage,
             geometric=bare.identification,
-            parametric=_left(unlearnt, test, train),
+            parametric=held_out.parametric,
+            blocks=held_out.blocks,
             noise=noise,
         ),
         uncertainty=uncertainty,
@@ -385,10 +406,3 @@ def assess(
         gate=gate,
         left_out=left_out,
     )
-
-
-def _left(fit: Fit, data: Observations, train: Observations) -> Array:
-    """What a calibration leaves of data ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad."""
-    if isinstance(data, Measurements):
-        return held_out_errors(fit.calibration, data)
-    return data.misses(fit.identification.arm_model, unknowns_of(fit.identification, train))

@@ -25,9 +25,10 @@ from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import FRAMES, Frames, Measurements
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.origins import named
-from pickenv.calibration.model.splits import equally_spaced
+from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
+from pickenv.calibration.pipeline.held_out import HeldOut, held_out_of, pooled
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
 from pickenv.calibration.residuals.bpnn import BpnnSettings
@@ -45,6 +46,8 @@ Data = Observations | str | Path | Sequence[str | Path]
 """Rows: measurements, observations of any kind, or the files that hold them."""
 
 GEOMETRY = "geometry"
+
+SPLITS = ("random", "blocked")
 
 
 @dataclass(frozen=True)
@@ -148,12 +151,14 @@ def calibrate(
         data: Measurements, observations of any kind, or files that hold them (CSV or YAML, all of one layout).
         columns: Description of the files' columns, by name or path; our own columns when left out.
         test: Rows to judge by; some of ``data`` when left out.
-        split: How those are held out: "random" or "blocked".
-        test_rows: How many; a fifth when left out.
+        split: How those are held out: "random", and the calibration is fitted to the others; or "blocked", all ten
+            contiguous tenths in turn, each judged by a model fitted and chosen without it, while the calibration itself
+            is fitted to all rows.
+        test_rows: How many are held out at random; a fifth when left out.
         choices: Terms, residual model, frames, robustness and seed; the defaults choose by the data.
         unit: Serial number of the robot, kept in the calibration.
         rng: Draws for the residual model; from the seed when left out.
-        progress: Called with (epochs done, epochs in all) while the paper's network trains.
+        progress: Called with (done, in all): blocks judged, or epochs while the paper's network trains.
 
     Raises:
         InputError: Names the file, row, column, unit or joint at fault: if a file cannot be read, rows are not numbers
@@ -163,27 +168,89 @@ def calibrate(
     """
     choices = choices or Choices()
     arm = load_arm(arm) if isinstance(arm, str | Path) else arm
+    if split not in SPLITS:
+        raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
     train, floor = _rows(arm, data, columns)
+    rng = rng or np.random.default_rng(choices.seed)
+    if test is None and split == "blocked":
+        if test_rows is not None:
+            raise InputError("--test-rows is for the random split; the blocked one holds every row out once")
+        result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng), progress)
+        return replace(result, floor=floor, unit=unit)
     if test is None:
-        rows = choose(train, split, test_rows, np.random.default_rng(choices.seed))
+        rows = choose(train, test_rows, np.random.default_rng(choices.seed))
         train, held_out = (train.select(np.sort(part)) for part in rows)
     else:
         held_out, _ = _rows(arm, test, columns)
-    draft = Draft(arm, choices, train, held_out, rng or np.random.default_rng(choices.seed), progress)
-    for stage in STAGES:
+    draft = _through(STAGES, Draft(arm, choices, train, held_out, rng, progress))
+    return replace(_assessed(draft, held_out_of(draft.fits, draft.train, draft.test)), floor=floor, unit=unit)
+
+
+def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
+    for stage in stages:
         draft = stage(draft)
-    result = assess(
-        arm,
+    return draft
+
+
+def _assessed(draft: Draft, held_out: HeldOut) -> Result:
+    return assess(
+        draft.arm,
         draft.best[1],
         draft.train,
         draft.test,
         fits=draft.fits,
+        held_out=held_out,
         terms=draft.term_choice,
         gate=draft.gate,
         left_out=draft.left_out,
         coverage=draft.coverage,
     )
-    return replace(result, floor=floor, unit=unit)
+
+
+def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None) -> Result:
+    """The calibration of all rows, judged on each block by what the same stages make of the other blocks.
+
+    Terms and residual model of a block are chosen on every other block, that one never among them, for to choose among
+    residual models anew for every block takes ten times as long.
+    """
+    checked = _check(draft)
+    whole = _through(STAGES[1:], checked)
+    folds = contiguous_folds(checked.train.groups, BLOCKS)
+    chosen = [_chosen(checked, np.sort(np.concatenate([held for _, held in folds[1 - i :: 2]]))) for i in range(2)]
+    seeds = np.random.SeedSequence(draft.choices.seed).spawn(BLOCKS)
+    parts = []
+    for number, ((rows, held), seed) in enumerate(zip(folds, seeds, strict=True)):
+        here, there = checked.train.select(rows), checked.train.select(held)
+        terms, residual = chosen[number % 2]
+        choices = replace(checked.choices, terms=terms)
+        fold = replace(checked, choices=choices, train=here, test=there, rng=np.random.default_rng(seed))
+        try:
+            fold = _through((_align, _identify, _check_again, _add_terms), fold)
+            if choices.learn_from is not None:
+                fold = _learn(fold)
+            elif residual is not None and isinstance(here, Measurements):
+                fold = _with_residual(fold, residual, here, None)
+        except InputError as error:
+            raise InputError(f"without block {number + 1} of {BLOCKS}: {error}") from None
+        parts.append(held_out_of(fold.fits, here, there))
+        if progress is not None:
+            progress(number + 1, BLOCKS)
+    judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
+    return _assessed(judged, pooled(list(whole.fits), parts))
+
+
+def _chosen(checked: Draft, rows: Rows) -> tuple[str, str | None]:
+    """Names of the terms and of the residual model that the stages choose on these rows."""
+    choices, train = checked.choices, checked.train.select(rows)
+    if choices.terms != "auto" and (choices.residual == "none" or choices.learn_from is not None):
+        return choices.terms, None
+    try:
+        found = _through(STAGES[1:], replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
+    except InputError:
+        return "none", None
+    calibration = found.best[1].calibration
+    terms = "+".join(calibration.record.get("terms", [])) or "none"
+    return terms, None if calibration.learnt is None else calibration.learnt.kind
 
 
 def _rows(arm: Arm, data: Data, columns: str | Path | None) -> tuple[Observations, NoiseFloor | None]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from pickenv.commands.handing_over import deliver
+from pickenv.commands.showing import progress_bars
 from pickenv.errors import InputError
 from pickenv.files import separate, write_json
 from pickenv.provenance import command_line
@@ -33,8 +36,16 @@ def calibrate(
             show_default=False,
         ),
     ] = None,
-    test_rows: Annotated[int | None, typer.Option(help="Rows to hold out; a fifth if left out.", min=1)] = None,
-    split: Annotated[Literal["random", "blocked"], typer.Option(help="How rows are held out.")] = "random",
+    test_rows: Annotated[
+        int | None, typer.Option(help="Rows to hold out at random; a fifth if left out.", min=1)
+    ] = None,
+    split: Annotated[
+        Literal["random", "blocked"],
+        typer.Option(
+            help="random: some rows are drawn and held out; blocked: each contiguous tenth of the rows in turn, and "
+            "the calibration is fitted to all rows."
+        ),
+    ] = "random",
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     test: Annotated[list[Path] | None, typer.Option(help="Held-out rows from other files instead.")] = None,
     terms: Annotated[
@@ -72,16 +83,19 @@ def calibrate(
         {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run},
     )
     choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed, frames=frames)
-    result = calibrated(
-        arm,
-        files,
-        columns=columns,
-        test=test or None,
-        split=split,
-        test_rows=test_rows,
-        choices=choices,
-        unit=unit,
-    )
+    blocked = split == "blocked" and not test
+    with progress_bars() if blocked else nullcontext() as told:
+        result = calibrated(
+            arm,
+            files,
+            columns=columns,
+            test=test or None,
+            split=split,
+            test_rows=test_rows,
+            choices=choices,
+            unit=unit,
+            progress=None if told is None else partial(told, "judging blocks"),
+        )
     for option, path in (("--report", report), ("--run", run)):
         if path is not None and not isinstance(result.test, Measurements):
             source, kind = result.train.source, result.train.kind

@@ -1,36 +1,37 @@
-"""What a harvest was worth: rates, picks per hour, makespans, idle share and distances, each with a 95 % interval.
+"""What a harvest was worth: rates, picks per hour, makespans, idle share, distances; 95 % intervals are over trees.
 
-Intervals come from resampling whole trees (bootstrap), since fruit of one tree share their machine stops. Units: s, m.
+Fruit of one tree share their machine stops, so a tree counts as one. With fewer than ten trees there is no interval,
+nor is there one of a count of rare events or of an extreme. Units: s, m.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pickenv.arm import Array
-from pickenv.bootstrap import interval95, resampled
 from pickenv.errors import InputError
 from pickenv.harvester.harvest import Harvest, Round
 from pickenv.harvester.machine import Machine
+from pickenv.intervals import Ends, clustered_share_interval, statistic_interval
 
 STAGES = ("present", "visible", "reachable", "attempted", "attached", "detached", "collected")
 ROUND_NUMBERS = ("makespan", "busy", "held", "waits", "parallel", "travel", "picks", "collisions")
-RESAMPLES = 1000
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A number and its 95 % interval."""
+    """A number and its 95 % interval; both ends None where it has none."""
 
     value: float
-    low: float
-    high: float
+    low: float | None = None
+    high: float | None = None
 
     def __str__(self) -> str:
-        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+        said = f"{self.value:.4g}"
+        return said if self.low is None or self.high is None else f"{said} [{self.low:.4g}, {self.high:.4g}]"
 
 
 def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
@@ -43,11 +44,11 @@ def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
     return total
 
 
-def summary(machine: Machine, harvests: Sequence[Harvest], rng: np.random.Generator) -> dict[str, Measure]:
-    """Measures over trees, each with its interval.
+def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]:
+    """Measures over trees, with intervals where there are ten trees or more.
 
     ``recovery`` is collected over reachable fruit, ``harvested`` collected over present; ``collisions`` are rounds
-    whose arms came nearer than two radii.
+    whose arms came nearer than two radii, ``closest`` the nearest that any came; both stand alone.
 
     Raises:
         InputError: If there are no harvests.
@@ -61,41 +62,52 @@ def summary(machine: Machine, harvests: Sequence[Harvest], rng: np.random.Genera
         "present": np.array([float(len(h.tree)) for h in harvests]),
         "seconds": np.array([h.seconds for h in harvests]),
         "repicks": np.array([float(h.repicks) for h in harvests]),
+        "trees": np.ones(len(harvests)),
         "zones": np.array([float(len(r)) for r in rounds]),
         **{name: np.array([sum(x[name] for x in r) for r in rounds]) for name in ROUND_NUMBERS},
     }
-    n, arms = len(harvests), machine.arms
+    names = list(table)
     whole = np.stack(list(table.values()), axis=1)
-    sums = resampled(np.arange(n)[None], lambda trees: whole[trees].sum(axis=0), rng, RESAMPLES)
-    replicates = dict(zip(table, sums.T, strict=True))
 
-    def measure(make: Callable[[dict[str, Array]], Array]) -> Measure:
-        value = float(make({name: column.sum() for name, column in table.items()}))
-        low, high = interval95(make(replicates))
-        return Measure(value, float(low), float(high))
+    def ratio(part: str, of: str, scale: float = 1.0, *, rest: bool = False) -> Measure:
+        """A ratio of sums over trees, or one minus it."""
+        over, under = names.index(part), names.index(of)
+
+        def make(rows: Array) -> float:
+            found = scale * float(rows[:, over].sum()) / max(float(rows[:, under].sum()), 1e-12)
+            return 1.0 - found if rest else found
+
+        return _measure(make(whole), statistic_interval(whole, make))
+
+    def share(part: str, of: str) -> Measure:
+        """Of fruit, which come in trees."""
+        taken, tried = table[part], table[of]
+        if not tried.sum():
+            return Measure(0.0)
+        return _measure(float(taken.sum() / tried.sum()), clustered_share_interval(taken, tried))
 
     found = {
-        "recovery": measure(lambda t: _share(t["collected"], t["reachable"])),
-        "harvested": measure(lambda t: _share(t["collected"], t["present"])),
-        "picks_per_hour": measure(lambda t: 3600 * _share(t["collected"], t["seconds"])),
-        "seconds_per_tree": measure(lambda t: t["seconds"] / n),
-        "makespan": measure(lambda t: _share(t["makespan"], t["zones"])),
-        "idle_share": measure(lambda t: 1 - _share(t["busy"], arms * t["makespan"])),
-        "parallel_ratio": measure(lambda t: _share(t["parallel"], t["makespan"])),
-        "held_per_pick": measure(lambda t: _share(t["held"], t["picks"])),
-        "wait_events": measure(lambda t: _share(t["waits"], t["picks"])),
-        "travel_per_pick": measure(lambda t: _share(t["travel"], t["picks"])),
-        "repicks_per_tree": measure(lambda t: t["repicks"] / n),
-        "collisions": measure(lambda t: t["collisions"] + 0.0),
+        "recovery": share("collected", "reachable"),
+        "harvested": share("collected", "present"),
+        "picks_per_hour": ratio("collected", "seconds", 3600.0),
+        "seconds_per_tree": ratio("seconds", "trees"),
+        "makespan": ratio("makespan", "zones"),
+        "idle_share": ratio("busy", "makespan", 1.0 / machine.arms, rest=True),
+        "parallel_ratio": ratio("parallel", "makespan"),
+        "held_per_pick": ratio("held", "picks"),
+        "wait_events": ratio("waits", "picks"),
+        "travel_per_pick": ratio("travel", "picks"),
+        "repicks_per_tree": ratio("repicks", "trees"),
+        "collisions": Measure(float(table["collisions"].sum())),
     }
     closest = [min((r.closest for r in h.rounds), default=np.inf) for h in harvests]
     if np.isfinite(min(closest)):
-        found["closest"] = Measure(min(closest), min(closest), max(closest))
+        found["closest"] = Measure(min(closest))
     return found
 
 
-def _share(part: Array, whole: Array) -> Array:
-    return np.asarray(part / np.maximum(whole, 1e-12))
+def _measure(value: float, interval: Ends | None) -> Measure:
+    return Measure(value, *(interval or (None, None)))
 
 
 def _round_numbers(machine: Machine, r: Round) -> dict[str, float]:

@@ -36,7 +36,7 @@ def trees(true, strategy, count=30, **more):
 
 
 def measures(true, harvests):
-    return summary(true.machine, harvests, np.random.default_rng(0))
+    return summary(true.machine, harvests)
 
 
 def tree_of(machine, fruit):
@@ -69,9 +69,31 @@ def test_the_best_way_picks_over_one_and_a_half_times_as_fast_as_lis_on_the_same
     assert min(slow["closest"].value, fast["closest"].value) >= true.machine.body.clearance - 0.012
 
 
-def test_measures_lie_in_their_intervals(true):
-    for name, measure in measures(true, trees(true, li(true), 12)).items():
-        assert measure.low <= measure.value <= measure.high, name
+def test_measures_lie_in_their_intervals_and_few_trees_have_none(true):
+    done = trees(true, li(true), 12)
+    for name, measure in measures(true, done).items():
+        alone = name in ("collisions", "closest")
+        assert (measure.low is None) == (measure.high is None) == alone, name
+        assert alone or measure.low <= measure.value <= measure.high, name
+    assert all(measure.low is measure.high is None for measure in measures(true, done[:9]).values())
+
+
+def test_every_measure_is_its_ratio_of_sums(true):
+    done = trees(true, li(true), 10)
+    found = {name: measure.value for name, measure in measures(true, done).items()}
+    picked, rounds = sum(h.collected.sum() for h in done), [r for h in done for r in h.rounds]
+    assert found["harvested"] == pytest.approx(picked / sum(len(h.tree) for h in done))
+    assert found["recovery"] == pytest.approx(picked / sum(h.reachable.sum() for h in done))
+    assert found["picks_per_hour"] == pytest.approx(3600 * picked / sum(h.seconds for h in done))
+    assert found["seconds_per_tree"] == pytest.approx(np.mean([h.seconds for h in done]))
+    assert found["repicks_per_tree"] == pytest.approx(np.mean([h.repicks for h in done]))
+    assert found["makespan"] == pytest.approx(np.mean([r.times.makespan for r in rounds]))
+    busy = sum((r.times.end - r.times.start).sum() for r in rounds)
+    arms = true.machine.arms
+    assert found["idle_share"] == pytest.approx(1 - busy / (arms * sum(r.times.makespan for r in rounds)))
+    assert found["held_per_pick"] == pytest.approx(
+        sum(r.times.held.sum() for r in rounds) / sum(len(r.times.fruit) for r in rounds)
+    )
 
 
 def test_each_stage_of_the_funnel_holds_no_more_than_the_one_before(true):

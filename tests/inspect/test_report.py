@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.calibration.assessment.metrics import error_statistics, wilson_interval
+from pickenv.calibration.assessment.metrics import error_statistics
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn, trace_drawings
 from pickenv.inspect.figures.style import new_figure
 from pickenv.inspect.reports.demo_report import demo_verdict
@@ -32,6 +32,7 @@ from pickenv.inspect.reports.report_page import Page as ReportPage
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.run_folder import Run, load_part
+from pickenv.intervals import share_interval
 
 VOID = {"meta", "link", "img", "br"}
 
@@ -133,7 +134,7 @@ def test_the_verdict_comes_first_and_its_numbers_are_the_datas(page: Page, compa
     low, high = error_statistics(last).mean_ci95
     assert f"What remains is {last.mean():.2f} ({low:.2f} to {high:.2f}) mm in the mean" in words
     assert f"at most {last.max():.2f} mm" in words
-    assert f"{int(comparison.policies[-1].success.sum())} of {len(last)} simulated reaches" in words
+    assert f"{int((last <= 1.0).sum())} of {len(last)} simulated reaches end within 1 mm" in words
 
 
 def test_the_tables_are_the_datas(page: Page, comparison: Comparison, demo_run: Run) -> None:
@@ -143,7 +144,7 @@ def test_the_tables_are_the_datas(page: Page, comparison: Comparison, demo_run: 
         assert cells[0].startswith(f"{mm.mean():.2f} (")
         assert cells[1:4] == [f"{v:.2f}" for v in (np.sqrt(np.mean(mm**2)), np.percentile(mm, 95), mm.max())]
         assert cells[4].startswith(f"{policy.attitude_error_deg.mean():.3f} (")
-        assert cells[5].startswith(f"{100 * policy.success.mean():.0f} % (")
+        assert cells[5].startswith(f"{100 * np.mean(mm <= comparison.tolerance_mm):.0f} % (")
     errors = load_part(demo_run, CalibrationTrace).errors
     for i, axis in enumerate(("x (mm)", "y (mm)", "z (mm)", "rx (deg)", "ry (deg)", "rz (deg)")):
         columns = [error[:, i] * (1e3 if i < 3 else 180.0 / np.pi) for error in errors.values()]
@@ -183,8 +184,10 @@ def test_the_verdict_follows_the_share_and_its_interval(
     comparison: Comparison, successes: int, tone: str, words: str
 ) -> None:
     last = comparison.policies[-1]
-    picked = np.arange(len(last.success)) < round(successes / 100 * len(last.success))
-    found = demo_verdict(replace(comparison, policies=(comparison.policies[0], replace(last, success=picked))))
+    missed = np.where(np.arange(len(last.success)) < round(successes / 100 * len(last.success)), 0.3, 1.1)
+    found = demo_verdict(
+        replace(comparison, policies=(comparison.policies[0], replace(last, position_error_mm=missed)))
+    )
     assert found.tone == tone
     assert words in found.headline
 
@@ -198,9 +201,9 @@ def test_a_calibration_that_does_not_help_is_said_not_to(comparison: Comparison)
 
 
 def test_wilsons_interval_is_the_published_one() -> None:
-    low, high = wilson_interval(46, 56)  # Li et al. 2016; Newcombe 1998, method 3
+    low, high = share_interval(46, 56)  # Li et al. 2016; Newcombe 1998, method 3
     assert (round(low, 3), round(high, 3)) == (0.702, 0.900)
-    assert wilson_interval(0, 20)[0] == 0.0
+    assert share_interval(0, 20)[0] == 0.0
 
 
 def test_arrows_and_their_hover_texts_are_the_errors(comparison: Comparison) -> None:

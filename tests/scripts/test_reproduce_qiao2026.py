@@ -5,9 +5,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.stats import t as student_t
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
+sys.path.insert(0, str(SCRIPTS))
+
+from reproduce_qiao2026 import paired  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +32,31 @@ def test_table_4_has_its_eight_rows_and_the_papers_order_of_reductions(result):
     mean = {name: row["ours"][0] for name, row in table.items()}
     for combined, single in (("LS+BPNN", "LS"), ("LS+BPNN", "BPNN"), ("EKF+BPNN", "EKF"), ("EKF+RBF", "RBF")):
         assert mean[combined] < mean[single] < mean["raw"]
-    for row in table.values():
-        low, high = row["ci95"]
-        assert low < row["ours"][0] < high and len(row["paper"]) == 4
+    assert {row["ci95"] for row in table.values()} == {test["ci95_mm"] for test in result["paired"]} == {None}
+    assert result["no_interval"] == "none: 1 of at least 5 runs"
+    assert all(len(row["paper"]) == 4 for row in table.values())
+
+
+def test_a_run_counts_once_however_many_poses_it_has():
+    """Five runs, each with networks of its own: their poses do not narrow the interval."""
+    rng = np.random.default_rng(0)
+    off = rng.normal(size=(2, 5))  # mm, of each method's network in each run
+
+    def runs(poses):
+        return [
+            {name: np.full((poses, 6), 1e-3 * (5 + off[k, i]) / np.sqrt(3)) for k, name in enumerate(("A", "B"))}
+            for i in range(5)
+        ]
+
+    difference = off[0] - off[1]
+    half = student_t.ppf(0.975, 4) * difference.std(ddof=1) / np.sqrt(5)
+    for poses in (1, 100):
+        found = paired(runs(poses), "A", "B")
+        assert found["mean_difference_mm"] == pytest.approx(difference.mean())
+        low, high = found["ci95_mm"]
+        assert high - low == pytest.approx(2 * half, rel=0.1)  # beside what the skewness moves
+        assert "significant" not in found
+    assert paired(runs(100)[:4], "A", "B")["ci95_mm"] is None
 
 
 @pytest.mark.slow

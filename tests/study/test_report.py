@@ -10,10 +10,10 @@ import pytest
 
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import random_columns
-from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.errors import InputError
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.run_folder import read_run
+from pickenv.intervals import share_interval as wilson_interval
 from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
 from pickenv.study.analysis.study_drawings import gather, specified, study_drawings

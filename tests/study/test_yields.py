@@ -5,7 +5,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.calibration.assessment.metrics import wilson_interval
+from pickenv.intervals import share_interval as wilson_interval
 from pickenv.study.results.streaming import SETTING
 from pickenv.study.results.yields import yields_of
 

@@ -104,7 +104,7 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
         for i, (label, measures) in enumerate(throughput.items()):
             arms = list(measures)
             values = np.array([measures[n].value for n in arms])
-            ends = np.abs(np.array([[measures[n].low, measures[n].high] for n in arms]).T - values)
+            ends = np.abs(np.array([[measures[n].low, measures[n].high] for n in arms], dtype=float).T - values)
             axes.errorbar(arms, values, ends, marker="o", markersize=4, capsize=2.5, color=_colour(i), label=label)
         axes.set_xticks(arms)
         axes.set_ylim(bottom=0.0)

@@ -64,7 +64,7 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Measu
                 for y, policy in enumerate(names):
                     for i, (key, found) in enumerate(policies.get(policy, {}).items()):
                         place = y + 0.18 * (i - (len(policies[policy]) - 1) / 2.0)
-                        ends = np.maximum([found.low, found.high], SMALLEST_MM)
+                        ends = np.maximum(np.array([found.low, found.high], dtype=float), SMALLEST_MM)
                         axis.plot(ends, [place, place], color=colours[key], linewidth=3.0, alpha=0.55)
                         axis.plot(
                             [max(found.value, SMALLEST_MM)], [place], "|", color=colours[key], markersize=6, mew=1.6

@@ -16,7 +16,8 @@ from pickenv.calibration.assessment.quality import axis_errors, base_combination
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.assessment.states import MEASURED
 from pickenv.calibration.model.measurements import Measurements, random_joints
-from pickenv.calibration.pipeline.result import GEOMETRIC, NOMINAL, Result
+from pickenv.calibration.pipeline.held_out import GEOMETRIC, NOMINAL
+from pickenv.calibration.pipeline.result import Result
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
@@ -83,7 +84,12 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     return html_of(
         Page(
             f"Calibration of {result.arm.name}",
-            f"{len(train)} {train.kind} measurements from {Path(train.source).name}; {len(test)} held out",
+            f"{len(train)} {train.kind} measurements from {Path(train.source).name}; "
+            + (
+                f"{len(test)} held out"
+                if result.held_out.blocks is None
+                else "each judged without its tenth of the rows"
+            ),
             _verdict(result, test),
             sections,
             _origin(result, train, test, seeds or {}),
@@ -94,10 +100,16 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
 
 def _verdict(r: Result, test: Measurements) -> PageVerdict:
     quality, final = r.quality, r.best
-    interval = " to ".join(map(figure, final.mean_ci95))
+    interval = r.held_out.no_interval
+    if final.mean_ci95 is not None:
+        between = "" if r.held_out.blocks is None else " between blocks"
+        interval = f"95 % interval{between} {' to '.join(map(figure, final.mean_ci95))}"
+    seen = (
+        "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the tenth that it is judged on"
+    )
     sentence = (
-        f"On {len(test)} measured poses that the fit never saw, the tool stood {figure(final.mean)} mm (mean; 95 % "
-        f"interval {interval}) from where the calibrated model says it stands. With the nominal model it is "
+        f"On {len(test)} measured poses {seen}, the tool stood {figure(final.mean)} mm (mean; {interval}) from "
+        f"where the calibrated model says it stands. With the nominal model it is "
         f"{figure(r.position[NOMINAL].mean)} mm."
     )
     attitudes = list(r.attitude.values())
@@ -220,7 +232,7 @@ def _origin(r: Result, train: Measurements, test: Measurements, seeds: Mapping[s
     angular = "" if train.rotation is None else f", {np.degrees(train.attitude_std):.4g} deg"
     return {
         "Data": f"{train.source}, fingerprint {record.get('data_fingerprint', 'unknown')}",
-        "Held out": f"{test.source}, {len(test)} rows, fingerprint {test.fingerprint()}",
+        "Held out": f"{r.held_out.text(len(test), len(train))}; {test.source}, fingerprint {test.fingerprint()}",
         "Stated noise" if train.std_stated else "Noise assumed": f"{train.position_std * 1e3:.4g} mm{angular} per "
         "coordinate",
         "Arm": f"{r.arm.name}, nominal fingerprint {r.calibration.arm_fingerprint}",

@@ -18,13 +18,18 @@ from pickenv.inspect.figures.plot_calibration import joint_ranges
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports import report_page
 from pickenv.inspect.reports.report_interactive import field_spec, pose_spec
-from pickenv.inspect.reports.report_words import axis_table, estimated, named_values, percent
+from pickenv.inspect.reports.report_words import axis_table, between, estimated, named_values, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.gripping import gripped
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
+from pickenv.intervals import LEAST, mean_interval, share_interval
 
 RECORDING = "errors.rrd"
+OF_ONE = "All of it is of this one calibration of one arm: intervals are over fruit, and another calibration differs."
+
+NO_INTERVAL = f"no interval: fewer than {LEAST} reaches, or all alike"
+
 REQUIRED_SHARE = 0.95
 """Share of reaches within the tolerance for which a calibration counts as sufficient."""
 
@@ -79,9 +84,9 @@ def demo_verdict(comparison: Comparison) -> report_page.PageVerdict:
     first, last = comparison.policies[0], comparison.policies[-1]
     before, after = metrics.error_statistics(first.position_error_mm), metrics.error_statistics(last.position_error_mm)
     gain = first.position_error_mm - last.position_error_mm
-    low, high = metrics.bootstrap_interval(gain)
-    picked, total = int(last.success.sum()), len(last.success)
-    least, most = metrics.wilson_interval(picked, total)
+    ends = mean_interval(gain)
+    picked, total = within(comparison, last), len(last.success)
+    least, most = share_interval(picked, total)
     tolerance = f"a tolerance of {comparison.tolerance_mm:g} mm"
     if least >= REQUIRED_SHARE:
         tone, headline = "good", f"The calibrated arm suffices for {tolerance}"
@@ -89,20 +94,22 @@ def demo_verdict(comparison: Comparison) -> report_page.PageVerdict:
         tone, headline = "care", f"The calibrated arm may suffice for {tolerance}: too few reaches to tell"
     else:
         tone, headline = "bad", f"The calibrated arm does not suffice for {tolerance}"
-    if low > 0.0:
+    if (gain.mean() if ends is None else ends[0]) > 0.0:
+        said = NO_INTERVAL if ends is None else f"95 % interval {between(*ends, 2)}"
         removed = (
-            f"The calibration removes {gain.mean():.2f} mm (95 % interval {low:.2f} to {high:.2f}) of a mean position "
-            f"error of {before.mean:.2f} mm: {100 * gain.mean() / before.mean:.0f} %."
+            f"This one calibration removes {gain.mean():.2f} mm ({said}) of a mean position error of "
+            f"{before.mean:.2f} mm: {100 * gain.mean() / before.mean:.0f} %."
         )
     else:
+        said = NO_INTERVAL if ends is None else f"95 % interval {between(-ends[1], -ends[0], 2, '+')}"
         removed = (
-            f"The calibration does not lower the mean position error of {before.mean:.2f} mm: it changes by "
-            f"{-gain.mean():+.2f} mm (95 % interval {-high:+.2f} to {-low:+.2f})."
+            f"This one calibration does not lower the mean position error of {before.mean:.2f} mm: it changes by "
+            f"{-gain.mean():+.2f} mm ({said})."
         )
     held = gripped(comparison)
     grippers = "; ".join(
-        f"{name} {100 * held[first.label].success[name].mean():.0f} % {first.label}, {100 * p.mean():.0f} % calibrated"
-        for name, p in held[last.label].success.items()
+        f"{name} {_expected(held[first.label].success[name])} {first.label}, {_expected(chance)} calibrated"
+        for name, chance in held[last.label].success.items()
     )
     return report_page.PageVerdict(
         tone,
@@ -110,17 +117,28 @@ def demo_verdict(comparison: Comparison) -> report_page.PageVerdict:
         f"{removed} What remains is {_mean(after)} mm in the mean and at most {after.max:.2f} mm. {picked} of "
         f"{total} simulated reaches end within {comparison.tolerance_mm:g} mm of the fruit (95 % interval "
         f"{100 * least:.0f} to {100 * most:.0f} %, required are {100 * REQUIRED_SHARE:.0f} %), "
-        f"{int(first.success.sum())} without calibration. Fruit that each gripper would take: {grippers}.",
+        f"{within(comparison, first)} without calibration. {OF_ONE} Fruit that each gripper would take: {grippers}.",
     )
 
 
-def _share(policy: PolicyErrors) -> str:
-    picked, total = int(policy.success.sum()), len(policy.success)
-    return percent(picked / total, *metrics.wilson_interval(picked, total))
+def within(comparison: Comparison, policy: PolicyErrors) -> int:
+    """Number of reaches that end within the tolerance of the fruit, whatever their attitude."""
+    return int((policy.position_error_mm <= comparison.tolerance_mm).sum())
+
+
+def _share(comparison: Comparison, policy: PolicyErrors) -> str:
+    picked, total = within(comparison, policy), len(policy.success)
+    return percent(picked / total, *share_interval(picked, total))
+
+
+def _expected(chances: Array) -> str:
+    """The share of fruit ``(R,)`` that a gripper takes, each with its chance."""
+    return percent(float(chances.mean()), *share_interval(float(chances.sum()), len(chances)))
 
 
 def _mean(statistics: metrics.ErrorStatistics, digits: int = 2) -> str:
-    return estimated(statistics.mean, *statistics.mean_ci95, digits)
+    low, high = statistics.mean_ci95 or (None, None)
+    return estimated(statistics.mean, low, high, digits)
 
 
 def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
@@ -148,10 +166,11 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
             metrics.error_statistics(policy.attitude_error_deg),
         )
         cells = [_mean(position), *(f"{value:.2f}" for value in (position.rms, position.p95, position.max))]
-        cells += [_mean(attitude, 3), _share(policy)]
-        cells += [f"{100 * float(held[policy.label].success[name].mean()):.0f} %" for name in grippers]
+        cells += [_mean(attitude, 3), _share(comparison, policy)]
+        cells += [_expected(held[policy.label].success[name]) for name in grippers]
         rows.append([policy.label, *cells])
-    caption = "Final errors of the reaches; in brackets 95 % intervals (bootstrap for means, Wilson for shares)"
+    some = "in brackets 95 % intervals over fruit" if len(comparison.fruit) >= LEAST else NO_INTERVAL
+    caption = f"Final errors of the reaches; {some}. {OF_ONE}"
     return report_page.Section(
         "Reaches, by policy",
         (

@@ -13,6 +13,7 @@ from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.reports.report_words import estimated, percent
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
+from pickenv.intervals import LEAST
 
 
 def drawings(run: Run) -> Drawings:
@@ -34,7 +35,8 @@ def drawings(run: Run) -> Drawings:
         ),
         Drawing(
             "throughput",
-            "Picks per hour against the number of arms, the machine perfectly known, with 95 % intervals.",
+            "Picks per hour against the number of arms, the machine perfectly known, with 95 % intervals where there "
+            "are ten trees or more.",
             lambda: plot_harvest.throughput_by_arms(trace.throughput),
         ),
         Drawing(
@@ -60,11 +62,10 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         f"From {names[0]} to {names[-1]}: {100 * before['harvested'].value:.0f} to "
         f"{100 * after['harvested'].value:.0f} % of the fruit",
         f"On {trace.tree_count} simulated trees, {names[0]} collects {_share(before)} of the fruit present at "
-        f"{_rate(before)} picks per hour, {names[-1]} {_share(after)} at {_rate(after)}. In brackets: 95 % intervals "
-        "over trees.",
+        f"{_rate(before)} picks per hour, {names[-1]} {_share(after)} at {_rate(after)}. {_intervals(trace)}",
     )
     measures = PageTable(
-        "Measures of each strategy with 95 % intervals over trees; times in s, distances in m",
+        f"Measures of each strategy; times in s, distances in m. {_intervals(trace)}",
         ("measure", *trace.measures),
         [(key, *(str(found[key]) for found in trace.measures.values())) for key in before],
     )
@@ -76,6 +77,12 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     arms = trace.cloud.shape[1]
     subtitle = f"Simulated; {arms} picking arms, {len(names)} strategies on the same trees"
     return plain_report(run, "Harvesting", subtitle, verdict, (measures, funnel), drawings(run))
+
+
+def _intervals(trace: HarvestTrace) -> str:
+    if trace.tree_count < LEAST:
+        return f"No intervals: {trace.tree_count} trees are fewer than {LEAST}."
+    return "In brackets: 95 % intervals over trees."
 
 
 def _share(measures: Mapping[str, Any]) -> str:

@@ -33,14 +33,16 @@ def between(low: float, high: float, digits: int, sign: str = "") -> str:
     return f"{low:{sign}.{digits}f} to {high:{sign}.{digits}f}"
 
 
-def estimated(value: float, low: float, high: float, digits: int, unit: str = "") -> str:
-    """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34)."""
-    return f"{value:.{digits}f}{unit} ({between(low, high, digits)})"
+def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "") -> str:
+    """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34); alone where there is no interval."""
+    said = f"{value:.{digits}f}{unit}"
+    return said if low is None or high is None else f"{said} ({between(low, high, digits)})"
 
 
-def percent(share: float, low: float, high: float, digits: int = 0) -> str:
-    """A share with its 95 % interval: 93 % (88 to 97)."""
-    return estimated(100 * share, 100 * low, 100 * high, digits, " %")
+def percent(share: float, low: float | None, high: float | None, digits: int = 0) -> str:
+    """A share with its 95 % interval: 93 % (88 to 97); alone where there is no interval."""
+    ends = [None if end is None else 100 * end for end in (low, high)]
+    return estimated(100 * share, ends[0], ends[1], digits, " %")
 
 
 def named_values(values: Mapping[str, object]) -> str:

@@ -120,8 +120,8 @@ def summary_markdown(comparison: Comparison, gain: float) -> str:
         lines.append(f"| **{policy.label}** | {' | '.join(cells)} |")
     first = comparison.policies[0].label
     reaches = (
-        f"{len(comparison.fruit)} reaches; a pick if the fruit is inside the capture region, radius "
-        f"{comparison.tolerance_mm:g} mm. "
+        f"{len(comparison.fruit)} reaches, of this one calibration; a pick if the fruit is inside the capture region, "
+        f"radius {comparison.tolerance_mm:g} mm. "
     )
     lines += [
         "",

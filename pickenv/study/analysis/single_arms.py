@@ -12,8 +12,8 @@ import pyarrow.compute as pc
 from pyarrow.dataset import Dataset
 
 from pickenv.arm.plant.plant import Plant
-from pickenv.calibration.assessment.metrics import wilson_interval
 from pickenv.errors import InputError
+from pickenv.intervals import share_interval as wilson_interval
 from pickenv.study.design.config import Setting
 from pickenv.study.design.protocol import Protocol
 from pickenv.study.results.outcomes import figures

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow.dataset import Dataset
 
-from pickenv.calibration.assessment.metrics import wilson_interval
+from pickenv.intervals import share_interval as wilson_interval
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.streaming import grouped
 

@@ -170,7 +170,7 @@ def shared(result):
 @pytest.mark.parametrize("terms", ["none", "gravity+periodic"])
 def test_every_number_that_terminal_and_page_share_is_equal_on_the_ur5(measured_ur5, terms):
     data = measured_ur5[1]
-    rows = choose(data, "random", None, np.random.default_rng(0))
+    rows = choose(data, None, np.random.default_rng(0))
     train, test = (data.select(np.sort(part)) for part in rows)
     result = calibrate(load_arm("ur5"), train, test=test, choices=Choices(terms=terms, residual="none"))
     terminal, page = shared(result)
@@ -271,7 +271,7 @@ def test_measured_data_say_fitted_and_simulated_ones_known(dynamic, tmp_path):
     assert read_measurements(data.write_csv(tmp_path / "m.csv"), dynamic.geometry).frames == "known"
     bare = Measurements(data.joints, data.position, data.rotation, data.prismatic)
     assert read_measurements(bare.write_csv(tmp_path / "b.csv"), dynamic.geometry).frames == "fitted"
-    both = choose(data, "random", None, rng)
+    both = choose(data, None, rng)
     train, test = (data.select(np.sort(rows)) for rows in both)
     with pytest.raises(InputError, match=r"say.* known, .* fitted; give --frames"):
         calibrate(dynamic.arm, train, test=replace(test, frames="fitted"))

@@ -9,6 +9,7 @@ from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.model.observations import DistanceObservations, ReflectorObservations
+from pickenv.calibration.model.splits import contiguous_folds
 from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.errors import InputError
 
@@ -23,7 +24,7 @@ def data(table_1):
 
 def judged(arm, data, choices=PLAIN):
     whole = data
-    train, test = choose(whole, "random", None, np.random.default_rng(0))
+    train, test = choose(whole, None, np.random.default_rng(0))
     return calibrate(arm, whole.select(np.sort(train)), test=whole.select(test), choices=choices)
 
 
@@ -170,7 +171,7 @@ def test_reflectors_are_calibrated_from_anywhere(qiao):
     )
     seen = rng.uniform(size=(80, 3)) > 0.1
     whole = ReflectorObservations(joints, points, seen, np.eye(3) * 2e-5**2)
-    train, test = choose(whole, "random", 20, rng)
+    train, test = choose(whole, 20, rng)
     found = calibrate(qiao, whole.select(train), test=whole.select(test), choices=PLAIN)
     assert found.position["nominal"].mean > 0.4 and found.position["geometric"].mean < 0.06
     assert found.as_dict()["measurement_kind"] == "reflectors"
@@ -184,7 +185,7 @@ def test_draw_wires_are_calibrated(qiao):
     joints = random_joints(qiao.nominal, 200, rng)
     length = np.linalg.norm(forward(qiao.true, joints).position - np.array([1.5, -2.0, 0.3]), axis=1)
     whole = DistanceObservations(joints, length + rng.normal(size=200) * 1e-4, 1e-4)
-    train, test = choose(whole, "random", None, rng)
+    train, test = choose(whole, None, rng)
     found = calibrate(qiao, whole.select(train), test=whole.select(test), choices=PLAIN)
     assert found.position["nominal"].rms > 0.25 and found.position["geometric"].rms < 0.14
     wrong = replace(whole, length=whole.length * 1e3)
@@ -204,7 +205,7 @@ def test_an_automatic_choice_finds_the_weight_of_a_compliant_arm(dynamic):
     rng = np.random.default_rng(2)
     arm = load_arm("qiao2026")
     whole = simulated_tracker(dynamic, random_joints(arm.nominal, 250, rng), rng)
-    train, test = choose(whole, "blocked", None, rng)
+    train, test = contiguous_folds(whole.groups, 5)[3]
     found = calibrate(arm, whole.select(train), test=whole.select(test), choices=Choices(residual="none"))
     assert "gravity" in found.terms.chosen and found.best_model == f"geometry+{found.terms.chosen}"
     assert found.position[found.best_model].rms < 0.6 * found.position["geometric"].rms

@@ -15,7 +15,6 @@ from pickenv.arm.effects.thermal import ThermalGrowth
 from pickenv.calibration import (
     ErrorStatistics,
     Measurements,
-    bootstrap_interval,
     error_statistics,
     identify,
     link_model,
@@ -26,6 +25,7 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import with_terms
 from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, ThermalTerm
 from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual
+from pickenv.intervals import mean_interval
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class Study:
     def gain(self, case: str, method: str, over: str) -> tuple[float, float]:
         """Mean fall of the error of ``over`` by ``method``, mm, and the lower end of its interval, paired by pose."""
         fall = self.errors_mm[case][over] - self.errors_mm[case][method]
-        return float(fall.mean()), bootstrap_interval(fall)[0]
+        return float(fall.mean()), mean_interval(fall)[0]
 
 
 @pytest.fixture(scope="module", params=[0, 1])

@@ -125,10 +125,9 @@ def test_sockets_by_column(read, moved):
     data = read(description, rows, [*NAMES, "hole"]).observations
     np.testing.assert_array_equal(data.pairs, [[0, 1], [2, 3]])
     np.testing.assert_array_equal(data.socket, np.arange(30) % 4)
-    for split in ("random", "blocked"):
-        train, test = choose(data, split, 8, np.random.default_rng(0))
-        assert set(data.socket[train]) == set(data.socket[test]) == {0, 1, 2, 3}
-        assert set(train) | set(test) == set(range(30)) and not set(train) & set(test)
+    train, test = choose(data, 8, np.random.default_rng(0))
+    assert set(data.socket[train]) == set(data.socket[test]) == {0, 1, 2, 3}
+    assert set(train) | set(test) == set(range(30)) and not set(train) & set(test)
     for train, test in contiguous_folds(data.groups, 3):
         assert set(data.socket[train]) == set(data.socket[test]) == {0, 1, 2, 3}
 

@@ -1,0 +1,129 @@
+"""Errors on rows that no fit saw: of rows held out once, or of all blocks of a file, each judged without itself.
+
+Rows of a block are alike, and so are their errors. What a calibration leaves on one block says little of the next, so
+an interval over rows of few blocks is far too narrow; between ten blocks it holds. SI units.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.identification.rows import unknowns_of
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.splits import Rows
+from pickenv.calibration.pipeline.fitting import Fit
+from pickenv.calibration.pipeline.uncertainty import held_out_errors
+from pickenv.intervals import LEAST
+
+NOMINAL = "nominal"
+GEOMETRIC = "geometric"
+AS_CHOSEN = "as chosen without each block"
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Errors ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad, of rows that no fit saw.
+
+    Attributes:
+        errors: By model: "nominal", "geometric", then what was added; the last is what is used.
+        parametric: Of the model used, without its learnt residual.
+        used: Name of the model that each part of the rows was judged by: one, or one per block.
+        blocks: The block of each error ``(M,)``; None where rows were held out once.
+    """
+
+    errors: dict[str, Array]
+    parametric: Array
+    used: tuple[str, ...]
+    blocks: Rows | None = None
+
+    def text(self, rows: int, fitted: int) -> str:
+        """How these rows were held out, in words.
+
+        Args:
+            rows: Number of rows judged.
+            fitted: Number of rows that the calibration was fitted to.
+        """
+        if self.blocks is None:
+            return f"{rows} rows held out, {fitted} fitted; interval over rows{self._reason()}"
+        counts = Counter(self.used).most_common()
+        chosen = ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts)
+        return (
+            f"{rows} rows, each judged without its block: mean over {self._values} contiguous blocks, between-block "
+            f"interval{self._reason()}; fitted without each block, and chosen on others: {chosen}; the calibration is "
+            f"fitted to all {fitted}"
+        )
+
+    @property
+    def no_interval(self) -> str:
+        """Why there is no interval, in words; empty where there is one."""
+        if self._values >= LEAST:
+            return ""
+        return f"no interval: {self._values} {'rows' if self.blocks is None else 'blocks'} are fewer than {LEAST}"
+
+    @property
+    def _values(self) -> int:
+        """How many independent values an interval has."""
+        return len(self.parametric) if self.blocks is None else len(np.unique(self.blocks))
+
+    def _reason(self) -> str:
+        return f" ({self.no_interval})" if self.no_interval else ""
+
+
+def held_out_of(fits: Mapping[str, Fit], train: Observations, test: Observations) -> HeldOut:
+    """Errors on rows held out once.
+
+    Args:
+        fits: The calibration of the geometry alone and what was added to it, step by step, by name.
+        train: Rows that they were fitted to.
+        test: Rows held out.
+    """
+    bare, (used, best) = next(iter(fits.values())), list(fits.items())[-1]
+    if isinstance(test, Measurements):
+        before = test.difference(ArmModel.of(bare.calibration.nominal))
+    else:
+        assert bare.aligned is not None
+        before = test.misses(bare.aligned.arm_model, unknowns_of(bare.aligned, train))
+    names = (GEOMETRIC, *list(fits)[1:])
+    errors = {name: what_is_left(fit, test) for name, fit in zip(names, fits.values(), strict=True)}
+    return HeldOut({NOMINAL: before, **errors}, what_is_left(without_residual(best), test), (used,))
+
+
+def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
+    """Errors of all blocks, one after the other.
+
+    What is used was chosen anew without each block, so its steps may differ from block to block: the last row holds
+    the last step of each, a row between the step before a residual was learnt.
+
+    Args:
+        names: Names of the steps of the calibration of all rows, in order.
+        parts: One per block.
+    """
+    added = list(names[1:])
+    if not added and any(len(part.errors) > 2 for part in parts):
+        added = [AS_CHOSEN]
+    errors = {name: np.concatenate([part.errors[name] for part in parts]) for name in (NOMINAL, GEOMETRIC)}
+    parametric = np.concatenate([part.parametric for part in parts])
+    errors |= dict.fromkeys(added[:-1], parametric)
+    if added:
+        errors[added[-1]] = np.concatenate([list(part.errors.values())[-1] for part in parts])
+    blocks = np.repeat(np.arange(len(parts)), [len(part.parametric) for part in parts])
+    return HeldOut(errors, parametric, tuple(name for part in parts for name in part.used), blocks)
+
+
+def without_residual(fit: Fit) -> Fit:
+    """The fit without what was learnt."""
+    return Fit(fit.calibration.without_residual(), fit.identification, fit.aligned)
+
+
+def what_is_left(fit: Fit, data: Observations) -> Array:
+    """What a calibration leaves of data ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad."""
+    if isinstance(data, Measurements):
+        return held_out_errors(fit.calibration, data)
+    return data.misses(fit.identification.arm_model, unknowns_of(fit.identification, data))

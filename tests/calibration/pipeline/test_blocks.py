@@ -1,0 +1,132 @@
+"""Blocked judgement: every row once, by a model that did not see its block and was not chosen on it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.arm import forward
+from pickenv.calibration import Choices, DistanceObservations, calibrate, fit, random_joints, simulated_tracker
+from pickenv.calibration.model.splits import BLOCKS
+from pickenv.calibration.pipeline.held_out import AS_CHOSEN, HeldOut, pooled
+from pickenv.errors import InputError
+from pickenv.inspect.reports.calibration_report import calibration_page
+from pickenv.intervals import mean_interval
+
+PLAIN = Choices(terms="none", residual="none")
+FREE = Choices(terms="auto", residual="rbf")
+
+
+@pytest.fixture(scope="module")
+def data(dynamic):
+    rng = np.random.default_rng(0)
+    return simulated_tracker(dynamic, random_joints(dynamic.geometry, 123, rng), rng)
+
+
+@pytest.fixture(scope="module")
+def plain(dynamic, data):
+    return calibrate(dynamic.arm, data, split="blocked", choices=PLAIN)
+
+
+def test_each_row_is_judged_once_by_a_fit_to_the_rows_of_the_other_blocks(dynamic, data, plain):
+    left = np.full((123, 6), np.nan)
+    for block in np.array_split(np.arange(123), BLOCKS):
+        others = np.setdiff1d(np.arange(123), block)
+        found = fit(dynamic.arm, data.select(others), known_frames=data.frames == "known").calibration
+        assert np.isnan(left[block]).all()
+        left[block] = data.select(block).difference(found.model)
+    np.testing.assert_allclose(plain.errors["geometric"], left, atol=1e-12)
+    np.testing.assert_array_equal(plain.test.joints, data.joints)
+    np.testing.assert_array_equal(np.bincount(plain.held_out.blocks), [13] * 3 + [12] * 7)
+
+
+@pytest.mark.parametrize(
+    ("choices", "block"),
+    [(PLAIN, 0), (PLAIN, 3), *(pytest.param(FREE, block, marks=pytest.mark.slow) for block in (0, 3))],
+    ids=["geometry, block 0", "geometry, block 3", "as chosen, block 0", "as chosen, block 3"],
+)
+def test_what_is_predicted_of_a_block_does_not_depend_on_what_was_measured_there(dynamic, data, choices, block):
+    """Neither the fit nor the choice of terms and residual model saw it."""
+    rows = np.array_split(np.arange(123), BLOCKS)[block]
+    moved = data.position.copy()
+    moved[rows] += [2e-4, -1e-4, 3e-4]
+    found, other = (
+        calibrate(dynamic.arm, replace(data, position=position), split="blocked", choices=choices)
+        for position in (data.position, moved)
+    )
+    assert len(found.errors) == 2 if choices is PLAIN else len(found.errors) > 2
+    for name in list(found.errors)[1:]:
+        one, two = found.errors[name], other.errors[name]
+        np.testing.assert_allclose(two[rows, :3] - one[rows, :3], moved[rows] - data.position[rows], atol=1e-12)
+        assert np.abs(np.delete(two - one, rows, axis=0)).max() > 1e-7  # the others did see it
+
+
+def test_the_calibration_itself_is_fitted_to_all_rows(dynamic, data, plain):
+    found = fit(dynamic.arm, data, known_frames=data.frames == "known").calibration
+    np.testing.assert_array_equal(plain.calibration.identified.theta, found.identified.theta)
+    assert len(plain.train.joints) == len(plain.test.joints) == 123
+
+
+def test_the_interval_is_one_between_blocks_and_every_screen_says_so(plain, data):
+    norms = 1e3 * np.linalg.norm(plain.errors["geometric"][:, :3], axis=1)
+    means = [part.mean() for part in np.array_split(norms, BLOCKS)]
+    assert plain.best.mean == pytest.approx(norms.mean())
+    assert plain.best.mean_ci95 == pytest.approx(mean_interval(means), rel=0.01)  # blocks of 12 and of 13 rows
+    how = "123 rows, each judged without its block: mean over 10 contiguous blocks, between-block interval"
+    told = plain.as_dict()["held_out"]
+    assert how in plain.report() and told["how"].startswith(how)
+    assert told["best_mean_ci95_mm"] == plain.best.mean_ci95
+    kept = plain.calibration.record["held_out"]
+    assert kept == {"how": told["how"], "mean_mm": plain.best.mean, "mean_ci95_mm": plain.best.mean_ci95}
+    page = calibration_page(plain)
+    assert how in page and "each judged without its tenth of the rows" in page and "between blocks" in page
+
+
+def test_progress_counts_the_blocks(dynamic, data):
+    told = []
+    calibrate(
+        dynamic.arm, data, split="blocked", choices=PLAIN, progress=lambda done, total: told.append((done, total))
+    )
+    assert told == [(i + 1, BLOCKS) for i in range(BLOCKS)]
+
+
+def test_other_kinds_of_measurement_are_judged_in_blocks_too(qiao):
+    rng = np.random.default_rng(0)
+    joints = random_joints(qiao.nominal, 120, rng)
+    length = np.linalg.norm(forward(qiao.nominal, joints).position - [2.0, 1.0, 0.5], axis=1)
+    wire = DistanceObservations(joints, length + 1e-4 * rng.normal(size=120), 1e-4)
+    found = calibrate(qiao, wire, split="blocked", choices=PLAIN)
+    assert found.errors["geometric"].shape == (120, 1) and found.best.mean_ci95 is not None
+    assert 0.05 < found.best.mean < 0.5
+
+
+def test_what_cannot_be_blocked_is_refused(dynamic, data):
+    with pytest.raises(InputError, match="--test-rows is for the random split"):
+        calibrate(dynamic.arm, data, split="blocked", test_rows=20, choices=PLAIN)
+    with pytest.raises(InputError, match="9 rows cannot be cut into 10 folds"):
+        calibrate(dynamic.arm, data.select(np.arange(9)), split="blocked", choices=PLAIN)
+
+
+def part(value, *added):
+    errors = {"nominal": np.full((2, 3), value), "geometric": np.full((2, 3), value + 1)}
+    steps = {name: np.full((2, 3), value + 2 + i) for i, name in enumerate(added)}
+    return HeldOut(errors | steps, np.full((2, 3), -value), (list(steps or ["geometry"])[-1],))
+
+
+def test_steps_that_differ_from_block_to_block_are_pooled_by_their_place():
+    """The last step is what each block used; one between is what it had before it learnt."""
+    parts = [part(10, "geometry+gravity", "geometry+gravity+gp"), part(20, "geometry+rbf"), part(30)]
+    found = pooled(["geometry", "geometry+gravity", "geometry+gravity+trees"], parts)
+    assert [list(values[:, 0]) for values in found.errors.values()] == [
+        [10, 10, 20, 20, 30, 30],
+        [11, 11, 21, 21, 31, 31],
+        [-10, -10, -20, -20, -30, -30],
+        [13, 13, 22, 22, 31, 31],
+    ]
+    assert list(found.errors)[2:] == ["geometry+gravity", "geometry+gravity+trees"]
+    assert found.blocks.tolist() == [0, 0, 1, 1, 2, 2]
+    assert list(pooled(["geometry"], parts).errors)[2:] == [AS_CHOSEN]
+    assert list(pooled(["geometry"], [part(1), part(2)]).errors) == ["nominal", "geometric"]
+    assert "geometry+gravity+gp (1)" in found.text(6, 6) and "no interval: 3 blocks are fewer than 10" in found.text(
+        6, 6
+    )

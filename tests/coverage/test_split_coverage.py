@@ -1,0 +1,50 @@
+"""Errors judged in blocks: the interval between blocks holds the mean over all blocks there could be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pickenv.calibration import error_statistics
+from pickenv.calibration.model.splits import BLOCKS, contiguous_folds
+
+NORM = np.sqrt(8.0 / np.pi)
+"""Mean norm of three standard normal coordinates."""
+
+
+@pytest.mark.parametrize("blocks", [BLOCKS, 40])
+@pytest.mark.parametrize("apart", [0.0, 0.15, 0.4])
+def test_blocks_of_known_spread(repeats: Any, blocks: int, apart: float) -> None:
+    """Sizes of errors that differ by a log-normal factor from block to block; UR5's differ by 0.15, UR10's by 0.2."""
+
+    def errors(rng: np.random.Generator) -> Any:
+        size = np.exp(apart * rng.normal(size=(blocks, 1, 1)))
+        return (size * rng.normal(size=(blocks, 25, 3))).reshape(-1, 3)
+
+    number = np.repeat(np.arange(blocks), 25)
+    repeats.check(lambda rng: error_statistics(errors(rng), number).mean_ci95, NORM * np.exp(apart**2 / 2.0), share=0.2)
+    repeats.check(
+        lambda rng: error_statistics(errors(rng), number).rms_ci95, np.sqrt(3.0) * np.exp(apart**2), share=0.2
+    )
+
+
+def test_rows_of_alike_errors_judged_without_their_block(repeats: Any) -> None:
+    """The whole procedure on a line with a smooth remainder: fitted without each block, judged there."""
+    rows = 200
+    folds = contiguous_folds(np.zeros(rows, dtype=np.int64), BLOCKS)
+    number = np.concatenate([np.full(len(held), i) for i, (_, held) in enumerate(folds)])
+
+    def left(rng: np.random.Generator) -> Any:
+        inputs = np.stack([np.ones(rows), rng.uniform(-1.0, 1.0, rows)], axis=1)
+        remainder = np.convolve(rng.normal(size=rows + 7), np.ones(8) / np.sqrt(8.0), "valid")
+        found = np.zeros(rows)
+        for train, held in folds:
+            line = np.linalg.lstsq(inputs[train], remainder[train], rcond=None)[0]
+            found[held] = remainder[held] - inputs[held] @ line
+        return found
+
+    rng = np.random.default_rng(1)
+    truth = float(np.mean([np.abs(left(rng)).mean() for _ in range(2000)]))
+    repeats.check(lambda rng: error_statistics(left(rng), number).mean_ci95, truth, share=0.2)
