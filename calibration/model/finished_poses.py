@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Pose
+from pickenv.arm import Pose, forward
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.geometry import Array, Geometry, identity_pose
 
@@ -19,11 +19,15 @@ REACH = 100.0
 _QUARTER = np.pi / 2.0
 
 
+CARRIER = "finished_poses"
+"""Name of that arm."""
+
+
 def pose_carrier() -> Arm:
     """The arm whose six joints are a pose: x, y, z, and the angles of a wrist (z, y, z)."""
     # z, then x, then y: each link's axis is turned from the one before by quarter turns.
     return Arm(
-        name="finished_poses",
+        name=CARRIER,
         source="poses as a controller reports them",
         nominal=Geometry(
             joint_names=("z", "x", "y", "wrist1", "wrist2", "wrist3"),
@@ -45,8 +49,6 @@ def pose_carrier() -> Arm:
 
 def joints_of_finished_poses(poses: Pose) -> Array:
     """The joints ``(N, 6)`` that hold poses ``(N,)``."""
-    from pickenv.arm import forward
-
     geometry = pose_carrier().nominal
     rest = forward(geometry, np.zeros(6))
     along = np.stack([forward(geometry, row).position for row in np.eye(6)[:3]], axis=1)
