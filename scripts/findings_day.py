@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
+from pickenv.agents.evaluation.calibrated import compensators
 from pickenv.agents.evaluation.grid import GridSettings, population
-from pickenv.agents.evaluation.statistics import interval, paired
+from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
+from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms
 from pickenv.arm import forward
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import MeasurementNoise, Plant
-from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.calibration import Compensator, complete_model, random_joints
 from pickenv.calibration.identification.extended_kalman_filter import predict, random_walk, start_filter, update
 from pickenv.inspect.figures.style import WIDTH, new_figure
+from pickenv.seeds import stream
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,13 +49,12 @@ def run_day(settings: GridSettings, picks: int) -> Day:
     plants: Plant = population(settings, "orchard")
     arms = settings.arms
     nominal = plants.arm.nominal
-    rng = np.random.default_rng(settings.seed)
+    rng = np.random.default_rng(stream(settings.seed, "picks"))
     goals = random_joints(nominal, picks * arms, rng).reshape(picks, arms, -1)
     noise = rng.normal(size=(picks, arms, 3)) * CAMERA_STD
     dt = HOURS * 3600.0 / picks
     # The workshop: firm ground, and the temperature at which the arm was built.
-    workshop = [plant_at(plants, i).without(DRIFTS) for i in range(arms)]
-    fitted = [calibrate_arm(plant, "best", CalibrationPlan(), i).compensator() for i, plant in enumerate(workshop)]
+    fitted = compensators(plants.without(DRIFTS), "ls", settings.protocol) or []
     errors: dict[str, Any] = {}
     for method in METHODS:
         state = plants.initial_state(np, list(goals[0].T))
@@ -95,44 +95,50 @@ def day_figure(day: Day) -> Figure:
             name, values = errors
             smooth = np.convolve(values.mean(axis=0), np.ones(width) / width, mode="valid")
             axis.plot(day.hours[width - 1 :], smooth, line, label=name)
-        axis.set_xlabel("time since the machine was switched on [h]")
-        axis.set_ylabel("mean position error [mm]")
+        axis.set_xlabel("time since the machine was switched on (h)")
+        axis.set_ylabel("mean position error (mm)")
         axis.set_ylim(bottom=0.0)
         figure.legend(loc="outside lower center", ncols=len(METHODS))
     return figure
 
 
-def day_section(day: Day) -> list[str]:
-    """The day in words."""
-    first, last = day.hours <= HOURS / 8, day.hours > HOURS * 3 / 4
+def day_sentence(day: Day) -> str:
+    """What the figure says."""
+    raw, fixed, adapted = (day.errors_mm[name][:, None] for name in METHODS)
+    gained, saved = mean_over_arms(fixed - raw), mean_over_arms(adapted - fixed)
+    return (
+        f"Over {HOURS:g} h in which the arms of `orchard` warm up and the machine tilts and sinks, a calibration in "
+        "the "
+        f"workshop changes the mean error by {_change(gained)} mm, and a filter that sees the tool once per pick "
+        "changes "
+        f"it by a further {_change(saved)} mm."
+    )
+
+
+def day_tables(day: Day) -> list[str]:
+    """Parts of the day."""
+    parts = {
+        "whole day": np.ones(len(day.hours), dtype=bool),
+        "first hour": day.hours <= HOURS / 8,
+        "last two hours": day.hours > HOURS * 3 / 4,
+    }
     lines = [
-        "## A day in the orchard",
+        f"A day of {HOURS:g} h on `orchard`, {len(next(iter(day.errors_mm.values())))} arms, {len(day.hours)} picks "
+        "each; "
+        "calibrated by least squares on firm ground; the filter on geometry, base and tool takes one picture of the "
+        "tool "
+        f"per pick ({CAMERA_STD * 1e3:g} mm per axis). Mean error (mm), 95 % interval over arms.",
         "",
-        f"Arms of the plant `orchard` pick for {HOURS:g} h: they warm up, and the machine tilts and sinks. Calibrated "
-        "in the workshop (LS+GP, firm ground), with or without a Kalman filter on geometry, base and tool that "
-        "takes one "
-        f"picture of the tool per pick ({CAMERA_STD * 1e3:g} mm per axis; {len(day.hours)} picks). Mean error [mm].",
-        "",
-        "| | whole day | 95 % | first hour | last two hours |",
-        "|---|---|---|---|---|",
+        "| | " + " | ".join(parts) + " | largest |",
+        "|---|" + "---|" * (len(parts) + 1),
     ]
     for name, values in day.errors_mm.items():
-        low, high = interval(values, np.random.default_rng(0))
-        lines.append(
-            f"| {name} | {values.mean():.2f} | {low:.2f} to {high:.2f} | {values[:, first].mean():.2f} | "
-            f"{values[:, last].mean():.2f} |"
-        )
-    raw, fixed, adapted = (day.errors_mm[name] for name in METHODS)
-    saved, gained = (paired(a, b, np.random.default_rng(0)) for a, b in ((fixed, adapted), (raw, fixed)))
-    return [
-        *lines,
-        "",
-        f"The workshop's calibration changes the error of the day by {gained.difference:+.2f} mm "
-        f"({gained.ci95[0]:+.2f} to "
-        f"{gained.ci95[1]:+.2f}, {'significant' if gained.significant else 'not significant'}), online adaptation that "
-        f"by a further {saved.difference:+.2f} mm ({saved.ci95[0]:+.2f} to {saved.ci95[1]:+.2f}, "
-        f"{'significant' if saved.significant else 'not significant'}).",
-        "",
-        "![Error over a day](images/findings-day.png)",
-        "",
-    ]
+        found = [mean_over_arms(values[:, None, part]) for part in parts.values()]
+        cells = " | ".join(with_interval(each.value, each.ci95, 2) for each in found)
+        lines.append(f"| {name} | {cells} | {values.max():.0f} |")
+    return [*lines, ""]
+
+
+def _change(found: Estimate) -> str:
+    ends = interval_words(found.ci95, 2, sign="+")
+    return f"{found.value:+.2f}" + (f" ({ends})" if ends else "")

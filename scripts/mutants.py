@@ -3,55 +3,38 @@
 mutmut makes the mutants; each is tried in a copy of the project, against the tests of its room alone, and is killed if
 one of them fails or does not end in time. What is written after each mutant is taken up again by the next run: a mutant
 is tried again only if its file has changed or, where it survived, the tests of its room have. Text, messages and what a
-decorator covers are left as they are.
+decorator covers are left as they are, and so are changes that make no difference (scripts/mutants_equivalent.toml).
 
-Run: python scripts/mutants.py [--room NAME]... [--sample N] [--seed S] [--json FILE]
+Run: python scripts/mutants.py [--room NAME]... [--sample N] [--seed S] [--json FILE] [--also FILE]... [--page FILE]
 """
 
 from __future__ import annotations
 
-import compileall
 import hashlib
 import json
-import multiprocessing
 import os
 import random
 import shutil
 import signal
-import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from py_compile import PycInvalidationMode
 from typing import Annotated, Any
 
 import libcst as cst
 import typer
 from libcst.metadata import MetadataWrapper, PositionProvider
+from mutants_score import Equivalents, page_of, read_equivalents, row_of, table
+from mutants_trials import LIBRARIES, ROOT, WARM, copied_project, run_tests
 from mutmut.mutation import mutators
 from mutmut.mutation.file_mutation import MutationVisitor
 from mutmut.mutation.pragma_handling import IgnoredCode
 
-ROOT = Path(__file__).parents[1]
-LEFT_BEHIND = (".git", ".venv", "runs", "dist", "__pycache__", ".*_cache", ".hypothesis", ".benchmarks", ".development")
 LEAST_SECONDS, PATIENCE = 120.0, 5.0
 """A room's tests may take this long, or this many times as long as they do without a mutant."""
-MOST_BYTES = 8 * 2**30
-"""Of memory, for a mutant that never stops growing."""
-WARM = multiprocessing.get_context("forkserver")
-"""Every mutant has a new process, into which the libraries, and nothing of ours, are loaded already."""
-LIBRARIES = [
-    "pytest",
-    "hypothesis.strategies",
-    "gymnasium",
-    "scipy.optimize",
-    "scipy.stats",
-    "torch",
-    "pyarrow.dataset",
-]
 
 
 @dataclass(frozen=True)
@@ -95,7 +78,8 @@ ROOMS = {
         "calibration",
         "identification/least_squares model/error_model model/identifiability",
         "tests/calibration",
-        "identification/least_squares model/identifiability model/observations identification/align",
+        "identification/stop_rule identification/least_squares model/identifiability model/observations "
+        "identification/align",
     ),
     "compensation": room(
         "calibration",
@@ -112,11 +96,102 @@ ROOMS = {
         "tests/harvester",
         "picking assignment interference harvest environments",
     ),
+    "picking env": room("pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"),
+    "harvesting env": room(
+        "pickenv/envs/harvesting",
+        "harvest_batch harvest_env harvest_vector",
+        "tests",
+        "envs/harvest_by_hand harvester/harvest_vector harvester/one_cup",
+    ),
+    "reaching": room(
+        "pickenv/envs/reaching",
+        "batch numpy_batch torch_batch vector",
+        "tests/envs",
+        "autoreset streams compensation_vector vector",
+    ),
+    "wrappers": room(
+        "pickenv/wrappers", "compensation sb3", "tests/envs", "compensation_wrapper compensation_vector sb3"
+    ),
+    "orchard": room(
+        "pickenv/orchard",
+        "camera stereo vision gripper",
+        "tests/orchard",
+        "gripper camera_by_hand vision_by_hand camera vision bad_input",
+    ),
+    "harvester": room(
+        "pickenv/harvester",
+        "assignment rules optimiser pick_point true_machine zones",
+        "tests/harvester",
+        "plans_by_hand clock_by_hand pick_point true_machine assignment",
+    ),
+    "policies": room(
+        "agents/policies", "servo adaptive scripted gap", "tests/agents", "policies_by_hand scripted policies learned"
+    ),
+    "rollouts": room("agents/evaluation", "rollout reaches", "tests/agents", "policies_by_hand evaluation"),
     "yields": room(
         "pickenv/study",
         "results/outcomes results/quantiles results/yields",
         "tests/study",
-        "yields quantiles rows report",
+        "outcomes yields quantiles rows report",
+    ),
+    "networks": room(
+        "calibration/residuals",
+        "bpnn rbf extra_trees blend standardising residual_models",
+        "tests/calibration/residuals",
+        "residual_referees bpnn residual_models",
+    ),
+    "processes": room(
+        "calibration/residuals",
+        "gaussian_process",
+        "tests/calibration/residuals",
+        "residual_referees gaussian_process",
+    ),
+    "gate": room("calibration/residuals", "gate", "tests/calibration/residuals", "gate_figures gate"),
+    "assessment": room(
+        "calibration/assessment",
+        "quality base_frame states screen metrics",
+        "tests/calibration/assessment",
+        "thresholds metrics quality verdict",
+    ),
+    "kalman": room(
+        "calibration/identification",
+        "extended_kalman_filter",
+        "tests/calibration/identification",
+        "filter_steps kalman",
+    ),
+    "planning": room(
+        "calibration/planning", "plan exchange travel", "tests/calibration/planning", "plan_figures planning"
+    ),
+    "pipeline": room(
+        "calibration/pipeline",
+        "apply uncertainty result fitting stages calibration export",
+        "tests/calibration/pipeline",
+        "command_figures apply export stage_choices stages calibration_file",
+    ),
+    "inverse": room(
+        "pickenv/arm/kinematics",
+        "inverse task_space workspace",
+        "tests/arm/kinematics",
+        "inverse_steps inverse workspace",
+    ),
+    "arm files": room(
+        "pickenv/arm/files",
+        "urdf arm_file joint_keys",
+        "tests/arm",
+        "files/urdf kinematics/mimic files/arm_file plant/plant_file",
+    ),
+    "study": room(
+        "pickenv/study/running", "batched batched_identification arm_by_arm", "tests/study", "batched executors"
+    ),
+    "analysis": room(
+        "pickenv/study/analysis", "sensitivity sobol single_arms study_report", "tests/study", "sensitivity report"
+    ),
+    "reports": room(
+        "pickenv/inspect",
+        "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
+        "reports/calibration_report reports/report_words",
+        "tests/inspect",
+        "runs/summary_numbers figure_numbers page_numbers calibration_report report",
     ),
 }
 
@@ -128,6 +203,7 @@ class Mutant:
     Attributes:
         path: The file.
         line: Its first line, from 1.
+        text: That line as it stands.
         change: What stood there, and what stands there now.
         module: The file as it is.
         old: What is changed in it.
@@ -136,6 +212,7 @@ class Mutant:
 
     path: str
     line: int
+    text: str
     change: str
     module: cst.Module
     old: cst.CSTNode
@@ -162,8 +239,21 @@ def dropped_options(call: cst.Call) -> Iterator[cst.CSTNode]:
 
 
 def is_guard(node: cst.CSTNode) -> bool:
-    """Whether it is the ``strict=True`` of a zip, which changes nothing where lengths are equal."""
-    return isinstance(node, cst.Arg) and node.keyword is not None and node.keyword.value == "strict"
+    """Whether it is the ``strict=True`` of a zip, or a ``dtype=float``, which change nothing where the input is sound.
+
+    Lengths are equal then, and numbers are floats.
+    """
+    if not isinstance(node, cst.Arg) or node.keyword is None:
+        return False
+    is_float = isinstance(node.value, cst.Name) and node.value.value == "float"
+    return node.keyword.value == "strict" or (node.keyword.value == "dtype" and is_float)
+
+
+def sizes_to_work_out(call: cst.Call) -> list[cst.CSTNode]:
+    """The 1 in ``reshape(-1, ...)``: NumPy works out the size in place of any number below zero."""
+    if not (isinstance(call.func, cst.Attribute) and call.func.attr.value == "reshape"):
+        return []
+    return [argument.value.expression for argument in call.args if isinstance(argument.value, cst.UnaryOperation)]
 
 
 OPERATORS: mutators.OPERATORS_TYPE = [
@@ -182,18 +272,25 @@ OPERATORS: mutators.OPERATORS_TYPE = [
 class Changes(MutationVisitor):
     """mutmut's search for changes, but for what is said to people."""
 
+    def __init__(self) -> None:
+        super().__init__(OPERATORS, IgnoredCode(set(), set(), set()))
+        self.left: list[cst.CSTNode] = []
+
     def on_visit(self, node: cst.CSTNode) -> bool:
         """Whether to look into a node."""
+        if isinstance(node, cst.Call):
+            self.left += sizes_to_work_out(node)
         said = isinstance(node, cst.Raise | cst.Assert | cst.FormattedString)
-        return not said and not is_guard(node) and super().on_visit(node)
+        return not said and not is_guard(node) and node not in self.left and super().on_visit(node)
 
 
 def mutants_of(path: str, code: str) -> list[Mutant]:
     """Every mutant of a file, in the order of its lines."""
     wrapper = MetadataWrapper(cst.parse_module(code))
     places = wrapper.resolve(PositionProvider)
-    visitor = Changes(OPERATORS, IgnoredCode(set(), set(), set()))
+    visitor = Changes()
     module = wrapper.visit(visitor)
+    lines = code.splitlines()
     found: list[Mutant] = []
     seen = Counter[tuple[int, str]]()
     for mutation in visitor.mutations:
@@ -203,15 +300,20 @@ def mutants_of(path: str, code: str) -> list[Mutant]:
         seen[line, change] += 1
         if seen[line, change] > 1:
             change += f" (no. {seen[line, change]})"
-        found.append(Mutant(path, line, change, module, old, new))
+        found.append(Mutant(path, line, lines[line - 1].strip() if line else "", change, module, old, new))
     return found
 
 
-def shuffled(name: str, seed: int) -> list[Mutant]:
-    """All of a room's mutants in random order: the first of them are a sample, and a larger one holds a smaller."""
-    found = [m for path in ROOMS[name].sources for m in mutants_of(path, (ROOT / path).read_text(encoding="utf-8"))]
+def mutants_in(name: str) -> list[Mutant]:
+    """Every mutant of a room."""
+    return [m for path in ROOMS[name].sources for m in mutants_of(path, (ROOT / path).read_text(encoding="utf-8"))]
+
+
+def shuffled(name: str, seed: int, equivalents: Equivalents) -> list[Mutant]:
+    """A room's mutants that matter in random order: the first are a sample, and a larger one holds a smaller."""
+    found = mutants_in(name)
     random.Random(f"{seed} {name}").shuffle(found)
-    return found
+    return [m for m in found if (m.path, m.text, m.change) not in equivalents]
 
 
 def fingerprint(paths: Iterable[Path]) -> str:
@@ -219,56 +321,30 @@ def fingerprint(paths: Iterable[Path]) -> str:
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in sorted(paths))).hexdigest()[:16]
 
 
-def ask_pytest(copy: str, tests: list[str]) -> None:
-    """End this process, which has nothing of ours loaded, as pytest ends in the copy."""
-    os.setsid()
-    if sys.platform == "linux":
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, MOST_BYTES))
-    nowhere = os.open(os.devnull, os.O_RDWR)
-    for stream in range(3):
-        os.dup2(nowhere, stream)
-    os.chdir(copy)
-    os.environ["PYTHONPATH"] = copy
-    sys.path.insert(0, copy)
-    sys.dont_write_bytecode = True
-    import pytest
-
-    import pickenv
-
-    assert Path(pickenv.__file__).is_relative_to(copy)
-    options = ["-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
-    os._exit(pytest.main([*options, *tests]))  # the warning: hypothesis is among the libraries loaded already
-
-
-def run_tests(copy: Path, tests: Iterable[str], seconds: float | None) -> str:
-    """What pytest says of the copy: "passed", "failed" (also: cannot even be imported) or "took too long"."""
-    process = WARM.Process(target=ask_pytest, args=(str(copy), list(tests)))
-    process.start()
-    try:
-        process.join(seconds)
-        return {0: "passed", None: "took too long"}.get(process.exitcode, "failed")
-    finally:  # with whatever the tests had started, also when we are interrupted
-        if process.is_alive() and process.pid is not None:
-            os.killpg(process.pid, signal.SIGKILL)
-        process.join()
-
-
 def nearest_first(path: str, tests: tuple[str, ...]) -> list[str]:
     """Test modules, those first that carry the name of the file."""
     return sorted(tests, key=lambda test: Path(path).stem not in test)
 
 
+def still_true(known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Those verdicts that a new trial would repeat: the file is the same and, of a survivor, the room's tests."""
+    tests = {name: fingerprint(ROOT / test for test in room.tests) for name, room in ROOMS.items()}
+    files = {path: fingerprint([ROOT / path]) for room in ROOMS.values() for path in room.sources}
+    return {
+        key: told
+        for key, told in known.items()
+        if told["file"] == files.get(key.split(":")[0]) and told["tests"] in ("any", tests.get(told["room"]))
+    }
+
+
 def try_room(name: str, mutants: list[Mutant], known: dict[str, dict[str, Any]], copy: Path) -> Iterator[Mutant]:
-    """Try a room's mutants, put the verdicts into ``known``, and name each mutant when it has one."""
+    """Try a room's mutants but those ``known``, put the verdicts there, and name each mutant when it has one."""
     tests = ROOMS[name].tests
     tests_now = fingerprint(ROOT / test for test in tests)
     files_now = {path: fingerprint([ROOT / path]) for path in ROOMS[name].sources}
     limit: float | None = None
     for mutant in mutants:
-        before = known.get(mutant.key)
-        if before is not None and before["file"] == files_now[mutant.path] and before["tests"] in ("any", tests_now):
+        if mutant.key in known:
             yield mutant
             continue
         if limit is None:
@@ -290,35 +366,6 @@ def try_room(name: str, mutants: list[Mutant], known: dict[str, dict[str, Any]],
         yield mutant
 
 
-def table(rows: dict[str, dict[str, Any]]) -> str:
-    """The score by room, with Wilson's interval; what took too long counts as killed."""
-    lines = [
-        f"{'room':<14} {'mutants':>8} {'tried':>6} {'killed':>7} {'of these late':>14} {'score':>7}  95 % interval"
-    ]
-    for name, row in rows.items():
-        low, high = row["interval"]
-        lines.append(
-            f"{name:<14} {row['mutants']:>8} {row['tried']:>6} {row['killed']:>7} {row['late']:>14} "
-            f"{row['score']:>7.1%}  {low:.1%} to {high:.1%}"
-        )
-    return "\n".join(lines)
-
-
-def row_of(mutants: int, verdicts: list[str]) -> dict[str, Any]:
-    """The score of some verdicts."""
-    from pickenv.intervals import share_interval as wilson_interval  # late: see WARM
-
-    late, killed = verdicts.count("took too long"), len(verdicts) - verdicts.count("passed")
-    return {
-        "mutants": mutants,
-        "tried": len(verdicts),
-        "killed": killed,
-        "late": late,
-        "score": killed / len(verdicts),
-        "interval": wilson_interval(killed, len(verdicts)),
-    }
-
-
 def main(
     room: Annotated[list[str] | None, typer.Option(help=f"One of {', '.join(ROOMS)}; all when left out.")] = None,
     sample: Annotated[
@@ -326,6 +373,8 @@ def main(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
     json_file: Annotated[Path, typer.Option("--json", help="Where verdicts are kept.")] = Path("runs/mutants.json"),
+    also: Annotated[list[Path] | None, typer.Option(help="Verdicts of other runs, used where they still hold.")] = None,
+    page: Annotated[Path, typer.Option(help="The page; written when every room is tried.")] = Path("docs/mutants.md"),
 ) -> None:
     """Change the lines that make numbers, one at a time, and count what the tests notice."""
     from pickenv.files import write_text  # late: see WARM
@@ -334,9 +383,10 @@ def main(
     if unknown := set(names) - set(ROOMS):
         raise SystemExit(f"unknown room '{min(unknown)}'; give one of {', '.join(ROOMS)}")
     known: dict[str, dict[str, Any]] = {}
-    if json_file.exists():
-        known = json.loads(json_file.read_text(encoding="utf-8"))["mutants"]
-    mutants = {name: shuffled(name, seed) for name in names}
+    for path in (*(also or ()), *([json_file] if json_file.exists() else [])):
+        known |= still_true(json.loads(path.read_text(encoding="utf-8"))["mutants"])
+    equivalents = read_equivalents()
+    mutants = {name: shuffled(name, seed, equivalents) for name in names}
     json_file.parent.mkdir(parents=True, exist_ok=True)
     rows: dict[str, dict[str, Any]] = {}
     survivors: list[str] = []
@@ -348,10 +398,7 @@ def main(
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
     WARM.set_forkserver_preload(["__main__", *LIBRARIES])
     with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "project"
-        shutil.copytree(ROOT, copy, symlinks=True, ignore=shutil.ignore_patterns(*LEFT_BEHIND))
-        for package in ("pickenv", "calibration", "agents"):
-            compileall.compile_dir(copy / package, quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
+        copy = copied_project(Path(folder))
         for name in names:
             verdicts: list[str] = []
             for mutant in try_room(name, mutants[name][:sample], known, copy):
@@ -365,6 +412,8 @@ def main(
             print(f"{name}: {len(verdicts)} tried, {verdicts.count('passed')} survive", flush=True)
     print(table(rows))
     print(f"{len(survivors)} survive; each is a test to write, or a change that makes no difference")
+    if not room:
+        write_text(page, page_of(rows, sample, seed, survivors, equivalents))
 
 
 if __name__ == "__main__":

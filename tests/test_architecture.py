@@ -27,6 +27,7 @@ GROUND = (
     "pickenv.limits",
     "pickenv.locks",
     "pickenv.sealed",
+    "pickenv.seeds",
     "pickenv.container",
     "pickenv.provenance",
     "pickenv.reservations",

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, s
 from pickenv.errors import InputError
 from pickenv.provenance import code_fingerprint
 from pickenv.reservations import obey
+from pickenv.seeds import stream
 from pickenv.wrappers import Compensate
 
 COMPENSATIONS = ("raw", "ls", "ls_bpnn", "best")
@@ -36,12 +39,12 @@ class CalibrationPlan:
         identification_poses: Poses for least squares (the paper: 100).
         residual_poses: Poses for the residual model (the paper: 200).
         epochs: Passes of the network's training (the paper: 500).
-        seed: Seed of poses, noise and networks; arm i has child i.
+        seed: Seed of poses, noise and networks; every arm has its own stream.
     """
 
     identification_poses: int = 100
     residual_poses: int = 200
-    epochs: int = 200
+    epochs: int = 100
     seed: int = 0
 
 
@@ -52,7 +55,7 @@ def calibrate_arm(plant: Plant, compensation: str, protocol: CalibrationPlan, nu
         InputError: If the compensation is not one of `COMPENSATIONS` that calibrate.
     """
     check_compensation(compensation)
-    poses, learning = (np.random.default_rng(part) for part in np.random.SeedSequence([protocol.seed, number]).spawn(2))
+    poses, learning = (np.random.default_rng(part) for part in stream(protocol.seed, "calibration", number).spawn(2))
     counts = (protocol.identification_poses, protocol.residual_poses)
     first, second = (
         simulated_tracker(plant, random_joints(plant.arm.nominal, count, poses), poses) for count in counts
@@ -75,6 +78,7 @@ def compensators(
     protocol: CalibrationPlan,
     folder: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
+    workers: int = 1,
 ) -> list[Compensate] | None:
     """One compensator per arm of a population, or None for "raw".
 
@@ -84,6 +88,7 @@ def compensators(
         protocol: How they are measured and fitted.
         folder: Where calibrations are kept for the next time, or None.
         progress: Told how many are done, and how many there are.
+        workers: Processes that fit residual models, one arm at a time each.
 
     Raises:
         InputError: If a kept calibration is damaged, or of another arm or protocol than its name says.
@@ -91,18 +96,33 @@ def compensators(
     check_compensation(compensation)
     if compensation == "raw":
         return None
-    count = plant_count(plants)
+    count = plant_count(plants) or 1
+    work = partial(_calibrated, plants, compensation, protocol, folder)
     found: list[Compensate] = []
-    for number in range(count or 1):
-        plant = plants if count is None else plant_at(plants, number)
-        if folder is None:
-            calibration = calibrate_arm(plant, compensation, protocol, number)
-        else:
-            calibration = _kept(folder, plant, compensation, protocol, number)
+    for number, calibration in enumerate(_in_turn(work, count, workers if compensation in RESIDUALS else 1)):
         found.append(calibration.compensator())
         if progress is not None:
-            progress(number + 1, count or 1)
+            progress(number + 1, count)
     return found
+
+
+def _in_turn(work: Callable[[int], Calibration], count: int, workers: int) -> Iterable[Calibration]:
+    """The calibrations of ``count`` arms in their order."""
+    if min(workers, count) == 1:
+        return map(work, range(count))
+    from joblib import Parallel, delayed
+
+    return cast(Iterable[Calibration], Parallel(workers, return_as="generator")(delayed(work)(i) for i in range(count)))
+
+
+def _calibrated(
+    plants: Plant, compensation: str, protocol: CalibrationPlan, folder: Path | None, number: int
+) -> Calibration:
+    """The calibration of one arm of a population, from the folder if it is there."""
+    plant = plants if plant_count(plants) is None else plant_at(plants, number)
+    if folder is None:
+        return calibrate_arm(plant, compensation, protocol, number)
+    return _kept(folder, plant, compensation, protocol, number)
 
 
 def check_compensation(compensation: str) -> None:

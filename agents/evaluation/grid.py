@@ -1,7 +1,7 @@
 """The comparison: policies × compensations × feedback × plants, on the same arms and fruit, judged by every gripper.
 
 Arms are drawn from a population that no policy was trained on. Fruit, arms and pictures depend on the seed alone, so
-that any two cells of one plant can be compared pair by pair.
+that any two cells of one plant can be compared pair by pair; another seed shares nothing with it.
 """
 
 from __future__ import annotations
@@ -15,56 +15,16 @@ from typing import Any
 import numpy as np
 
 from pickenv.agents.evaluation.calibrated import CalibrationPlan, check_compensation, compensators
-from pickenv.agents.evaluation.rollout import PolicyMaker, Rollout, roll_out
-from pickenv.agents.evaluation.statistics import Paired, interquartile_mean, interval, paired
-from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
-from pickenv.agents.policies.learned import load_policy
-from pickenv.agents.policies.oracle import OracleReach
-from pickenv.agents.policies.policy import Policy
-from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
-from pickenv.agents.policies.servo import ServoReach
+from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
+from pickenv.agents.evaluation.rollout import Rollout, roll_out
+from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.envs.shared.task import CONTROL_PERIOD, FEEDBACK, check_choice, check_number, load_true_arm
 from pickenv.errors import InputError
 from pickenv.limits import check_limit
 from pickenv.orchard.gripper import Gripper, load_gripper
-
-NEW_ARMS = 1_000_003
-"""Seed of the population of evaluation; the environments' own default, 0, is for training."""
-
-CALIBRATED_PRIOR = 0.2
-"""Share of the parameters' tolerances that an adaptive policy expects to be left behind a calibration."""
-
-
-SEQUENTIAL_STEPS = 30
-"""Steps of an episode of a policy that learns from pick to pick: the longest way takes 20."""
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of policy.
-
-    Attributes:
-        feedback: What it can use: "encoders", "camera".
-        sequential: Whether it learns from episode to episode.
-        raw_only: Whether a compensator would only stand in its way.
-    """
-
-    feedback: tuple[str, ...] = FEEDBACK
-    sequential: bool = False
-    raw_only: bool = False
-
-
-PLAIN: Mapping[str, Callable[[Any], Policy]] = {"scripted": ScriptedReach, "oracle": OracleReach, "servo": ServoReach}
-
-KINDS: Mapping[str, Kind] = {
-    "random": Kind(("encoders",)),
-    "scripted": Kind(("encoders",)),
-    "oracle": Kind(("encoders",), raw_only=True),
-    "servo": Kind(("camera",)),
-    "adaptive": Kind(("camera",), sequential=True),
-}
+from pickenv.seeds import seed_words, stream
 
 
 @dataclass(frozen=True)
@@ -72,16 +32,16 @@ class GridSettings:
     """What is compared.
 
     Attributes:
-        policies: Names of `KINDS`, of shipped baselines, or policy files.
+        policies: Names of kinds (`compared_policies.KINDS`) or of shipped baselines, policy files, or folders of one
+            training with several seeds.
         compensations: Of `pickenv.agents.evaluation.calibrated.COMPENSATIONS`.
         feedback: "encoders" (open loop) and "camera".
         plants: Plant presets.
         grippers: Names of grippers.
         arms: Arms drawn for each plant.
         episodes: Fruits per arm.
-        seed: Seed of fruit, pictures and calibrations.
+        seed: Seed of arms, fruit and pictures.
         tolerances: Class of the arms' tolerances.
-        population_seed: Seed of the arms.
         camera_noise_mm: Standard deviation per axis of the camera's view of the gap.
         fruit_noise_mm: The same for the fruit's position.
         tolerance_mm: Radius within which a cycle is over, for the cycle time.
@@ -93,11 +53,10 @@ class GridSettings:
     feedback: tuple[str, ...] = FEEDBACK
     plants: tuple[str, ...] = ("qiao2026", "orchard")
     grippers: tuple[str, ...] = ("li_cup", "compliant_hand")
-    arms: int = 8
-    episodes: int = 64
+    arms: int = 64
+    episodes: int = 32
     seed: int = 0
     tolerances: str = "coarse"
-    population_seed: int = NEW_ARMS
     camera_noise_mm: float = 1.0
     fruit_noise_mm: float = 0.0
     tolerance_mm: float = 2.0
@@ -114,6 +73,11 @@ class GridSettings:
         check_limit("episodes", self.episodes, "episodes")
         check_limit("epochs", self.protocol.epochs, "epochs")
 
+    @property
+    def population_seed(self) -> int:
+        """Seed of the arms."""
+        return seed_words(stream(self.seed, "arms"), 1)[0]
+
 
 @dataclass(frozen=True, eq=False)
 class Cell:
@@ -124,24 +88,35 @@ class Cell:
         compensation: Compensation.
         feedback: "encoders" or "camera".
         plant: Plant preset.
-        rollout: The episodes, arms varying fastest.
+        learned: Whether it was trained: then an interval is of these trainings, or of this one.
+        rollouts: The episodes, arms varying fastest, of each training; of a policy that was not trained, one.
     """
 
     policy: str
     compensation: str
     feedback: str
     plant: str
-    rollout: Rollout
+    learned: bool
+    rollouts: tuple[Rollout, ...]
+
+    @property
+    def rollout(self) -> Rollout:
+        """The episodes of the first training."""
+        return self.rollouts[0]
 
     @property
     def errors_mm(self) -> Array:
-        """Final errors ``(arms, episodes)``."""
-        return self.per_arm(self.rollout.reaches.position_error_mm)
+        """Final errors ``(arms, trainings, episodes)``."""
+        return self.per_arm(lambda rollout: rollout.reaches.position_error_mm)
 
-    def per_arm(self, values: Array) -> Array:
-        """Values of all episodes as ``(arms, episodes)``."""
+    def chances(self, gripper: Gripper) -> Array:
+        """Probability ``(arms, trainings, episodes)`` that the gripper takes each fruit."""
+        return self.per_arm(lambda rollout: rollout.capture(gripper))
+
+    def per_arm(self, values_of: Callable[[Rollout], Array]) -> Array:
+        """What a function makes of each training's episodes, as ``(arms, trainings, episodes)``."""
         arms = int(self.rollout.arm.max()) + 1
-        return np.asarray(values).reshape(-1, arms).T
+        return np.stack([np.asarray(values_of(rollout)).reshape(-1, arms).T for rollout in self.rollouts], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,12 +145,11 @@ class PolicyGrid:
             for one, other in [(a, b) for i, a in enumerate(steps) for b in steps[i + 1 :]]:
                 if one not in cells or other not in cells:
                     continue
-                rng = np.random.default_rng(self.settings.seed)
-                result: Paired = paired(cells[one].errors_mm, cells[other].errors_mm, rng)
+                result = mean_over_arms(cells[other].errors_mm - cells[one].errors_mm)
                 found.append(
                     dict(zip(("policy", "feedback", "plant"), key, strict=True))
-                    | {"from": one, "to": other, "difference_mm": result.difference, "ci95": list(result.ci95)}
-                    | {"significant": result.significant}
+                    | {"from": one, "to": other, "difference_mm": result.value, "ci95": _ends(result)}
+                    | {"significant": result.significant, "no_interval": result.missing}
                 )
         return found
 
@@ -187,44 +161,11 @@ class PolicyGrid:
         raise KeyError((policy, compensation, feedback, plant))
 
 
-def kind_of(name: str) -> Kind:
-    """What kind of policy a name stands for.
-
-    Raises:
-        InputError: If it is neither a kind nor a policy file.
-    """
-    if name in KINDS:
-        return KINDS[name]
-    try:
-        policy = load_policy(name)
-    except InputError as error:
-        if name.endswith(".npz"):
-            raise
-        raise InputError(f"unknown policy '{name}'; give {', '.join(KINDS)}, a shipped baseline or a file") from error
-    return Kind(("camera",) if policy.scaling.camera else ("encoders",))
-
-
-def maker_of(name: str, settings: GridSettings, compensation: str = "raw") -> PolicyMaker:
-    """How a policy is made for an environment, from a seed."""
-
-    def make(env: Any, seed: int) -> Policy:
-        if name == "random":
-            return RandomReach(env, np.random.default_rng(seed))
-        if name in PLAIN:
-            return PLAIN[name](env)
-        if name == "adaptive":
-            noise = np.hypot(settings.camera_noise_mm, settings.fruit_noise_mm) * 1e-3
-            prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
-            return AdaptiveReach(env, AdaptiveSettings(camera_std=float(noise), prior=prior))
-        return load_policy(name, env.task.plant.arm)
-
-    return make
-
-
 def run_grid(
     settings: GridSettings,
     folder: Path | None = None,
     progress: Callable[[str, int, int], None] | None = None,
+    workers: int = 1,
 ) -> PolicyGrid:
     """Run every cell.
 
@@ -232,6 +173,7 @@ def run_grid(
         settings: What is compared.
         folder: Where calibrations are kept for the next time, or None.
         progress: Called with (stage, done, in all).
+        workers: Processes that fit residual models, one arm at a time each.
 
     Raises:
         InputError: If a name is unknown, or no policy can be run as asked.
@@ -255,24 +197,27 @@ def run_grid(
         if (plant, compensation) not in fitted:
             stage = f"calibrating, {plant}, {compensation}"
             fitted[plant, compensation] = compensators(
-                population(settings, plant), compensation, settings.protocol, folder, partial(report, stage)
+                population(settings, plant), compensation, settings.protocol, folder, partial(report, stage), workers
             )
-        rollout = roll_out(
-            maker_of(name, settings, compensation),
-            settings.arms,
-            settings.episodes,
-            settings.seed,
-            compensators=fitted[plant, compensation],
-            sequential=kinds[name].sequential,
-            steps=SEQUENTIAL_STEPS if kinds[name].sequential else 60,
-            plant=plant,
-            feedback=feedback,
-            camera_noise_mm=settings.camera_noise_mm if feedback == "camera" else 0.0,
-            fruit_noise_mm=settings.fruit_noise_mm,
-            tolerances=settings.tolerances,
-            population_seed=settings.population_seed,
+        rollouts = tuple(
+            roll_out(
+                maker_of(file, float(np.hypot(settings.camera_noise_mm, settings.fruit_noise_mm)), compensation),
+                settings.arms,
+                settings.episodes,
+                settings.seed,
+                compensators=fitted[plant, compensation],
+                sequential=kinds[name].sequential,
+                steps=kinds[name].steps,
+                plant=plant,
+                feedback=feedback,
+                camera_noise_mm=settings.camera_noise_mm if feedback == "camera" else 0.0,
+                fruit_noise_mm=settings.fruit_noise_mm,
+                tolerances=settings.tolerances,
+                population_seed=settings.population_seed,
+            )
+            for file in kinds[name].files or (name,)
         )
-        cells.append(Cell(policy_name(name), compensation, feedback, plant, rollout))
+        cells.append(Cell(policy_name(name), compensation, feedback, plant, bool(kinds[name].files), rollouts))
         report("evaluating", done + 1, len(jobs))
     return PolicyGrid(settings, tuple(cells), grippers)
 
@@ -281,11 +226,6 @@ def population(settings: GridSettings, plant: str) -> Any:
     """The arms of a plant, as the environments draw them."""
     rng = np.random.default_rng(settings.population_seed)
     return draw_plants(load_true_arm(plant), load_tolerances(settings.tolerances), settings.arms, rng)
-
-
-def policy_name(name: str) -> str:
-    """How a policy is called in tables: files by the end of their path."""
-    return "/".join(Path(name).with_suffix("").parts[-3:]) if name.endswith(".npz") else name
 
 
 def _nothing_fits(settings: GridSettings, kinds: Mapping[str, Kind]) -> str:
@@ -302,33 +242,49 @@ def _nothing_fits(settings: GridSettings, kinds: Mapping[str, Kind]) -> str:
 
 def _row(settings: GridSettings, cell: Cell, name: str, gripper: Gripper) -> dict[str, Any]:
     errors = cell.errors_mm
-    success = cell.per_arm(cell.rollout.capture(gripper))
-    rng = np.random.default_rng(settings.seed)
-    steps = cell.rollout.cycle_steps(settings.tolerance_mm)
+    mean, success = mean_over_arms(errors), share_over_arms(cell.chances(gripper))
+    median, worst = quantile_over_arms(errors, 0.5), quantile_over_arms(errors, 0.95)
+    steps = np.concatenate([rollout.cycle_steps(settings.tolerance_mm) for rollout in cell.rollouts])
     inside = np.isfinite(steps)
+    arms, trainings, _ = errors.shape
     return {
         "policy": cell.policy,
         "compensation": cell.compensation,
         "feedback": cell.feedback,
         "plant": cell.plant,
         "gripper": name,
-        "mean_mm": float(errors.mean()),
-        "ci95": list(interval(errors, rng)),
-        "iqm_mm": float(interquartile_mean(errors.ravel())),
-        "iqm_ci95": list(interval(errors, rng, interquartile_mean, arms_too=False)),
-        "p95_mm": float(np.percentile(errors, 95)),
-        "success_rate": float(success.mean()),
-        "success_ci95": list(interval(success, rng)),
+        "mean_mm": mean.value,
+        "ci95": _ends(mean),
+        "median_arm_mm": median.value,
+        "median_arm_ci95": _ends(median),
+        "p95_arm_mm": worst.value,
+        "p95_arm_ci95": _ends(worst),
+        "success_rate": success.value,
+        "success_ci95": _ends(success),
+        "no_interval": mean.missing,
+        "interval_over": _interval_over(cell.learned, trainings),
         "cycle_s": float(np.median(steps[inside]) * CONTROL_PERIOD) if inside.any() else None,
         "within_tolerance": float(inside.mean()),
         "episodes": int(errors.size),
-        "arms": int(errors.shape[0]),
+        "arms": arms,
+        "trainings": trainings if cell.learned else None,
         "seeds": [settings.seed],
         "population_seed": settings.population_seed,
         "tolerances": settings.tolerances,
         "camera_noise_mm": settings.camera_noise_mm if cell.feedback == "camera" else 0.0,
         "fruit_noise_mm": settings.fruit_noise_mm,
     }
+
+
+def _ends(found: Estimate) -> list[float | None] | None:
+    return None if found.ci95 is None else list(found.ci95)
+
+
+def _interval_over(learned: bool, trainings: int) -> str:
+    """What another draw of the intervals' data would have anew."""
+    if not learned:
+        return "arms"
+    return "arms, of this one training" if trainings == 1 else f"arms and {trainings} trainings"
 
 
 def _by_policy(cells: Sequence[Cell]) -> dict[tuple[str, str, str], dict[str, Cell]]:

@@ -2,52 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from pickenv.agents.evaluation.grid import PolicyGrid
-from pickenv.agents.evaluation.statistics import interquartile_mean, interval, mean
+from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.envs.shared.task import CONTROL_PERIOD
-from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.runs.gripping import gripper_curves
 
 LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN", "best": "LS+GP"}
-STATISTICS: Mapping[str, Any] = {
-    "mean": mean,
-    "interquartile mean": interquartile_mean,
-    "95th percentile": lambda values: np.percentile(values, 95, axis=-1),
+STATISTICS: Mapping[str, Callable[[Array], Estimate]] = {
+    "mean": mean_over_arms,
+    "median arm": lambda values: quantile_over_arms(values, 0.5),
+    "95th percentile arm": lambda values: quantile_over_arms(values, 0.95),
 }
 
 
 def aggregate_figure(grid: PolicyGrid) -> Figure:
-    """Mean, interquartile mean and 95th percentile of every cell with 95 % intervals, one panel row per plant."""
-    panels: dict[str, dict[str, dict[str, dict[str, Measure]]]] = {}
+    """Mean, median and 95th percentile over arms of every cell with 95 % intervals, one panel row per plant."""
+    panels: dict[str, dict[str, dict[str, dict[str, plot_policies.Estimated]]]] = {}
     for cell in grid.cells:
         for title, statistic in STATISTICS.items():
-            low, high = interval(cell.errors_mm, np.random.default_rng(0), statistic)
-            found = Measure(float(statistic(cell.errors_mm.ravel())), low, high)
+            found = statistic(cell.errors_mm)
             policies = panels.setdefault(cell.plant, {}).setdefault(title, {})
-            policies.setdefault(f"{cell.policy}\n{cell.feedback}", {})[LABELS[cell.compensation]] = found
+            policies.setdefault(f"{cell.policy}\n{cell.feedback}", {})[LABELS[cell.compensation]] = (
+                found.value,
+                found.ci95,
+            )
     return plot_policies.aggregates(panels)
 
 
 def success_curves(grid: PolicyGrid, plant: str) -> Figure:
-    """Success against lateral error for each gripper, and where the scripted policy lies on it."""
-    points = {
-        LABELS[cell.compensation]: {
-            name: (float(cell.errors_mm.mean()), float(cell.rollout.capture(gripper).mean()))
-            for name, gripper in grid.grippers.items()
-        }
-        for cell in grid.cells
-        if cell.policy == "scripted" and cell.plant == plant
-    }
+    """Success against lateral error for each gripper, and where the scripted policy lies on it, with its interval."""
+    points: dict[str, dict[str, tuple[float, plot_policies.Estimated]]] = {}
+    for cell in grid.cells:
+        if cell.policy == "scripted" and cell.plant == plant:
+            for name, gripper in grid.grippers.items():
+                success = share_over_arms(cell.chances(gripper))
+                place = (float(cell.errors_mm.mean()), (success.value, success.ci95))
+                points.setdefault(LABELS[cell.compensation], {})[name] = place
     return plot_policies.success_against_misalignment(gripper_curves(tuple(grid.grippers)), points)
 
 
@@ -57,7 +57,11 @@ def cycle_figure(grid: PolicyGrid, period: float, plant: str) -> Figure:
     Policies with a camera are shown on raw arms only.
     """
     curves = [
-        plot_policies.CycleCurve(cell.policy, LABELS[cell.compensation], cell.rollout.error_mm.mean(axis=1))
+        plot_policies.CycleCurve(
+            cell.policy,
+            LABELS[cell.compensation],
+            np.mean([rollout.error_mm.mean(axis=1) for rollout in cell.rollouts], axis=0),
+        )
         for cell in grid.cells
         if cell.plant == plant
         and cell.policy != "random"
@@ -71,7 +75,7 @@ def grid_drawings(grid: PolicyGrid) -> Sequence[Drawing]:
     found = [
         Drawing(
             "aggregates",
-            "Final position errors of every policy with 95 % intervals over arms.",
+            "Final position errors of every policy over arms, with 95 % intervals; an arrow is an open end.",
             lambda: aggregate_figure(grid),
         )
     ]

@@ -6,17 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from pickenv.agents.evaluation.grid_figures import LABELS, grid_drawings
-from pickenv.agents.evaluation.grid_tables import cells_of, read_grid
+from pickenv.agents.evaluation.grid_tables import HEADS, cells_of, gain_words, interval_words, read_grid
 from pickenv.inspect.figures.run_drawings import Drawings
 from pickenv.inspect.reports.plain_report import plain_report
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict
-from pickenv.inspect.reports.report_words import between
 from pickenv.inspect.runs.run_folder import Run, TakePicture
 
-CELLS = (
-    *("policy", "calibration", "feedback", "plant", "gripper"),
-    *("mean (mm)", "95 % (mm)", "p95 (mm)", "success", "cycle (s)"),
-)
+CELLS = ("policy", "calibration", "feedback", "plant", "gripper", *HEADS)
 GAINS = ("policy", "feedback", "plant", "from", "to", "difference (mm)", "95 % (mm)", "significant")
 
 
@@ -36,29 +32,28 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         "note",
         f"Best: {best['policy']} with {LABELS[best['compensation']]}, {best['mean_mm']:.2f} mm",
         f"{best['policy']} with {best['feedback']} and {LABELS[best['compensation']]} on {best['plant']} ends "
-        f"{best['mean_mm']:.3f} mm from the fruit in the mean (95 % interval over arms {_interval(best)}). "
+        f"{best['mean_mm']:.3f} mm from the fruit in the mean ({_evidence(best)}). "
         f"Of {len(raw)} comparisons of a calibration with the raw arm, {len(helped)} show a gain that is significant.",
     )
     cells = [cells_of(row | {"compensation": LABELS[row["compensation"]]}) for row in rows]
     gains = [
         (
             *(line["policy"], line["feedback"], line["plant"], LABELS[line["from"]], LABELS[line["to"]]),
-            *(
-                f"{line['difference_mm']:+.3f}",
-                _interval(line, "+"),
-                "yes" if line["significant"] else "no",
-            ),
+            *gain_words(line),
         )
         for line in worth
     ]
     tables = (
         PageTable(
-            f"Final position errors; {first['episodes']} reaches per cell on {first['arms']} arms, the same for all",
+            f"Final position errors; {first['episodes'] // (first['trainings'] or 1)} reaches on {first['arms']} arms, "
+            "the same for all. Mean, median and 95th percentile are over arms, in brackets and beside the mean 95 % "
+            "intervals; those of one training say nothing of another one",
             CELLS,
             cells,
         ),
         PageTable(
-            "What each calibration changes on the same arms and fruit, pair by pair; 95 % intervals over arms",
+            "What each calibration changes on the same arms and fruit, pair by pair; 95 % intervals over arms, and "
+            "over trainings where there are several",
             GAINS,
             gains,
         ),
@@ -70,6 +65,6 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     return plain_report(run, "Comparison of policies", subtitle, verdict, tables, grid_drawings(grid))
 
 
-def _interval(row: Mapping[str, Any], sign: str = "") -> str:
-    low, high = row["ci95"]
-    return between(low, high, 3, sign)
+def _evidence(row: Mapping[str, Any]) -> str:
+    said = interval_words(row["ci95"], 3)
+    return f"95 % interval over {row['interval_over']}: {said}" if said else f"no interval: {row['no_interval']}"

@@ -26,16 +26,44 @@ ROWS = "rows.json"
 KEYS = ("policy", "compensation", "feedback", "plant", "gripper")
 
 
+HEADS = ("mean (mm)", "95 %", "median arm (mm)", "95th arm (mm)", "success", "cycle (s)")
+"""What stands beside `KEYS`; an interval where the number has none of its own column follows in brackets."""
+
+
 def cells_of(row: Mapping[str, Any]) -> list[str]:
-    """What people are shown of a row: `KEYS`, mean and its interval, 95th percentile, success, cycle time."""
+    """What people are shown of a row: `KEYS` and `HEADS`."""
+    trained = {None: "", 1: " (one training)"}.get(row["trainings"], f" ({row['trainings']} trainings)")
     return [
-        *(row[key] for key in KEYS),
+        f"{row['policy']}{trained}",
+        *(row[key] for key in KEYS[1:]),
         f"{row['mean_mm']:.3f}",
-        f"{row['ci95'][0]:.3f} to {row['ci95'][1]:.3f}",
-        f"{row['p95_mm']:.3f}",
-        f"{100 * row['success_rate']:.1f} %",
+        interval_words(row["ci95"], 3) or f"none: {row['no_interval']}",
+        with_interval(row["median_arm_mm"], row["median_arm_ci95"], 3),
+        with_interval(row["p95_arm_mm"], row["p95_arm_ci95"], 3),
+        with_interval(row["success_rate"], row["success_ci95"], 1, 100.0, " %"),
         "never" if row["cycle_s"] is None else f"{row['cycle_s']:.1f}",
     ]
+
+
+def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
+    """A comparison's difference, its interval, and whether it is significant."""
+    ends = interval_words(line["ci95"], 3, sign="+") or f"none: {line['no_interval']}"
+    return f"{line['difference_mm']:+.3f}", ends, {True: "yes", False: "no", None: "not known"}[line["significant"]]
+
+
+def interval_words(ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
+    """An interval: 0.12 to 0.34; an end that the arms cannot bound is open; empty where there is no interval."""
+    if ends is None:
+        return ""
+    return " to ".join("open" if end is None else f"{scale * end:{sign}.{digits}f}" for end in ends)
+
+
+def with_interval(
+    value: float, ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, unit: str = ""
+) -> str:
+    """A number with its interval in brackets, if it has one: 0.23 (0.12 to 0.34)."""
+    said = interval_words(ends, digits, scale)
+    return f"{scale * value:.{digits}f}{unit}" + (f" ({said})" if said else "")
 
 
 def flat_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -46,8 +74,8 @@ def flat_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         for key, value in row.items():
             if key == "seeds":
                 flat[key] = " ".join(map(str, value))
-            elif isinstance(value, list):
-                flat[f"{key}_low"], flat[f"{key}_high"] = value
+            elif key.endswith("ci95"):
+                flat[f"{key}_low"], flat[f"{key}_high"] = value or (None, None)
             else:
                 flat[key] = value
         found.append(flat)

@@ -11,15 +11,15 @@ import numpy as np
 from pickenv.agents.policies.policy import Policy
 from pickenv.errors import InputError
 from pickenv.inspect.runs.episode_ends import Reaches, reaches_of
+from pickenv.seeds import seed_words, stream
 
 LONGEST_EPISODE = 10_000
 """Steps after which an episode counts as one without a time limit."""
 
 
 def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
-    """Seeds of ``count`` evaluation episodes, spawned so that runs with neighbouring seeds share none."""
-    children = np.random.SeedSequence(seed).spawn(count)
-    return tuple(int(child.generate_state(1)[0]) for child in children)
+    """Seeds of ``count`` evaluation episodes; no two seeds share one, nor any with a training."""
+    return tuple(seed_words(stream(seed, "fruit"), count))
 
 
 def run_reaches(

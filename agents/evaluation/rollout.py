@@ -17,6 +17,7 @@ from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.inspect.runs.episode_ends import Reaches, reaches_of
 from pickenv.orchard.gripper import Gripper, capture_probability, misalignment
+from pickenv.seeds import seed_words, stream
 from pickenv.wrappers import Compensate
 
 MOST_ROWS = 2048
@@ -99,20 +100,14 @@ def roll_out(
         sequential: Whether each arm meets its fruit one after the other, for policies that learn from episode to
             episode.
         steps: Steps of an episode.
-        arguments: Arguments of `pickenv/Reach-v0`; ``arms`` is "per_episode" unless they say otherwise, and
-            ``population`` the number of arms.
+        arguments: Further arguments of `pickenv/Reach-v0`.
 
     Raises:
         InputError: If there are no arms or no episodes.
     """
     if arms < 1 or episodes < 1:
         raise InputError(f"there are {arms} arms and {episodes} episodes; give at least one of each")
-    arguments = {"arms": "per_episode", **arguments}
-    if arguments["arms"] == "fixed":
-        if arms != 1:
-            raise InputError("arms='fixed' has one arm; ask for one, or for a population")
-    else:
-        arguments["population"] = arms
+    arguments |= {"arms": "per_episode", "population": arms}
     numbers = np.arange(arms)
     seeds = np.array(episode_seeds(seed, arms * episodes)).reshape(episodes, arms)
     # One round holds every arm once; rows of several rounds run side by side where nothing is learnt in between.
@@ -127,15 +122,14 @@ def roll_out(
             env = ReachVectorEnv(len(rows), max_episode_steps=None, autoreset_mode="Disabled", **arguments)
             if compensators is not None:
                 env.compensator = PerArm(tuple(compensators), tuple(rows.tolist()))
-            policy = make(env, seed + first)
+            policy = make(env, seed_words(stream(seed, "policy", first), 1)[0])
         assert policy is not None
         parts.append(_run(env, policy, rows, block.ravel(), steps))
     return _joined(parts)
 
 
 def _run(env: ReachVectorEnv, policy: Policy, rows: NDArray[np.int64], seeds: NDArray[np.int64], steps: int) -> Rollout:
-    options = {} if env.task.arms == "fixed" else {"arm": rows}
-    observation, infos = env.reset(seed=seeds.tolist(), options=options)
+    observation, infos = env.reset(seed=seeds.tolist(), options={"arm": rows})
     geometry = env.task.plant.arm.nominal
     reading = read_observation(geometry, observation)
     turn = np.concatenate([np.zeros_like(reading.turn), reading.turn], axis=-1)

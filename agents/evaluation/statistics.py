@@ -1,62 +1,99 @@
-"""Intervals and comparisons that respect how the data came about: fruit within arms, the same for every policy.
+"""Numbers over arms with their 95 % intervals (`pickenv.intervals`), for policies on the same arms and fruit.
 
-Episodes on one arm are alike, so arms are resampled first and episodes within them after (cluster bootstrap; Davison
-and Hinkley 1997). Aggregates follow rliable (Agarwal et al. 2021): interquartile mean, stratified bootstrap.
+Fruit of one arm are alike, so an arm counts once, with its own mean. Where a policy was trained several times, arms and
+training seeds are two crossed factors: another arm and another training would both give another number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.bootstrap import interval95, resampled
+from pickenv.intervals import (
+    LEAST,
+    LEAST_RUNS,
+    Ends,
+    clustered_share_interval,
+    crossed_interval,
+    mean_interval,
+    quantile_interval,
+)
 
-Statistic = Callable[[Array], Array]
-"""From values ``(..., n)`` to one number each ``(...)``."""
-
-
-def mean(values: Array) -> Array:
-    """Mean over the last axis."""
-    return np.asarray(values.mean(axis=-1))
-
-
-def interquartile_mean(values: Array) -> Array:
-    """Mean of the middle half over the last axis."""
-    ordered = np.sort(values, axis=-1)
-    quarter = ordered.shape[-1] // 4
-    return mean(ordered[..., quarter : ordered.shape[-1] - quarter])
-
-
-def interval(
-    values: Array, rng: np.random.Generator, statistic: Statistic = mean, *, arms_too: bool = True
-) -> tuple[float, float]:
-    """Bootstrap 95 % interval of a statistic of values ``(arms, episodes)``; see `pickenv.bootstrap.resampled`."""
-    low, high = interval95(resampled(values, statistic, rng, clusters_too=arms_too))
-    return float(low), float(high)
+MARGIN_MM = 0.05
+"""Mean errors that differ by less are the same to a picker: a twentieth of what the best gripper forgives."""
 
 
 @dataclass(frozen=True)
-class Paired:
-    """One policy against another on the same arms and fruit.
+class Estimate:
+    """A number and its 95 % interval over arms, and over training seeds where there are several.
 
     Attributes:
-        difference: Mean of the second minus the first.
-        ci95: Its 95 % interval.
+        value: The number.
+        ci95: Both ends, an open one as None; or None where there is no interval.
+        missing: Why there is none.
     """
 
-    difference: float
-    ci95: tuple[float, float]
+    value: float
+    ci95: tuple[float | None, float | None] | None
+    missing: str = ""
 
     @property
-    def significant(self) -> bool:
-        """Whether the interval leaves out zero."""
-        return self.ci95[0] > 0.0 or self.ci95[1] < 0.0
+    def significant(self) -> bool | None:
+        """Whether the interval leaves out zero; None without one."""
+        if self.ci95 is None:
+            return None
+        low, high = self.ci95
+        return (low is not None and low > 0.0) or (high is not None and high < 0.0)
+
+    def verdict(self, margin: float = MARGIN_MM) -> str:
+        """What a difference says: "carries over" inside the margin, "differs" beyond zero, else "not settled"."""
+        if self.ci95 is not None and None not in self.ci95:
+            low, high = self.ci95
+            if low is not None and high is not None and -margin <= low and high <= margin:
+                return "carries over"
+        return "differs" if self.significant else "not settled"
 
 
-def paired(first: Array, second: Array, rng: np.random.Generator) -> Paired:
-    """Compare values ``(arms, episodes)`` that were won on the same arms and fruit."""
-    difference = second - first
-    return Paired(float(difference.mean()), interval(difference, rng))
+def mean_over_arms(values: Array) -> Estimate:
+    """Mean of values ``(arms, trainings, fruit)``."""
+    each = values.mean(axis=2)
+    return _estimate(float(each.mean()), _interval(each), each)
+
+
+def quantile_over_arms(values: Array, probability: float) -> Estimate:
+    """Quantile over arms of their means, of values ``(arms, trainings, fruit)``; of several trainings their mean."""
+    each = values.mean(axis=2)
+    found = float(np.quantile(each.mean(axis=1), probability, method="hazen"))
+    if each.shape[1] > 1:
+        return Estimate(found, None, "no interval of a quantile counts trainings")
+    ends = quantile_interval(each[:, 0], probability)
+    return Estimate(found, None, "needs more arms") if ends == (None, None) else Estimate(found, ends)
+
+
+def share_over_arms(chances: Array) -> Estimate:
+    """Share of successes, of chances ``(arms, trainings, fruit)`` of success."""
+    _, trainings, fruit = chances.shape
+    each = chances.mean(axis=2)
+    if trainings == 1:
+        ends = clustered_share_interval(chances.sum(axis=(1, 2)), fruit)
+    else:
+        crossed = crossed_interval(each)
+        ends = None if crossed is None else (max(crossed[0], 0.0), min(crossed[1], 1.0))
+    return _estimate(float(each.mean()), ends, each)
+
+
+def _interval(each: Array) -> Ends | None:
+    return mean_interval(each[:, 0]) if each.shape[1] == 1 else crossed_interval(each)
+
+
+def _estimate(value: float, ends: Ends | None, each: Array) -> Estimate:
+    arms, trainings = each.shape
+    if ends is not None:
+        return Estimate(value, ends)
+    if arms < LEAST:
+        return Estimate(value, None, f"needs {LEAST} arms")
+    if 1 < trainings < LEAST_RUNS:
+        return Estimate(value, None, f"needs {LEAST_RUNS} trainings")
+    return Estimate(value, None, "all arms are equal")

@@ -60,9 +60,6 @@ class AdaptiveReach(ScriptedReach):
             model, self.geometry, typical, full_pose=False, prior=self.settings.prior
         )
         self.filters: list[extended_kalman_filter.FilterState] = []
-        self._single = False
-        self._joints: Array = np.empty(0)
-        self._sum: Array = np.empty(0)
         self._count: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
     def reset(self) -> None:
@@ -85,7 +82,8 @@ class AdaptiveReach(ScriptedReach):
             self._count = np.zeros(len(camera), dtype=np.int64)
         if self._wanted is None:
             self._wanted = self._corrected(self.wanted_joints(reading))
-            self._joints, self._sum = np.zeros_like(reading.joints), np.zeros_like(camera)
+            self._joints: Array = np.zeros_like(reading.joints)
+            self._sum: Array = np.zeros_like(camera)
         action = self.action(self._wanted - reading.joints)
         self._note(reading, camera, np.abs(action).max(axis=-1) < ARRIVED)
         return action[0] if np.ndim(observation) == 1 else action

@@ -50,7 +50,6 @@ class ServoReach(ScriptedReach):
         super().reset()
         self._pictures: deque[Array] = deque(maxlen=self.delay + 1)
         self._correction: Array | None = None
-        self._back: Array = np.empty(0)
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action.
@@ -62,7 +61,7 @@ class ServoReach(ScriptedReach):
         self._pictures.append(camera_of(reading, "servo") - reading.offset)
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
-            self._back = truncated_inverse(joint_jacobian(self.geometry, self._wanted))[..., :3]
+            self._back: Array = truncated_inverse(joint_jacobian(self.geometry, self._wanted))[..., :3]
         if len(self._pictures) > self.delay:
             picture, known = self._pictures[0], self._correction
             self._correction = picture if known is None else known + self.gain * (picture - known)

@@ -191,7 +191,11 @@ def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> A
 def simulated_tracker(plant: Plant, joints: ArrayLike, rng: np.random.Generator) -> Measurements:
     """What a laser tracker with the plant's measurement noise, registered to base and tool, sees at ``joints``."""
     joints = np.asarray(joints, dtype=float)
-    pose: Pose = plant.measured_pose(joints, rng)
+    return tracked(plant, joints, plant.measured_pose(joints, rng))
+
+
+def tracked(plant: Plant, joints: Array, pose: Pose) -> Measurements:
+    """These poses as the readings of such a tracker at ``joints`` ``(N, n)``."""
     noise = plant.measurement_noise
     return Measurements(
         joints=joints,

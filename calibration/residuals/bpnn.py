@@ -95,7 +95,7 @@ class Bpnn:
             return np.asarray(_through(self._layers, values), dtype=float)
         rows = values.reshape(-1, values.shape[-1])
         parts = [_through(self._layers, rows[a : a + ROWS]) for a in range(0, max(len(rows), 1), ROWS)]
-        return np.concatenate(parts).reshape(*values.shape[:-1], -1).astype(float, copy=False)
+        return np.concatenate(parts).reshape(*values.shape[:-1], len(self.output_std)).astype(float, copy=False)
 
     @property
     def _dtype(self) -> type[np.floating[Any]]:

@@ -51,7 +51,7 @@ class ExtraTrees(SavedArrays):
         values = np.empty((len(flat), self.value.shape[1]))
         for start in range(0, len(flat), CHUNK):
             values[start : start + CHUNK] = self._mean(flat[start : start + CHUNK])
-        return values.reshape(*inputs.shape[:-1], -1)
+        return values.reshape(*inputs.shape[:-1], values.shape[1])
 
     def _mean(self, inputs: NDArray[np.float32]) -> Array:
         rows = np.arange(len(inputs))[:, None]

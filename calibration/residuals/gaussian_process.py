@@ -110,7 +110,7 @@ class GaussianProcess(SavedArrays):
             part = slice(start, start + CHUNK)
             for j in range(values.shape[1]):
                 values[part, j] = one(j, flat[part])
-        return values.reshape(*inputs.shape[:-1], -1)
+        return values.reshape(*inputs.shape[:-1], values.shape[1])
 
     @cached_property
     def _factors(self) -> tuple[Array, ...]:

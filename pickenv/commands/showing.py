@@ -43,7 +43,13 @@ def progress_bars(unit: str = "") -> Iterator[Callable[[str, int, int], None]]:
 
 
 def print_table(
-    title: str, heads: Iterable[str], rows: Iterable[Iterable[str]], *, words: Collection[str], caption: str = ""
+    title: str,
+    heads: Iterable[str],
+    rows: Iterable[Iterable[str]],
+    *,
+    words: Collection[str],
+    caption: str = "",
+    width: int = WIDTH,
 ) -> None:
     """Print a table with lines around it.
 
@@ -53,6 +59,7 @@ def print_table(
         rows: Cells.
         words: Names of the columns that hold words; the others are set to the right.
         caption: Below it.
+        width: Characters of a line, where they go elsewhere than to a terminal.
     """
     from rich.console import Console
     from rich.table import Table
@@ -62,4 +69,4 @@ def print_table(
         table.add_column(head, justify="left" if head in words else "right")
     for row in rows:
         table.add_row(*row)
-    Console(width=None if sys.stdout.isatty() else WIDTH).print(table)
+    Console(width=None if sys.stdout.isatty() else width).print(table)

@@ -171,12 +171,11 @@ def _schedule(lists: Lists, plan: Sequence[Sequence[int]]) -> list[Row]:
             if at[a] == len(plan[a]):
                 continue
             fruit, start = plan[a][at[a]], ready[a]
-            length = lists.duration[a][fruit]
             moved = True
-            while moved:  # until no excursion already fixed is in the way
+            while moved:  # until no excursion already fixed is in the way; all of these have begun before ``start``
                 moved = False
-                for b, other, begin, end, _ in done:
-                    if b != a and start < end and begin < start + length and lists.barred[a][fruit][b][other]:
+                for b, other, _, end, _ in done:
+                    if b != a and start < end and lists.barred[a][fruit][b][other]:
                         start, moved = end, True
             key = (start, 0 if lists.guard and a % 2 else 1, a)
             if best is None or key < best:

@@ -277,7 +277,7 @@ def detect(
     pixel = (rng.random((false, 2)) - 0.5) * np.array(camera.image) / camera.focal_length
     far = distance.max() if count else camera.farthest
     near = distance.min() if count else camera.nearest
-    depth = rng.uniform(near, far, size=(false, 1)) if far > near else np.full((false, 1), near)
+    depth = rng.uniform(near, far, size=(false, 1))
     phantoms = orchard_frame(np.concatenate([pixel * depth, depth], axis=-1), viewpoint, looking)
     return Detections(
         positions=np.concatenate([believed[seen], phantoms]),

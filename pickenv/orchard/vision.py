@@ -130,7 +130,6 @@ def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers)
     peak = int(np.argmax(score))
     shift = 0.0
     if 0 < peak < len(score) - 1:
-        before, at, after = score[peak - 1 : peak + 2]
-        bend = before - 2 * at + after
-        shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
+        before, at, after = score[peak - 1 : peak + 2]  # the first of the largest: what is before is smaller
+        shift = 0.5 * (before - after) / (before - 2 * at + after)
     return float(start - low - peak - shift), float(score[peak])

@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.errors import InputError
+from pickenv.seeds import seed_words, stream
 from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper
 
 NUMBERS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
@@ -99,6 +100,12 @@ class Sb3Vec(VecEnv):
         self._reset_options()
         self._returns[:], self._lengths[:] = 0.0, 0
         return self._shown(self.seen)
+
+    def seed(self, seed: int | None = None) -> list[int | None]:
+        """Give each environment a seed of its own for the next reset; no two trainings' environments share one."""
+        sequence = np.random.SeedSequence(seed) if seed is None else stream(seed, "training")
+        self._seeds = list(seed_words(sequence, self.num_envs))
+        return self._seeds
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions for `step_wait`."""

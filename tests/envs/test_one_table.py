@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from pickenv.arm import plant_at, pose_error
-from pickenv.arm.kinematics.forward import chain_of
+from pickenv.arm.kinematics.forward import chain_of, forward
 from pickenv.arm.plant.tree import tree_map
 from pickenv.calibration.compensation.compensator import Compensator, corrected
 from pickenv.envs.harvesting import harvest_batch
@@ -26,7 +26,7 @@ from pickenv.study.design.config import RAW, Noise, StudyConfig
 from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.outcomes import chunk_table
 from pickenv.study.running.arm_by_arm import evaluate_arm
-from pickenv.study.running.batched import judge_ideally
+from pickenv.study.running.batched import judge_batch
 
 ARMS, FRUIT = 3, 5
 TOLERANCE_MM, TOLERANCE_DEG = 1.0, 10.0
@@ -46,6 +46,12 @@ def protocol():
 
 
 @pytest.fixture(scope="module")
+def given(protocol):
+    """What every arm of the table meets: the fruit of arm 0."""
+    return protocol.circumstances(0)
+
+
+@pytest.fixture(scope="module")
 def plants():
     return ReachVectorEnv(1, **POPULATION).task.plant
 
@@ -56,9 +62,9 @@ def compensator(plants):
     return Compensator(plants.arm.nominal, plant_at(plants, 0).geometry)
 
 
-def shown(kind, protocol, compensator=None, goal=False, **arguments):
+def shown(kind, given, compensator=None, goal=False, **arguments):
     """What an environment says of each row after a step in which nothing moves: numbers by their name, and rewards."""
-    joints = protocol.fruit
+    joints = given.fruit
     arguments = {**POPULATION, **JUDGED, **arguments}
     if kind in ("floats", "numpy"):
         env = (ReachGoalEnv if goal else ReachEnv)(executor=kind, **arguments)
@@ -79,24 +85,25 @@ def shown(kind, protocol, compensator=None, goal=False, **arguments):
     return {key: np.asarray(value) for key, value in infos.items() if key[0] != "_"}, np.asarray(rewards)
 
 
-def reference(protocol, plants, commands):
+def reference(protocol, given, plants, commands):
     """Pose errors (rows, 6) by the study's formula, for joint commands ``(fruit, 6)``."""
-    errors = [pose_error(protocol.wanted, plant_at(plants, arm).tool_pose(commands)) for arm in range(ARMS)]
+    wanted = forward(protocol.nominal, given.fruit)
+    errors = [pose_error(wanted, plant_at(plants, arm).tool_pose(commands)) for arm in range(ARMS)]
     return np.concatenate(errors)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_pose_error_reward_and_success_are_the_studys(kind, protocol, plants):
+def test_pose_error_reward_and_success_are_the_studys(kind, protocol, given, plants):
     (setting,) = protocol.settings
-    alone = [evaluate_arm(protocol, [setting], plant_at(plants, arm), arm)[0] for arm in range(ARMS)]
-    together = judge_ideally(protocol, setting, plants)
+    alone = [evaluate_arm(protocol, [setting], plant_at(plants, arm), given)[0] for arm in range(ARMS)]
+    together = judge_batch(protocol, setting, plants, [given] * ARMS)
     position, attitude = (
         np.concatenate([getattr(part, name)[0] for part in alone]) for name in ("position", "attitude")
     )
     np.testing.assert_allclose(together.position.ravel(), position, rtol=0, atol=1e-12)
     np.testing.assert_allclose(together.attitude.ravel(), attitude, rtol=0, atol=1e-12)
-    error = reference(protocol, plants, protocol.fruit)
-    info, rewards = shown(kind, protocol)
+    error = reference(protocol, given, plants, given.fruit)
+    info, rewards = shown(kind, given)
     np.testing.assert_allclose(info["pose_error"], error, rtol=0, atol=1e-12)
     np.testing.assert_allclose(info["position_error_mm"], 1e3 * position, rtol=0, atol=1e-9)
     np.testing.assert_allclose(info["attitude_error_deg"], np.degrees(attitude), rtol=0, atol=1e-9)
@@ -107,24 +114,24 @@ def test_pose_error_reward_and_success_are_the_studys(kind, protocol, plants):
     assert 0 < success.sum() < len(ROWS)
     table = chunk_table(protocol, range(ARMS), [(plants, [together])])
     np.testing.assert_allclose(table["share_within"], success.reshape(ARMS, FRUIT).mean(axis=1))
-    _, sparse = shown(kind, protocol, reward="sparse")
+    _, sparse = shown(kind, given, reward="sparse")
     assert sparse.tolist() == np.where(success, 0.0, -1.0).tolist()
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_rewards_of_goals_are_those_of_the_goals_that_are_returned(kind, protocol):
+def test_rewards_of_goals_are_those_of_the_goals_that_are_returned(kind, given):
     """With encoders alone a tool that is believed to be at the fruit has its full reward, whatever the truth."""
     for reward in ("dense", "sparse"):
-        _, rewards = shown(kind, protocol, goal=True, reward=reward)
+        _, rewards = shown(kind, given, goal=True, reward=reward)
         np.testing.assert_allclose(rewards, 0.0, atol=1e-4)
-    _, rewards = shown(kind, protocol, goal=True, reward="dense", feedback="camera")
-    error = shown(kind, protocol)[0]["position_error_mm"]
+    _, rewards = shown(kind, given, goal=True, reward="dense", feedback="camera")
+    error = shown(kind, given)[0]["position_error_mm"]
     np.testing.assert_allclose(rewards, -np.log10(1 + error), rtol=0, atol=1e-4)  # goals are in single precision
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_compensated_commands_and_what_they_leave_are_the_studys(kind, protocol, plants, compensator):
-    nominal, targets = protocol.nominal, protocol.fruit
+def test_compensated_commands_and_what_they_leave_are_the_studys(kind, protocol, given, plants, compensator):
+    nominal, targets = protocol.nominal, given.fruit
     commands = compensator(targets)
     np.testing.assert_allclose([compensator(one) for one in targets], commands, rtol=0, atol=1e-9)
     place = partial(torch.as_tensor, dtype=torch.float64)
@@ -132,9 +139,9 @@ def test_compensated_commands_and_what_they_leave_are_the_studys(kind, protocol,
     columns = [place(column[:, None].copy()) for column in targets.T]
     studied = np.stack([v.numpy() for v in corrected(torch, nominal, chains, columns, Compensator.iterations)], axis=-1)
     np.testing.assert_allclose(studied[:, 0], commands, rtol=0, atol=1e-9)
-    info, _ = shown(kind, protocol, compensator)
+    info, _ = shown(kind, given, compensator)
     np.testing.assert_allclose(info["joint_command"], np.tile(commands, (ARMS, 1)), rtol=0, atol=1e-9)
-    np.testing.assert_allclose(info["pose_error"], reference(protocol, plants, commands), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(info["pose_error"], reference(protocol, given, plants, commands), rtol=0, atol=1e-9)
     assert not np.allclose(commands, targets, rtol=0, atol=1e-6)
 
 

@@ -288,7 +288,7 @@ def test_impossible_actions_and_options_are_explained():
             env.step(action)
     with pytest.raises(InputError, match="none of the fruit given"):
         env.reset(options={"fruit": [[0.6, -0.7, 5.0]]})
-    for fruit in ([], [[1.0, 2.0]], [[np.nan, 0, 0]]):
+    for fruit in ([], np.zeros((0, 3)), [[1.0, 2.0]], [[np.nan, 0, 0]]):
         with pytest.raises(InputError, match="at least one finite position"):
             env.reset(options={"fruit": fruit})
     with pytest.raises(InputError, match="unknown reset option"):

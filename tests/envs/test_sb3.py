@@ -43,6 +43,56 @@ def test_the_last_step_tells_how_it_ended():
     assert infos[0]["TimeLimit.truncated"] and infos[0]["position_error_mm"] > 0
 
 
+@pytest.mark.parametrize("tolerance_mm", [1e5, 1e-3])
+def test_an_episode_that_reached_its_end_in_its_last_step_was_not_cut(tolerance_mm):
+    """Its value goes on being bootstrapped only where the time limit alone ended it."""
+    limits = {"end_on_success": True, "angle_tolerance_deg": 200.0, "tolerance_mm": tolerance_mm}
+    envs = make_sb3_vec("pickenv/Reach-v0", 2, max_episode_steps=1, **limits)
+    envs.reset()
+    _, _, dones, infos = envs.step(np.zeros((2, 6)))
+    reached = tolerance_mm > 1
+    assert dones.all() and [info["TimeLimit.truncated"] for info in infos] == [not reached] * 2
+    assert [info["is_success"] for info in infos] == [reached] * 2
+
+
+def test_a_reset_forgets_the_sums_of_what_it_breaks_off():
+    envs = make_sb3_vec("pickenv/Reach-v0", 2, max_episode_steps=2)
+    envs.reset()
+    envs.step(np.zeros((2, 6)))
+    envs.reset()
+    first = envs.step(np.zeros((2, 6)))[1]
+    _, second, _, infos = envs.step(np.zeros((2, 6)))
+    assert [info["episode"]["l"] for info in infos] == [2, 2]
+    assert [info["episode"]["r"] for info in infos] == pytest.approx(first + second, abs=1e-5)
+
+
+def test_options_are_passed_on_once_and_must_be_the_same_for_all():
+    envs = make_sb3_vec("pickenv/Reach-v0", 2)
+    middle = envs.reset()[:, :6]
+    start = envs.envs.unwrapped.task.lower
+    envs.set_options({"start_joints": start})
+    assert envs.reset()[:, :6] == pytest.approx(-1.0)
+    np.testing.assert_array_equal(envs.reset()[:, :6], middle)
+    envs.set_options([{"start_joints": start}, {}])
+    with pytest.raises(InputError, match="give all the same"):
+        envs.reset()
+
+
+def test_what_belongs_to_all_environments_is_read_and_set_for_all():
+    envs = make_sb3_vec("pickenv/Reach-v0", 3, max_episode_steps=7)
+    assert envs.get_attr("max_episode_steps") == [7, 7, 7] and envs.get_attr("max_episode_steps", [0, 2]) == [7, 7]
+    envs.set_attr("max_episode_steps", 1)
+    envs.reset()
+    assert envs.step(np.zeros((3, 6)))[2].all()
+    with pytest.raises(InputError, match="set it for all"):
+        envs.set_attr("max_episode_steps", 2, [0, 1])
+    assert envs.env_is_wrapped(CompensationVectorWrapper, [1]) == [False]
+    assert envs.get_images() == [None, None, None]
+    drawn = make_sb3_vec("pickenv/Reach-v0", 2, render_mode="rgb_array")
+    drawn.reset()
+    assert [picture.shape[-1] for picture in drawn.get_images()] == [3, 3]
+
+
 def test_the_last_step_sums_up_its_episode():
     envs = make_sb3_vec("pickenv/Reach-v0", 3, **EARLY)
     envs.seed(3)
@@ -98,8 +148,9 @@ def test_a_scaling_stands_between_policy_and_environments():
         envs.seed(0)
     np.testing.assert_array_equal(one.reset()[:, :6], other.reset())
     action, ends = np.full((2, 6), 0.4), 0
-    for _ in range(12):
-        a, b = one.step(0.5 * action), other.step(action)
+    for turn in range(12):
+        beyond = [1.0, 3.0, -7.0][turn % 3]  # as a network without bounds may act
+        a, b = one.step(0.5 * np.clip(beyond * action, -1, 1)), other.step(beyond * action)
         np.testing.assert_array_equal(a[0][:, :6], b[0])
         np.testing.assert_array_equal(a[1], b[1])
         for plain, shown in zip(a[3], b[3], strict=True):

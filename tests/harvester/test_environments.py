@@ -6,7 +6,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import pickenv  # noqa: F401
@@ -86,44 +85,6 @@ def test_random_actions_never_bring_arms_too_near():
         *_, info = env.step(env.action_space.sample())
         least = min(least, info["closest_mm"].min())
     assert least >= 100 - 1e-6
-
-
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_the_vector_environment_equals_single_ones(mode):
-    n, longest = 3, 12
-    native = HarvestVectorEnv(n, max_episode_steps=longest, autoreset_mode=mode)
-    singles = [gym.make("pickenv/Harvest-v0", max_episode_steps=longest) for _ in range(n)]
-    observations, _ = native.reset(seed=5)
-    wanted = np.stack([env.reset(seed=5 + i)[0] for i, env in enumerate(singles)])
-    assert np.array_equal(observations, wanted)
-    native.action_space.seed(1)
-    over = np.zeros(n, dtype=bool)
-    for _ in range(30):
-        if mode is AutoresetMode.DISABLED and over.any():
-            observations, _ = native.reset(options={"reset_mask": over.copy()})
-            for i in np.flatnonzero(over):
-                assert observations[i] == pytest.approx(singles[i].reset()[0], abs=1e-6)
-            over[:] = False
-        actions = native.action_space.sample()
-        observations, rewards, terminated, truncated, info = native.step(actions)
-        for i, env in enumerate(singles):
-            if over[i] and mode is AutoresetMode.NEXT_STEP:
-                seen, reward, end, late = env.reset()[0], 0.0, False, False
-            else:
-                seen, reward, end, late, _ = env.step(actions[i])
-            if (end or late) and mode is AutoresetMode.SAME_STEP:
-                assert info["final_obs"][i] == pytest.approx(seen, abs=1e-6)
-                seen = env.reset()[0]
-            assert observations[i] == pytest.approx(seen, abs=1e-6)
-            assert rewards[i] == pytest.approx(reward, abs=1e-9)
-            assert (terminated[i], truncated[i]) == (end, late)
-        over = terminated | truncated
-
-
-def test_make_vec_makes_the_native_vector_environment():
-    envs = gym.make_vec("pickenv/Harvest-v0", num_envs=2, fruit=4)
-    assert isinstance(envs.unwrapped, HarvestVectorEnv)
-    assert envs.reset(seed=1)[0].shape == (2, 12 + 3 + 16)
 
 
 @pytest.mark.parametrize("action", [np.zeros(5), np.full(12, np.nan)])

@@ -46,7 +46,7 @@ TREE = PickedTree(
     got=np.array([True, False, True]),
 )
 CURVES = JointCurves(X, {"master d2": X, "master theta1": X, "left d4": X}, ("master theta1",))
-AGGREGATES = {"plant": {"mean": {"scripted": {"raw": Measure(2.0, 1.0, 3.0), "LS": Measure(0.5, 0.4, 0.6)}}}}
+AGGREGATES = {"plant": {"mean": {"scripted": {"raw": (2.0, (1.0, None)), "LS": (0.5, (0.4, 0.6)), "GP": (0.1, None)}}}}
 CYCLES = [CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)), CycleCurve("ppo", "LS", np.geomspace(300, 0.5, 50))]
 
 PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
@@ -88,7 +88,7 @@ PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
     "joint curves": (lambda: plot_harvest.joint_displacements(CURVES), ("(s)", "(mm)", "(deg)")),
     "aggregates": (lambda: plot_policies.aggregates(AGGREGATES), ("(mm)",)),
     "success": (
-        lambda: plot_policies.success_against_misalignment(gripper_curves(), {"raw": {"li_cup": (2.0, 1.0)}}),
+        lambda: plot_policies.success_against_misalignment(gripper_curves(), {"raw": {"li_cup": (2.0, (1.0, None))}}),
         ("(mm)", "(%)"),
     ),
     "cycle time": (lambda: plot_policies.accuracy_against_cycle_time(CYCLES, 0.05), ("(s)", "(mm)")),

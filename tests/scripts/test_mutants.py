@@ -52,6 +52,57 @@ def test_numbers_operators_conditions_and_options_are_changed_and_nothing_else(s
 def test_a_larger_sample_holds_a_smaller_one_and_every_room_has_files_and_tests(script):
     for name, room in script.ROOMS.items():
         assert all((script.ROOT / path).is_file() for path in (*room.sources, *room.tests)), name
-    keys = [[mutant.key for mutant in script.shuffled("yields", seed)] for seed in (0, 0, 1)]
+    keys = [[mutant.key for mutant in script.shuffled("yields", seed, {})] for seed in (0, 0, 1)]
     assert keys[0] == keys[1] != keys[2] and sorted(keys[0]) == sorted(keys[2])
     assert len(set(keys[0])) == len(keys[0])
+
+
+def test_the_copy_holds_every_module_and_nothing_that_was_made(script, tmp_path):
+    """Also a package that is called as a folder of results is."""
+    copy = script.copied_project(tmp_path)
+    for package in ("pickenv", "calibration", "agents"):
+        here, there = ({p.relative_to(root) for p in (root / package).rglob("*.py")} for root in (script.ROOT, copy))
+        assert here == there
+    assert not (copy / "runs").exists() and not (copy / ".git").exists()
+
+
+def test_what_makes_no_difference_is_a_change_of_todays_lines_and_has_a_reason(script):
+    """A line that was written anew is judged anew."""
+    known = script.read_equivalents()
+    found = {path: script.mutants_of(path, (script.ROOT / path).read_text()) for path in {path for path, _, _ in known}}
+    today = {(m.path, m.text, m.change) for mutants in found.values() for m in mutants}
+    assert set(known) <= today, set(known) - today
+    assert all(len(reason) > 20 for reason in known.values())
+    for name in ("gate", "kalman"):
+        drawn = script.shuffled(name, 0, known)
+        assert not {(m.path, m.text, m.change) for m in drawn} & set(known)
+    some = script.shuffled("kalman", 0, {})
+    left = script.shuffled("kalman", 0, {(some[3].path, some[3].text, some[3].change): "it makes no difference at all"})
+    assert [m.key for m in left[:3]] == [m.key for m in some[:3]] and len(left) < len(some)
+
+
+def test_verdicts_hold_while_the_file_does_and_those_of_survivors_while_the_tests_do(script):
+    room = script.ROOMS["gate"]
+    (path,) = room.sources
+    file, tests = (script.fingerprint(script.ROOT / each for each in part) for part in (room.sources, room.tests))
+    told = {"room": "gate", "verdict": "failed", "file": file, "tests": "any", "seconds": 1.0}
+    verdicts = {
+        f"{path}:1 a -> b": told,
+        f"{path}:2 a -> b": told | {"verdict": "passed", "tests": tests},
+        f"{path}:3 a -> b": told | {"file": "another"},
+        f"{path}:4 a -> b": told | {"verdict": "passed", "tests": "another"},
+        "gone.py:5 a -> b": told,
+    }
+    assert [key.split(":")[1][0] for key in script.still_true(verdicts)] == ["1", "2"]
+
+
+def test_the_page_gives_each_rooms_rate_with_its_interval_and_what_was_left_out(script):
+    row = script.row_of(120, ["failed"] * 17 + ["passed"] * 2 + ["took too long"])
+    assert (row["tried"], row["killed"], row["late"], row["score"]) == (20, 18, 1, 0.9)
+    equivalents = {("a.py", "x = y | z", "1 -> 2"): "the second is never read"}
+    page = script.page_of({"plant": row}, 20, 3, ["a.py:4 1 -> 2"], equivalents)
+    assert "| plant | 120 | 20 | 18 | 1 | 90.0 % (70 to 97) |" in page  # Wilson 1927
+    assert 'make mutants ARGS="--sample 20 --seed 3"' in page and "- `a.py:4 1 -> 2`" in page
+    assert "| a.py | `x = y \\| z` | `1 -> 2` | the second is never read |" in page
+    assert "`make mutants`" in script.page_of({"plant": row}, None, 0, [], {})
+    assert "plant " in script.table({"plant": row}) and "90.0%" in script.table({"plant": row})

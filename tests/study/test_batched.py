@@ -6,14 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import TOLERANCES
 from pickenv.errors import InputError
 from pickenv.study.design.config import Noise, load_study
 from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.row_table import OK
 from pickenv.study.running import batched, batched_identification
-from pickenv.study.running.arm_by_arm import evaluate_chunk
-from pickenv.study.running.batched import evaluate_batch
+from pickenv.study.running.arm_by_arm import evaluate_arm, evaluate_chunk
+from pickenv.study.running.batched import evaluate_batch, judge_batch
 from pickenv.study.running.run_study import run_study
 from pickenv.study.running.runners import Crew
 
@@ -42,6 +43,33 @@ def test_batches_agree_with_arms_one_by_one(study_file):
     )
     trackers = (Noise(0.015, 0.012), Noise(0.0, 0.0), Noise(0.2, 0.0))
     compare(replace(config, noise=trackers, it_grades=(12,), poses=(12, 25)))
+
+
+def test_no_tracker_enters_where_none_errs(study_file, monkeypatch):
+    """An arm that is handed over, however often, sees the same perfect tracker as the batch."""
+    protocol = prepared_study(load_study(study_file()))
+    (setting,) = (s for s in protocol.settings if (s.method, s.poses, s.payload_kg, s.it_grade) == ("ls", 12, 0.0, 14))
+    given = [protocol.circumstances(number) for number in range(6)]
+    perfect = [replace(one, noise=np.zeros_like(one.noise)) for one in given]
+    arms = protocol.draw(setting, range(6))
+    expected = judge_batch(protocol, setting, arms, perfect).position
+    assert not np.allclose(judge_batch(protocol, setting, arms, given).position, expected, rtol=1e-6)
+    monkeypatch.setattr(batched_identification, "STEPS", 1)  # nobody converges: all are handed over
+    np.testing.assert_allclose(judge_batch(protocol, setting, arms, perfect).position, expected, rtol=AGREEMENT)
+
+
+def test_an_arm_whose_poses_show_other_parameters_is_handed_over(study_file):
+    """Poses in which two joints stand still cannot tell all that other arms' poses tell."""
+    protocol = prepared_study(load_study(study_file()))
+    setting = next(s for s in protocol.settings if s.method == "ls")
+    given = [protocol.circumstances(number) for number in range(4)]
+    still = given[1].poses.copy()
+    still[:, 3:5] = 0.3
+    given[1] = replace(given[1], poses=still)
+    arms = protocol.draw(setting, range(4))
+    together = judge_batch(protocol, setting, arms, given)
+    alone = [evaluate_arm(protocol, [setting], plant_at(arms, i), one)[0] for i, one in enumerate(given)]
+    np.testing.assert_allclose(together.position, np.concatenate([part.position for part in alone]), rtol=AGREEMENT)
 
 
 @pytest.mark.slow

@@ -29,8 +29,11 @@ def test_a_study_prints_writes_and_sums_up(study_file, tmp_path):
     for row in summary["yield"]:
         assert row["arms"] == 12 and 0 <= row["yield_low"] <= row["yield"] <= row["yield_high"] <= 1
     assert {row["quantity"] for row in summary["quantiles_mm"]} >= {"error_mean_mm", "error_p95_mm"}
-    for word in ("yield [%]", "IT", "Wilson 95 % interval", "within 1 mm", "simulated"):
+    for word in ("yield", "IT", "(mm)", "(kg)", "Wilson 95 % interval", "within 1 mm", "simulated", "all class medium"):
         assert word in ran.stdout
+    assert "12 arms tell a yield to within about ±" in " ".join(ran.stdout.split())
+    assert "12 arms are too few to divide their variance" in ran.stdout
+    assert max(len(line) for line in ran.stdout.splitlines() if line[:5] not in ("wrote", "seria")) <= 80
     assert summary["table_sha256"] in ran.stdout
     assert "12/12" in ran.stderr
 

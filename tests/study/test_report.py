@@ -8,27 +8,28 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from pickenv.arm import forward
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import random_columns
 from pickenv.errors import InputError
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.run_folder import read_run
-from pickenv.intervals import share_interval as wilson_interval
+from pickenv.intervals import share_interval
 from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
-from pickenv.study.analysis.study_drawings import gather, specified, study_drawings
+from pickenv.study.analysis.study_drawings import gather, study_drawings
 from pickenv.study.analysis.study_recording import arms_compared, record_study
-from pickenv.study.analysis.study_report import page, study_page, study_verdict, write_outputs
+from pickenv.study.analysis.study_report import page, study_page, write_outputs
+from pickenv.study.analysis.study_verdict import specified, study_verdict
 from pickenv.study.design.config import load_study
 from pickenv.study.design.protocol import prepared_study
-from pickenv.study.results.study_folder import read_rows, study_at, write_record
-from pickenv.study.running.arm_by_arm import evaluate_arm
+from pickenv.study.results.study_folder import read_rows, study_at, study_of, write_record
 from pickenv.study.running.run_study import run_study
 
 STUDY = """
 plant = "qiao2026"
 seed = 3
-arms = 320
+arms = 480
 chunk = 160
 [picking]
 fruit = 8
@@ -118,7 +119,7 @@ def test_equal_studies_give_equal_pages(html, folder):
 
 
 def rows_with(within, arms=400, **changes):
-    low, high = wilson_interval(within, arms)
+    low, high = share_interval(within, arms)
     base = {"tolerances": "medium", "it_grade": 9, "method": "ls", "poses": 30, "noise_mm": 0.015, "noise_deg": 0.012}
     base |= {"payload_kg": 0.0, "setting": 0, "yield": within / arms, "yield_low": low, "yield_high": high}
     return base | changes
@@ -131,15 +132,39 @@ def test_the_verdict_names_the_least_demanding_way_that_suffices(found):
     assert "99.0 %" in said.text and specified(found.config) in said.text
 
 
-def test_a_way_must_suffice_at_every_payload(found):
+def test_a_way_must_suffice_at_every_payload_and_the_headline_names_it(found):
     rows = [rows_with(398), rows_with(200, payload_kg=0.25, setting=1)]
     said = study_verdict(found.config, rows)
-    assert said.tone == "bad" and "carrying 0.25 kg" in said.text and "Without payload it is 99.5 %" in said.text
+    assert said.tone == "bad" and said.headline.endswith("gives a yield of 95 %, carrying 0.25 kg")
+    assert "50.0 %" in said.text and "Without payload the best is IT9 (medium)" in said.text and "99.5 %" in said.text
+    unloaded = study_verdict(found.config, rows[:1])
+    assert unloaded.tone == "good" and "payload" not in unloaded.headline + unloaded.text
+    both = study_verdict(found.config, [rows_with(398), rows_with(396, payload_kg=0.25, setting=1)])
+    assert both.headline.endswith("is enough for a yield of 95 % at every payload")
+    assert "Without payload it is 99.5 %" in both.text and "carrying 0.25 kg" in both.text
 
 
 def test_too_few_arms_to_tell_is_said(found):
-    said = study_verdict(found.config, [rows_with(19, arms=20)])
+    said = study_verdict(replace(found.config, arms=20), [rows_with(19, arms=20)])
     assert said.tone == "care" and "too few arms to tell" in said.headline
+    low, high = share_interval(10, 20)
+    assert f"within about ± {50 * (high - low):.0f} points only" in said.text
+    assert "points only" not in study_verdict(found.config, [rows_with(398)]).text
+
+
+def test_the_page_says_what_the_differences_come_from(html, folder):
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    text = Parsed(html).text
+    for setting, causes in zip(summary["components"], (2, 4), strict=True):
+        assert [row["group"] for row in setting["shares"]] == ["arms", "fruit", "poses", "tracker"][:causes]
+        for row in setting["shares"]:
+            assert f"{100 * row['total']:.1f}" in text
+            assert row["total"] >= row["first_order"] and row["arms"] == 256
+            for key in ("first_order", "total"):
+                assert row[f"{key}_low"] <= row[key] <= row[f"{key}_high"]
+    raw, calibrated = ({row["group"]: row for row in setting["shares"]} for setting in summary["components"])
+    assert raw["arms"]["total"] > raw["fruit"]["total"] > 0.0
+    assert calibrated["poses"]["total"] > calibrated["tracker"]["total_high"]  # 0.015 mm is nothing beside 12 poses
 
 
 def test_figures_that_the_study_does_not_allow_are_named(found):
@@ -163,32 +188,39 @@ def test_the_sensitivities_of_the_raw_arm_are_those_of_its_geometry(found):
 
 
 def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
+    """Beside each arm of the population, at that arm's own fruit."""
     protocol, rows = prepared_study(found.config), read_rows(folder)
     setting = protocol.settings[4]  # the coarser grade, not the first of the table
     placement = place(protocol, rows, setting, protocol.design, "itself")
-    (outcome,) = evaluate_arm(protocol, [setting], protocol.design, 10**6)  # a raw arm meets no tracker
-    assert placement.error_mm == pytest.approx(1e3 * outcome.position.mean())
-    errors = rows.to_table().to_pandas().query("setting == 4").error_mean_mm
-    assert placement.percentile == (errors < placement.error_mm).mean()
-    assert placement.interval == wilson_interval(int((errors < placement.error_mm).sum()), len(errors))
+    own = []
+    for arm in range(found.config.arms):
+        fruit = protocol.circumstances(arm).fruit
+        tool = protocol.design.tool_pose(fruit).position
+        own.append(1e3 * np.linalg.norm(tool - forward(protocol.nominal, fruit).position, axis=1).mean())
+    assert placement.error_mm == pytest.approx(np.mean(own))
+    errors = rows.to_table().to_pandas().query("setting == 4").sort_values("arm").error_mean_mm
+    assert placement.percentile == (errors.to_numpy() < own).mean()
+    assert placement.interval == share_interval(int((errors.to_numpy() < own).sum()), len(errors))
 
 
-def test_a_drawn_arm_stands_at_its_own_rank(folder, found):
+def test_a_drawn_arm_stands_near_its_own_rank(folder, found):
     protocol, rows = prepared_study(found.config), read_rows(folder)
     worst, _ = ranked(rows, 0)["worst"]
     arm = plant_at(protocol.draw(protocol.settings[0], range(worst, worst + 1)), 0)
-    placement = place(protocol, rows, protocol.settings[0], arm, "the worst")
-    assert placement.percentile >= 319 / 320 - 1e-12
+    assert place(protocol, rows, protocol.settings[0], arm, "the worst").percentile > 0.95
 
 
-def test_the_recorded_arms_miss_their_fruit_as_the_rows_say(folder):
+def test_the_recorded_arms_reach_for_the_worst_arms_fruit(folder):
     comparison = arms_compared(folder, 3)  # calibrated, and carrying half a kilogram
-    places = ranked(read_rows(folder), 3)
+    places, protocol = ranked(read_rows(folder), 3), prepared_study(study_of(folder))
     assert [policy.key for policy in comparison.policies] == ["worst", "median", "best"]
     for policy in comparison.policies:
-        arm, error = places[policy.key]
-        assert policy.label == f"{policy.key} arm (number {arm})"
-        assert policy.position_error_mm.mean() == pytest.approx(error, rel=1e-6)
+        assert policy.label == f"{policy.key} arm (number {places[policy.key][0]})"
+    arm, error = places["worst"]
+    assert comparison.policies[0].position_error_mm.mean() == pytest.approx(error, rel=1e-6)
+    assert comparison.policies[0].position_error_mm.mean() > comparison.policies[2].position_error_mm.mean()
+    wanted = forward(protocol.nominal, protocol.circumstances(arm).fruit).position
+    np.testing.assert_allclose(comparison.fruit, wanted)
     assert len(comparison.field_points) == len(comparison.policies[0].field_errors) > 100
 
 
@@ -206,11 +238,12 @@ def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, fou
     for rows, number, chief in ((raw, settings[0], "angles"), (calibrated, settings[1], "joint stiffness")):
         total = {row["group"]: row for row in rows}
         assert max(total, key=lambda name: total[name]["total"]) == chief
-        regressed = {row["parameter"]: row["share"] for row in found.sensitivities[number].to_pylist()}
-        assert total[chief]["total_low"] - 0.1 < regressed[chief] < total[chief]["total_high"] + 0.1
+        (regressed,) = (row for row in found.sensitivities[number].to_pylist() if row["parameter"] == chief)
+        assert regressed["share_low"] < total[chief]["total_high"]
+        assert all(row["total"] >= row["first_order"] for row in rows)
     assert "Sobol indices, medium, IT8, raw" in text and f"{100 * raw[0]['total']:.1f}" in text
     assert raw[0]["arms"] == 128 * 7
-    assert sobol_of(protocol, protocol.settings[0], 16) == sobol_of(protocol, protocol.settings[0], 16)
+    assert sobol_of(protocol, protocol.settings[0], 64) == sobol_of(protocol, protocol.settings[0], 64)
 
 
 def test_groups_name_each_random_number_of_the_effects_that_are_on(found):

@@ -49,8 +49,9 @@ def test_a_row_is_what_the_arm_does_at_the_fruit(config):
     for setting in protocol.settings:
         plants = protocol.draw(setting, range(config.arms))
         for arm in (0, 7):
-            tool = carrying(plant_at(plants, arm), setting.payload_kg).tool_pose(protocol.fruit)
-            error = pose_error(forward(protocol.nominal, protocol.fruit), tool)
+            fruit = protocol.circumstances(arm).fruit
+            tool = carrying(plant_at(plants, arm), setting.payload_kg).tool_pose(fruit)
+            error = pose_error(forward(protocol.nominal, fruit), tool)
             position = 1e3 * np.linalg.norm(error[:, :3], axis=1)
             row = (found["arm"] == arm) & (found["setting"] == setting.number)
             expected = (
@@ -67,11 +68,47 @@ def test_a_row_is_what_the_arm_does_at_the_fruit(config):
 
 def test_the_tool_is_upright_at_the_fruit_and_joints_keep_off_their_limits(config):
     protocol = prepared_study(replace(config, fruit=200))
-    nominal = protocol.nominal
-    assert protocol.fruit.shape == (200, 6)
-    assert np.all(protocol.wanted.rotation[:, 2, 2] >= np.cos(np.radians(30.0)))
-    share = (protocol.fruit - nominal.lower) / (nominal.upper - nominal.lower)
+    nominal, fruit = protocol.nominal, protocol.circumstances(3).fruit
+    assert fruit.shape == (200, 6)
+    assert np.all(forward(nominal, fruit).rotation[:, 2, 2] >= np.cos(np.radians(30.0)))
+    share = (fruit - nominal.lower) / (nominal.upper - nominal.lower)
     assert share.min() >= 0.05 and share.max() <= 0.95
+
+
+def test_no_two_arms_share_fruit_poses_or_tracker(config):
+    """Neither among arms, nor one thing with another: streams of their own."""
+    protocol = prepared_study(config)
+    for name in ("fruit", "poses", "noise"):
+        values = np.stack([getattr(protocol.circumstances(arm), name) for arm in range(6)])
+        assert len(np.unique(values)) == values.size
+    assert protocol.circumstances(0).poses.shape == (max(config.poses), 6)
+    again, other = prepared_study(config), prepared_study(replace(config, seed=config.seed + 1))
+    np.testing.assert_array_equal(protocol.circumstances(5).fruit, again.circumstances(5).fruit)
+    assert not np.array_equal(protocol.circumstances(5).poses, other.circumstances(5).poses)
+
+
+def test_the_fruit_of_many_arms_spread_as_upright_joints_do(config):
+    """Against rejection sampling of its own: the same mean and spread in every joint."""
+    protocol = prepared_study(replace(config, fruit=50))
+    found = np.concatenate([protocol.circumstances(arm).fruit for arm in range(100)])
+    lower, upper = protocol.nominal.lower, protocol.nominal.upper
+    inner = lower + 0.05 * (upper - lower), upper - 0.05 * (upper - lower)
+    drawn = np.random.default_rng(0).uniform(*inner, (20_000, 6))
+    upright = drawn[forward(protocol.nominal, drawn).rotation[:, 2, 2] >= np.cos(np.radians(30.0))]
+    error = upright.std(axis=0) * np.sqrt(1 / len(found) + 1 / len(upright))
+    assert np.all(np.abs(found.mean(axis=0) - upright.mean(axis=0)) < 4.5 * error)
+    np.testing.assert_allclose(found.std(axis=0), upright.std(axis=0), rtol=0.05)
+
+
+@pytest.mark.parametrize("poses", [8, 15, 30])
+def test_every_first_part_of_an_arms_poses_is_spread_over_the_joint_ranges(config, poses):
+    """Each half of each joint's range holds about half of them: a scrambled Halton sequence cannot clump."""
+    protocol = prepared_study(replace(config, poses=(30,)))
+    middle = 0.5 * (protocol.nominal.lower + protocol.nominal.upper)
+    for arm in range(5):
+        lower = np.sum(protocol.circumstances(arm).poses[:poses] < middle, axis=0)
+        assert np.all(np.abs(lower - poses / 2) <= 0.5 + 3.0 * np.log2(poses) / 2)
+        assert abs(lower[0] - poses / 2) <= 0.5  # base two
 
 
 def test_rows_depend_neither_on_chunks_nor_on_the_number_of_arms(config):
@@ -108,6 +145,7 @@ def test_an_arm_deviates_in_the_same_direction_in_every_grade(config):
         np.testing.assert_allclose(found[name][coarse], ratio * found[name][fine], rtol=1e-9)
     np.testing.assert_array_equal(found["delta_alpha1_deg"][coarse], found["delta_alpha1_deg"][fine])
     np.testing.assert_array_equal(found["size_joint_stiffness_1"][coarse], found["size_joint_stiffness_1"][fine])
+    np.testing.assert_array_equal(found["sine_transmission_error_2"][coarse], found["sine_transmission_error_2"][fine])
 
 
 def test_deviations_are_those_of_the_drawn_arms(config):
@@ -129,9 +167,13 @@ def test_deviations_are_those_of_the_drawn_arms(config):
     np.testing.assert_allclose(
         found["size_joint_stiffness_4"][here] * stiffness[3], plants.joint_compliance.stiffness[3]
     )
+    term, own = plants.transmission_error.harmonics[2], design.transmission_error.harmonics[2]
+    wave = term.amplitude / own.amplitude * np.exp(1j * term.phase)
+    np.testing.assert_allclose(found["cosine_transmission_error_3"][here], wave.real, rtol=1e-12)
+    np.testing.assert_allclose(found["sine_transmission_error_3"][here], wave.imag, rtol=1e-12)
     assert "size_lead_1" not in found and "size_lead_2" in found  # the design's first joint has no lead error
     for name, values in found.items():
-        if name.startswith(("delta", "size", "phase")):
+        if name.startswith(("delta", "size", "sine", "cosine")):
             assert np.ptp(values) > 0, name
 
 
@@ -211,7 +253,7 @@ def test_too_few_poses_are_refused_before_anything_is_computed(study_file):
 def test_the_design_itself_can_be_judged_by_the_same_protocol(config):
     """The paper's arm, Table 1, against its population: its own geometry, the settings' calibration and fruit."""
     protocol = prepared_study(config)
-    outcomes = evaluate_arm(protocol, protocol.settings, protocol.design, config.arms)
+    outcomes = evaluate_arm(protocol, protocol.settings, protocol.design, protocol.circumstances(config.arms))
     assert [outcome.setting for outcome in outcomes] == list(protocol.settings)
     raw, calibrated = outcomes[0].position.mean(), outcomes[4].position.mean()
     assert outcomes[4].setting.method == "ls" and calibrated < raw < 5e-3

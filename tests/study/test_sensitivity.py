@@ -6,7 +6,9 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.study.analysis.sensitivity import sensitivities_of, sobol_table, tolerance_kind
+from pickenv.study.analysis.sensitivity import sensitivities_of, tolerance_kind
+from pickenv.study.analysis.sobol import sobol_indices
+from pickenv.study.results.variance_indices import variance_indices
 
 
 def rows_of(columns, squared_error, arm=None):
@@ -74,7 +76,7 @@ def test_failed_arms_and_constant_columns_are_left_out():
 
 def test_too_few_arms_and_nothing_that_varies_are_said():
     x = even(8, 1)[:, 0]
-    with pytest.raises(InputError, match=r"setting 0 has 8 arms with a result; its 1 deviations need 9"):
+    with pytest.raises(InputError, match=r"setting 0 has 8 arms with a result; its 1 deviations need 15"):
         sensitivities_of(rows_of({"delta_a0_mm": x}, 1 + x**2))
     with pytest.raises(InputError, match="nothing varies between the arms of setting 0"):
         sensitivities_of(rows_of({"delta_a0_mm": np.ones(50)}, np.ones(50)))
@@ -87,36 +89,81 @@ def test_kinds():
     )
 
 
+def test_a_periodic_error_is_one_parameter_of_sine_and_cosine():
+    """Its phase turns freely, so y = 2 + sin has all its variance in the sine's column, whatever else is there."""
+    phase, other = np.pi * even(4000, 2).T
+    columns = {"sine_transmission_error_1": np.sin(phase), "cosine_transmission_error_1": np.cos(phase)}
+    rows = rows_of({**columns, "delta_a0_mm": other}, 2 + np.sin(phase))
+    found = {row["parameter"]: row for row in sensitivities_of(rows).to_pylist()}
+    assert set(found) == {"size_transmission_error_1", "delta_a0_mm", "transmission error", "lengths"}
+    assert found["size_transmission_error_1"]["share"] == pytest.approx(1.0, abs=1e-6)
+    assert np.isnan(found["size_transmission_error_1"]["linear"])
+
+
+def ishigami(even, _rows):
+    """Ishigami and Homma 1990, a = 7, b = 0.1."""
+    x = np.pi * (2 * even - 1)
+    return np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+
+
 def test_sobol_indices_of_ishigami():
-    """Ishigami and Homma 1990, a = 7, b = 0.1: first orders 0.3139, 0.4424, 0; totals 0.5576, 0.4424, 0.2437."""
+    """First orders 0.3139, 0.4424, 0; totals 0.5576, 0.4424, 0.2437."""
+    rows = sobol_indices(ishigami, {"x1": [0], "x2": [1], "x3": [2]}, 4096, np.random.default_rng(0))
+    np.testing.assert_allclose([row["first_order"] for row in rows], [0.3139, 0.4424, 0.0], atol=0.04)
+    np.testing.assert_allclose([row["total"] for row in rows], [0.5576, 0.4424, 0.2437], atol=0.04)
 
-    def ishigami(even):
-        x = np.pi * (2 * even - 1)
-        return np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
 
-    rng = np.random.default_rng(0)
-    table = sobol_table(ishigami, {"x1": [0], "x2": [1], "x3": [2]}, 4096, rng).to_pandas()
-    np.testing.assert_allclose(table.first_order, [0.3139, 0.4424, 0.0], atol=0.03)
-    np.testing.assert_allclose(table.total, [0.5576, 0.4424, 0.2437], atol=0.03)
-    assert (table.total_low <= table.total).all() and (table.total <= table.total_high).all()
+@pytest.mark.parametrize("seed", range(5))
+def test_no_total_is_less_than_its_first_order_and_intervals_hold_their_estimates(seed):
+    """Additive in three of five inputs, where both estimate one number and chance would put either first."""
+    model = lambda u, _: u[:, 0] + 2 * u[:, 1] + u[:, 2] * u[:, 3]  # noqa: E731
+    for row in sobol_indices(model, {f"x{i}": [i] for i in range(5)}, 64, np.random.default_rng(seed)):
+        assert row["first_order"] <= row["total"]
+        for key in ("first_order", "total"):
+            assert row[f"{key}_low"] <= row[key] <= row[f"{key}_high"]
+    assert (row["first_order"], row["total"], row["total_high"]) == (0.0, 0.0, 0.0)  # the fifth changes nothing
+
+
+def test_sobol_indices_average_over_what_a_row_shares():
+    """y = (1 + w) u + v + 3 w with w of the row: w itself makes no variance between arms; E[(1+w)^2] = 2 for u."""
+    w = np.random.default_rng(3).choice([-1.0, 1.0], 8192)
+    rows = sobol_indices(lambda u, i: (1 + w[i]) * u[:, 0] + u[:, 1] + 3 * w[i], {"u": [0], "v": [1]}, 8192,
+                         np.random.default_rng(4))  # fmt: skip
+    for row, expected in zip(rows, (2 / 3, 1 / 3), strict=True):
+        assert row["first_order"] == pytest.approx(expected, abs=0.03)
+        assert row["total"] == pytest.approx(expected, abs=0.03)
 
 
 def test_sobol_indices_of_groups_of_a_linear_model():
     """Shares of independent inputs add up within a group."""
     weights = np.array([3.0, 1.0, 2.0, 1.0])
-    table = sobol_table(
-        lambda u: u @ weights, {"one": [0, 3], "other": [1, 2]}, 1024, np.random.default_rng(1)
-    ).to_pandas()
-    np.testing.assert_allclose(table.first_order, [10 / 15, 5 / 15], atol=0.02)
-    np.testing.assert_allclose(table.total, [10 / 15, 5 / 15], atol=0.02)
+    groups = {"one": [0, 3], "other": [1, 2]}
+    rows = sobol_indices(lambda u, _: u @ weights, groups, 1024, np.random.default_rng(1))
+    for key in ("first_order", "total"):
+        np.testing.assert_allclose([row[key] for row in rows], [10 / 15, 5 / 15], atol=0.02)
 
 
 def test_sobol_indices_are_reproducible_and_refuse_what_they_cannot_do():
     def run(seed):
-        return sobol_table(lambda u: u.sum(axis=1), {"a": [0], "b": [1]}, 64, np.random.default_rng(seed)).to_pylist()
+        return sobol_indices(lambda u, _: u.sum(axis=1), {"a": [0], "b": [1]}, 64, np.random.default_rng(seed))
 
     assert run(3) == run(3) != run(4)
-    with pytest.raises(InputError, match="give a power of two"):
-        sobol_table(lambda u: u[:, 0], {"a": [0]}, 100, np.random.default_rng(0))
+    for samples in (100, 32):
+        with pytest.raises(InputError, match="give a power of two from 64"):
+            sobol_indices(lambda u, _: u[:, 0], {"a": [0]}, samples, np.random.default_rng(0))
     with pytest.raises(InputError, match=r"the groups name inputs \[0, 2\]"):
-        sobol_table(lambda u: u[:, 0], {"a": [0], "b": [2]}, 64, np.random.default_rng(0))
+        sobol_indices(lambda u, _: u[:, 0], {"a": [0], "b": [2]}, 64, np.random.default_rng(0))
+    with pytest.raises(InputError, match="no variance to divide"):
+        sobol_indices(lambda u, _: np.ones(len(u)), {"a": [0]}, 64, np.random.default_rng(0))
+
+
+def test_components_of_four_causes_drawn_by_hand():
+    """Arms 4, fruit 2, poses 1 and an interaction of fruit and poses 1, of 8."""
+    rng = np.random.default_rng(2)
+    (a, f, p), (a2, f2, p2) = rng.normal(size=(2, 3, 4000, 1))
+    value = lambda a, f, p: 2 * a + np.sqrt(2) * f + p + f * p  # noqa: E731
+    mixed = np.stack([value(a2, f, p), value(a, f2, p), value(a, f, p2), value(a, f, p)])
+    found = variance_indices(value(a, f, p), value(a2, f2, p2), mixed, ["arms", "fruit", "poses", "tracker"])
+    truth = {"arms": (0.5, 0.5), "fruit": (0.25, 0.375), "poses": (0.125, 0.25), "tracker": (0.0, 0.0)}
+    for row in found:
+        assert (row["first_order"], row["total"]) == pytest.approx(truth[row["group"]], abs=0.05)

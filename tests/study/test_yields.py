@@ -5,7 +5,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.intervals import share_interval as wilson_interval
+from pickenv.intervals import share_interval
 from pickenv.study.results.streaming import SETTING
 from pickenv.study.results.yields import yields_of
 
@@ -45,12 +45,12 @@ def test_wilsons_interval_is_his():
         p = k / n
         centre = (p + z**2 / (2 * n)) / (1 + z**2 / n)
         half = z / (1 + z**2 / n) * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-        low, high = wilson_interval(k, n)
+        low, high = share_interval(k, n)
         assert (low, high) == pytest.approx((centre - half, centre + half), abs=1e-12)
         assert 0.0 <= low < high <= 1.0
 
 
 def test_the_interval_covers_the_true_yield_about_as_often_as_it_says():
     rng = np.random.default_rng(1)
-    covered = [low <= 0.9 <= high for low, high in (wilson_interval(k, 60) for k in rng.binomial(60, 0.9, 1000))]
+    covered = [low <= 0.9 <= high for low, high in (share_interval(k, 60) for k in rng.binomial(60, 0.9, 1000))]
     assert 0.92 < np.mean(covered) < 0.985

@@ -55,9 +55,10 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Rewards
 
-    +1 for a fruit collected whole, -1 for one damaged, the decrease in m of the mean distance from hanging fruit to
-    the nearest cup, -0.05 for each arm that the guard holds, -0.005 per period and up to -0.005 for motion. Eight fruit
-    give at most about 8; doing nothing for a minute gives -3.
+    Per period: 1 x (fruit collected whole) - 1 x (fruit damaged) + (progress in m) - 0.05 x (arms that the guard holds)
+    - 0.005 - 0.005 x (mean size of the action's numbers, held or not). Progress is by how much less is left than
+    before: the distances from the fruit in reach that hangs, as the camera saw it, to the believed cup nearest to each,
+    summed and divided by the fruit of the zone. Eight fruit give at most about 8; doing nothing for a minute gives -3.
 
     ## Starting State
 

@@ -21,7 +21,7 @@ from pickenv.envs.shared.task import CONTROL_PERIOD, MOST_ACTION, as_numbers, ch
 from pickenv.errors import InputError
 
 LONGEST = 400
-"""Steps of an episode where the environment was not made by `gymnasium.make`."""
+"""Steps of the time budget, whatever `max_episode_steps` says: the environment is not told of that."""
 STILL = 1.0
 """Time without a command after which the observation says that the arm stands still, s."""
 MOST_LEFT = 50
@@ -72,7 +72,7 @@ class PickEnv(ArmEnv):
     | 12-14 | that position minus believed tool position                           | -2R  | 2R   | m    |
     | 15-17 | upright against believed attitude, shortest rotation vector          | -pi  | pi   | rad  |
     | 18    | time since the joint target moved, at most 1 s                       | 0    | 1    | s    |
-    | 19    | share of the time budget that is left                                | 0    | 1    | 1    |
+    | 19    | share of 400 steps that is left                                      | 0    | 1    | 1    |
     | 20    | a fruit is in the gripper and on its stem                            | 0    | 1    | 1    |
     | 21    | a fruit is in the gripper and off its stem                           | 0    | 1    | 1    |
     | 22    | fruit still to try, in fifties                                       | 0    | 1    | 1    |
@@ -199,9 +199,6 @@ class PickEnv(ArmEnv):
         self.observation_space = gym.spaces.Box(self._low, self._high, dtype=np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (self.task.joints + 1,), np.float32)
         self.scene: PickScene | None = None
-        self._number = 0
-        self._step = 0
-        self._still = 0.0
         self._target: Sequence[float] = self.task.middle
         self._state = PlantState()
         self._tool: Frame = ()
@@ -216,12 +213,6 @@ class PickEnv(ArmEnv):
     def arm(self) -> int:
         """Number of the true arm in its population; 0 for a fixed one."""
         return self._arm or 0
-
-    @property
-    def longest(self) -> int:
-        """Steps that the time budget allows."""
-        given = None if self.spec is None else self.spec.max_episode_steps
-        return given if given and given > 0 else LONGEST
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -266,7 +257,7 @@ class PickEnv(ArmEnv):
         self._state, self._tool = self.plant.advance(math, self._state, command, CONTROL_PERIOD)
         shown = self._shown(command)
         believed = nominal_frames(FLOATS, self.task, shown)[1]
-        scene.advance(before, self._tool, self._number if scene.held is None else None, CONTROL_PERIOD)
+        scene.advance(before, self._tool, self._number, CONTROL_PERIOD)
         scene.work_gripper(gripper, self._number, believed, self._tool)
         if scene.held is None and not scene.waiting[self._number]:
             self._number = self._next(believed)
@@ -283,7 +274,7 @@ class PickEnv(ArmEnv):
 
         if self.scene is None:
             return None
-        command, tool = np.array(self._command()), np.array(self._tool[9:12])
+        command, tool = np.array(self._command()), np.array(self._tool[9:])
         return pixels(draw_pick(self.plant, self.joint_target, command, tool, self.scene, self._number))
 
     def _take_arm(self, asked: int | None, *, again: bool) -> None:
@@ -300,7 +291,7 @@ class PickEnv(ArmEnv):
     def _next(self, believed: Frame) -> int:
         """Number of the next fruit, or of the last one where none waits."""
         assert self.scene is not None
-        number = self.scene.nearest(believed[9:12])
+        number = self.scene.nearest(believed[9:])
         return self._number if number is None else number
 
     def _command(self) -> Sequence[float]:
@@ -316,7 +307,7 @@ class PickEnv(ArmEnv):
     def _observation(self, shown: Sequence[float], believed: Frame) -> NDArray[np.float32]:
         scene = self.scene
         assert scene is not None
-        seen, tool = scene.seen[self._number], np.array(believed[9:12])
+        seen, tool = scene.seen[self._number], np.array(believed[9:])
         held = scene.held is not None
         parts = [
             scaled(FLOATS, self.task, shown),
@@ -326,19 +317,18 @@ class PickEnv(ArmEnv):
             upright_turn(np.array(believed[6:9])),
             [
                 self._still,
-                max(0.0, 1.0 - self._step / self.longest),
+                1.0 - self._step / LONGEST,
                 held and not scene.holds_detached,
                 scene.holds_detached,
-                min(1.0, scene.waiting.sum() / MOST_LEFT),
+                scene.waiting.sum() / MOST_LEFT,
             ],
         ]
-        values = np.concatenate(parts, dtype=np.float64)
-        return np.asarray(values.clip(self._low, self._high), dtype=np.float32)
+        return np.asarray(np.concatenate(parts).clip(self._low, self._high), dtype=np.float32)
 
     def _information(self, command: Sequence[float]) -> Information:
         scene = self.scene
         assert scene is not None
-        tool, fruit = np.array(self._tool[9:12]), scene.positions[self._number]
+        tool, fruit = np.array(self._tool[9:]), scene.positions[self._number]
         funnel = scene.funnel()
         return {
             **funnel,

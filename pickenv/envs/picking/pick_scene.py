@@ -159,7 +159,7 @@ class PickScene:
 
     def funnel(self) -> dict[str, int]:
         """Fruit that got through each stage; none has more than the one before."""
-        stages = ("visible", "reachable", *FATES[:3])
+        stages = ("visible", "reachable", "attempted", "attached", "detached")
         passed = {stage: int(getattr(self, stage).sum()) for stage in stages}
         return {"present": len(self.rest), **passed, "collected": int((self.collected & ~self.damaged).sum())}
 
@@ -176,8 +176,8 @@ class PickScene:
         self.displacement, self.velocity = trees.swing(
             self.orchard.branch, self.displacement, self.velocity, self.masses, dt
         )
-        point, axis = np.array(tool[9:12]), np.array(tool[6:9])
-        moved = point - np.array(before[9:12])
+        point, axis = np.array(tool[9:]), np.array(tool[6:9])
+        moved = point - np.array(before[9:])
         if self.held is not None and not self.detached[self.held]:
             self._push(self.rest[self.held], moved)
             self.displacement[self.held] = self.grip + point
@@ -185,7 +185,7 @@ class PickScene:
         away = self.positions - point
         along = away @ axis
         across = away - along[:, None] * axis
-        gap = np.linalg.norm(across, axis=-1)
+        gap = np.linalg.norm(across, axis=1)
         radius, station = self.diameters / 2, self.orchard.station
         wide = np.sqrt(np.maximum(radius**2 - np.maximum(along, 0.0) ** 2, 0.0))
         touched = (
@@ -210,7 +210,7 @@ class PickScene:
             tool: Frame of the true one: what counts.
         """
         if self.held is None:
-            near = math.dist(self.seen[number].tolist(), believed[9:12]) <= self.orchard.station.near
+            near = math.dist(self.seen[number].tolist(), believed[9:]) <= self.orchard.station.near
             if share > CLOSE and near and self.waiting[number]:
                 self.grasp(number, tool)
         elif share < OPEN:
@@ -224,7 +224,7 @@ class PickScene:
 
     def grasp(self, i: int, tool: Frame) -> None:
         """Close the gripper on fruit ``i``: its one attempt."""
-        point, axis = np.array(tool[9:12]), np.array(tool[6:9])
+        point, axis = np.array(tool[9:]), np.array(tool[6:9])
         lie = trees.misalignment(self.positions[i] - point, axis, UP)
         probability = trees.capture_probability(
             self.orchard.gripper, lie.lateral, lie.axial, lie.angle, self.diameters[i]
@@ -241,8 +241,7 @@ class PickScene:
     def twist(self, share: float) -> None:
         """Twist the fruit by a share of the gripper's largest torque; what is pulled or twisted enough comes off."""
         i, branch = self.held, self.orchard.branch
-        if i is None or self.detached[i]:
-            return
+        assert i is not None
         spring = np.array([branch.stiffness_sideways] * 2 + [branch.stiffness_upright])
         pull = float(np.linalg.norm(spring * self.displacement[i]))
         torque = self.orchard.station.twist * max(share, 0.0)
@@ -265,7 +264,7 @@ class PickScene:
     def _push(self, contact: Array, push: Array) -> None:
         """Displace the fruit around ``contact``; fruit in or past the gripper stays."""
         moved = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
-        far = np.linalg.norm(moved, axis=-1, keepdims=True)
+        far = np.linalg.norm(moved, axis=1, keepdims=True)
         self.displacement = moved * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
 
 
@@ -307,7 +306,7 @@ def _seen_scene(
     canopy, camera, count = orchard.canopy, orchard.camera, len(positions)
     viewpoint = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2])
     hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
-    found = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=-1), hidden.visible)
+    found = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), hidden.visible)
     draws = rng.normal(size=(count, DRAWS))
     draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
     believed = trees.measured_positions(

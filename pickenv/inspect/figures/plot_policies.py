@@ -15,12 +15,14 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
-from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures import style
 
 SMALLEST_MM = 1e-3
 """Errors below a micrometre are drawn there."""
+
+Estimated = tuple[float, tuple[float | None, float | None] | None]
+"""A number and the ends of its 95 % interval: an open end is None, and so is an interval that cannot be given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +40,8 @@ class CycleCurve:
     error_mm: Array
 
 
-def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Measure]]]]) -> Figure:
-    """Figures of errors with 95 % intervals, on a logarithmic axis.
+def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> Figure:
+    """Figures of errors with 95 % intervals, on a logarithmic axis; an arrow where the data bound no end.
 
     Args:
         panels: For each scene (a row of panels), for each statistic (a column), for each policy (a line), for each
@@ -64,11 +66,7 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Measu
                 for y, policy in enumerate(names):
                     for i, (key, found) in enumerate(policies.get(policy, {}).items()):
                         place = y + 0.18 * (i - (len(policies[policy]) - 1) / 2.0)
-                        ends = np.maximum(np.array([found.low, found.high], dtype=float), SMALLEST_MM)
-                        axis.plot(ends, [place, place], color=colours[key], linewidth=3.0, alpha=0.55)
-                        axis.plot(
-                            [max(found.value, SMALLEST_MM)], [place], "|", color=colours[key], markersize=6, mew=1.6
-                        )
+                        _whisker(axis, place, found, colours[key])
                 axis.set_xscale("log")
                 axis.set_title(f"{scene}: {title}" if column == 0 else title)
                 axis.set_yticks(range(len(names)), names)
@@ -81,14 +79,27 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Measu
     return figure
 
 
+def _whisker(axis: Any, y: float, found: Estimated, colour: Any) -> None:
+    """One number at height ``y`` with its interval; open ends as arrows from the number."""
+    value, ends = max(found[0], SMALLEST_MM), found[1]
+    if ends is not None:
+        low, high = (value if end is None else max(end, SMALLEST_MM) for end in ends)
+        axis.plot([low, high], [y, y], color=colour, linewidth=3.0, alpha=0.55)
+        for end, arrow in zip(ends, ("<", ">"), strict=True):
+            if end is None:
+                axis.plot([value], [y], arrow, color=colour, markersize=4)
+    axis.plot([value], [y], "|", color=colour, markersize=6, mew=1.6)
+
+
 def success_against_misalignment(
-    curves: Mapping[str, tuple[ArrayLike, ArrayLike]], points: Mapping[str, Mapping[str, tuple[float, float]]]
+    curves: Mapping[str, tuple[ArrayLike, ArrayLike]],
+    points: Mapping[str, Mapping[str, tuple[float, Estimated]]],
 ) -> Figure:
     """Success of each gripper against lateral misalignment, and where policies lie on the curves.
 
     Args:
         curves: For each gripper, misalignment ``(N,)``, mm, and probability of success ``(N,)``.
-        points: For each policy, by gripper, its mean error, mm, and its share of successes.
+        points: For each policy, by gripper, its mean error, mm, and its share of successes with its interval.
     """
     colours = style.rgb(policy_colours(list(points)))
     with style.new_figure(style.WIDTH, 2.8) as figure:
@@ -99,7 +110,11 @@ def success_against_misalignment(
             axes.plot(x, 100.0 * np.asarray(y), linestyle=line, color=style.SOFT)
             axes.plot([], [], linestyle=line, color=style.SOFT, marker=marks[gripper], markersize=5, label=gripper)
         for (policy, places), colour in zip(points.items(), colours, strict=True):
-            for gripper, (error, share) in places.items():
+            for gripper, (error, (share, ends)) in places.items():
+                if ends is not None:
+                    axes.plot(
+                        [error, error], [100.0 * (share if end is None else end) for end in ends], color=colour, lw=2.0
+                    )
                 axes.plot(
                     [error], [100.0 * share], marks[gripper], color=colour, markersize=6, markeredgecolor=style.INK
                 )

@@ -19,6 +19,7 @@ from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.gripping import gripped, gripper_curves
+from pickenv.intervals import clustered_share_interval
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
 CAPTIONS = {
@@ -141,7 +142,10 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
 
 def _success(comparison: Comparison) -> Figure:
     points = {
-        label: {name: (float(held.lateral_mm.mean()), float(p.mean())) for name, p in held.success.items()}
+        label: {
+            name: (float(held.lateral_mm.mean()), (float(p.mean()), clustered_share_interval(p, 1)))
+            for name, p in held.success.items()
+        }
         for label, held in gripped(comparison).items()
     }
     return plot_policies.success_against_misalignment(gripper_curves(), points)

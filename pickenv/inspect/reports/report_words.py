@@ -28,15 +28,23 @@ EFFECT_WORDS = {
 }
 
 
-def between(low: float, high: float, digits: int, sign: str = "") -> str:
-    """An interval: 0.12 to 0.34; with ``sign`` "+" both ends have one."""
-    return f"{low:{sign}.{digits}f} to {high:{sign}.{digits}f}"
+def between(low: float | None, high: float | None, digits: int, sign: str = "") -> str:
+    """An interval: 0.12 to 0.34; with ``sign`` "+" both ends have one. An end that is not known (None) is open."""
+    ends = ["" if end is None else f"{_plain(end, digits):{sign}.{digits}f}" for end in (low, high)]
+    if all(ends):
+        return f"{ends[0]} to {ends[1]}"
+    return f"{ends[0]} or more" if ends[0] else f"up to {ends[1]}" if ends[1] else "no interval"
 
 
 def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "") -> str:
     """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34); alone where there is no interval."""
-    said = f"{value:.{digits}f}{unit}"
-    return said if low is None or high is None else f"{said} ({between(low, high, digits)})"
+    said = f"{_plain(value, digits):.{digits}f}{unit}"
+    return said if low is None and high is None else f"{said} ({between(low, high, digits)})"
+
+
+def _plain(value: float, digits: int) -> float:
+    """The number as it is written, without a minus before a zero."""
+    return round(value, digits) + 0.0
 
 
 def percent(share: float, low: float | None, high: float | None, digits: int = 0) -> str:

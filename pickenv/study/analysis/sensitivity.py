@@ -1,15 +1,18 @@
-"""Which tolerance matters: shares of the variance between arms, by regression on a study's rows and by Sobol indices.
+"""Which tolerance matters: shares of the variance between arms, by regression on a study's rows.
 
 The squared error of an arm is a quadratic form of its deviations, so it is regressed on each deviation x and on x^2
-(standardised; the arm's RMS error over the fruit, squared, in mm^2). For independent deviations the variance of
+(standardised; the arm's RMS error over its own fruit, squared, in mm^2). For independent deviations the variance of
 b x + c x^2 is the parameter's first-order share, c is what its spread adds to the mean square error, and what R^2
-leaves is interaction and what no column holds. Sobol indices (Saltelli 2010) need no such model but many more arms.
+leaves is interaction, the arm's own fruit and poses, the tracker, and what no column holds.
+
+A regression finds a share even where there is none: what scatter alone would give is taken off, so that a tolerance
+without effect has a share of zero on average. Intervals come from the jackknife over groups of arms (`_interval`).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,21 +21,20 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow.dataset import Dataset
-from scipy.stats import qmc, sobol_indices
+from scipy.special import chndtr, chndtrinc, stdtrit
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.bootstrap import interval95, resampled
 from pickenv.errors import InputError
 from pickenv.study.results.row_table import OK
 from pickenv.threads import single_threaded
 
-DEVIATION = re.compile(r"delta_.+_(mm|deg)|size_.+|rise_K")
+DEVIATION = re.compile(r"delta_.+_(mm|deg)|size_.+|(sine|cosine)_.+|rise_K")
 """Columns that hold what was drawn for an arm."""
 BLOCKS = 100
-"""Groups of arms that the bootstrap resamples; an arm's group follows from its number."""
-RESAMPLES = 500
-ARMS_PER_TERM = 3
+"""Groups of arms that the jackknife leaves out in turn; an arm's group follows from its number."""
+ARMS_PER_TERM = 5
 """A regression is refused on fewer arms for each of its terms."""
+TAILS = (0.975, 0.025)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,20 +56,19 @@ class Moments:
         return int(self.sums[:, 0, 0].sum())
 
 
-def sensitivities_of(rows: Dataset, setting: int = 0, *, rng: np.random.Generator | None = None) -> pa.Table:
+def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
     """Shares of the variance of the arms' squared errors, per parameter and per kind of parameter.
 
     Args:
         rows: A study's rows, of any number; they are read in batches.
         setting: Number of the setting; failed arms are left out.
-        rng: Draws the bootstrap over `BLOCKS` groups of arms; a fixed one when left out.
 
     Returns:
         One row per parameter and per kind, largest share first: ``parameter`` (or the kind's name), ``kind``, ``level``
-        (parameter or kind), ``share`` of the variance with its 95 % interval ``share_low``, ``share_high``,
-        ``mean_square_mm2`` (what its spread adds to the mean of the squared error) with its interval,
-        ``linear`` (standardised regression coefficient of the deviation; NaN for kinds), and the whole regression's
-        ``r2``, ``r2_adjusted`` and ``arms``.
+        (parameter or kind), ``share`` of the variance (by chance also below zero, where there is none) with its 95 %
+        interval ``share_low``, ``share_high``, ``mean_square_mm2`` (what its spread adds to the mean of the squared
+        error) with its interval, ``linear`` (standardised regression coefficient of the deviation; NaN for several),
+        and the whole regression's ``r2``, ``r2_adjusted`` and ``arms``.
 
     Raises:
         InputError: If nothing varies, or there are too few arms for the number of deviations.
@@ -81,38 +82,47 @@ def sensitivities_of(rows: Dataset, setting: int = 0, *, rng: np.random.Generato
             f"setting {setting} has {moments.arms} arms with a result; its {len(moments.names)} deviations need "
             f"{ARMS_PER_TERM * terms}"
         )
-    rng = rng or np.random.default_rng(0)
-    weights = rng.multinomial(BLOCKS, np.full(BLOCKS, 1.0 / BLOCKS), RESAMPLES)
-    whole = moments.sums.sum(axis=0)
-    groups = {name: [i] for i, name in enumerate(moments.names)}
+    groups: dict[str, list[int]] = {}
     kinds: dict[str, list[int]] = {}
     for i, name in enumerate(moments.names):
+        groups.setdefault(parameter_of(name), []).append(i)
         kinds.setdefault(tolerance_kind(name), []).append(i)
     places = [*groups.values(), *kinds.values()]
+    whole = moments.sums.sum(axis=0)
     with single_threaded():  # small systems: threads would only wait for one another
-        found = _shares(whole, places)
-        replicates = [_shares(np.tensordot(w, moments.sums, 1), places) for w in weights]
-    ends = {key: interval95(np.array([r[key] for r in replicates])) for key in ("share", "mean_square")}
-    r2 = float(found["r2"])
+        found = _regressed(whole, places)
+        left_out = [_regressed(whole - block, places) for block in moments.sums if block[0, 0]]
+    chance = _share_by_chance(found, left_out, places, moments.arms)
+    r2 = found.r2
     about = {"r2": r2, "r2_adjusted": 1.0 - (1.0 - r2) * (moments.arms - 1) / (moments.arms - terms)}
-    table: list[dict[str, Any]] = [
-        {
-            "parameter": name,
-            "kind": name if level == "kind" else tolerance_kind(name),
-            "level": level,
-            "share": float(found["share"][i]),
-            "share_low": float(ends["share"][0, i]),
-            "share_high": float(ends["share"][1, i]),
-            "mean_square_mm2": float(found["mean_square"][i]),
-            "mean_square_low_mm2": float(ends["mean_square"][0, i]),
-            "mean_square_high_mm2": float(ends["mean_square"][1, i]),
-            "linear": float(found["linear"][i]) if level == "parameter" else float("nan"),
-            **about,
-            "arms": moments.arms,
-        }
-        for i, (name, level) in enumerate([*((n, "parameter") for n in groups), *((k, "kind") for k in kinds)])
-    ]
+    spread = _jackknifed(np.array([part.mean_square for part in left_out]))
+    half = float(stdtrit(len(left_out) - 1, TAILS[0])) * spread
+    steps = _jackknifed(np.sqrt(np.maximum([part.share for part in left_out], 0.0)))
+    table: list[dict[str, Any]] = []
+    for i, (name, level) in enumerate([*((n, "parameter") for n in groups), *((k, "kind") for k in kinds)]):
+        low, high = _interval(found.share[i], chance[i], steps[i])
+        table.append(
+            {
+                "parameter": name,
+                "kind": name if level == "kind" else tolerance_kind(moments.names[places[i][0]]),
+                "level": level,
+                "share": float(found.share[i] - chance[i]),
+                "share_low": low,
+                "share_high": high,
+                "mean_square_mm2": float(found.mean_square[i]),
+                "mean_square_low_mm2": float(found.mean_square[i] - half[i]),
+                "mean_square_high_mm2": float(found.mean_square[i] + half[i]),
+                "linear": float(found.linear[i]) if level == "parameter" and len(places[i]) == 1 else float("nan"),
+                **about,
+                "arms": moments.arms,
+            }
+        )
     return pa.Table.from_pylist(sorted(table, key=lambda row: -row["share"]))
+
+
+def parameter_of(column: str) -> str:
+    """The parameter that a column belongs to: its own name, or that of the error whose sine or cosine it is."""
+    return re.sub(r"^(sine|cosine)_", "size_", column)
 
 
 def tolerance_kind(column: str) -> str:
@@ -121,7 +131,7 @@ def tolerance_kind(column: str) -> str:
         return "angles" if column.endswith("_deg") else "lengths"
     if column == "rise_K":
         return "temperature rise"
-    return re.sub(r"_\d+$", "", column.removeprefix("size_")).replace("_", " ")
+    return re.sub(r"_\d+$", "", parameter_of(column).removeprefix("size_")).replace("_", " ")
 
 
 def _moments(rows: Dataset, setting: int) -> Moments:
@@ -161,8 +171,31 @@ def _products(z: Array, block: NDArray[np.int64]) -> Array:
     return np.asarray(np.swapaxes(padded, 1, 2) @ padded)
 
 
-def _shares(sums: Array, groups: Sequence[Sequence[int]]) -> dict[str, Array]:
-    """Regress, then the share, the mean square and the linear coefficient of each group of deviations."""
+@dataclass(frozen=True, eq=False)
+class _Regression:
+    """A regression on 2 k terms, x and x^2 of k deviations, and what it says of G groups of them.
+
+    Attributes:
+        slopes: ``(2 k,)``, mm^2.
+        terms: Covariance of the terms ``(2 k, 2 k)``.
+        variance: Of the squared error, mm^4.
+        share: Of the variance ``(G,)``, with what scatter alone gives.
+        mean_square: What the groups' spread adds to the mean of the squared error ``(G,)``, mm^2.
+        linear: Standardised coefficient of each group's first deviation ``(G,)``.
+        r2: Share of the variance that all of them explain.
+    """
+
+    slopes: Array
+    terms: Array
+    variance: float
+    share: Array
+    mean_square: Array
+    linear: Array
+    r2: float
+
+
+def _regressed(sums: Array, groups: Sequence[Sequence[int]]) -> _Regression:
+    """Regress on what `Moments` sums up."""
     count = sums[0, 0]
     mean = sums[0] / count
     covariance = sums / count - np.outer(mean, mean)
@@ -170,66 +203,61 @@ def _shares(sums: Array, groups: Sequence[Sequence[int]]) -> dict[str, Array]:
     steadied = terms + np.diag(1e-10 * np.diag(terms))  # two deviations that are one share what they explain
     slopes = np.linalg.solve(steadied, covariance[1:-1, -1])
     k = len(slopes) // 2
-    share = []
-    for group in groups:
-        places = [*group, *(k + i for i in group)]
-        share.append(slopes[places] @ terms[np.ix_(places, places)] @ slopes[places] / variance)
-    return {
-        "share": np.array(share),
-        "mean_square": np.array([slopes[k:][list(group)].sum() for group in groups]),
-        "linear": np.array([slopes[group[0]] * np.sqrt(terms[group[0], group[0]] / variance) for group in groups]),
-        "r2": slopes @ covariance[1:-1, -1] / variance,
-    }
-
-
-def sobol_table(
-    model: Callable[[Array], Array], groups: Mapping[str, Sequence[int]], samples: int, rng: np.random.Generator
-) -> pa.Table:
-    """Sobol indices, first and total, of groups of independent inputs.
-
-    Args:
-        model: From even random numbers ``(N, d)`` in 0..1 to one finite number for each row ``(N,)``.
-        groups: For each group, which inputs belong to it; together they name every input once.
-        samples: A power of two; the model is evaluated (number of groups + 2) times as often.
-        rng: Draws the scrambled Sobol sequence and the bootstrap.
-
-    Returns:
-        One row per group: ``group``, ``first_order``, ``total``, and 95 % bootstrap intervals ``first_order_low`` and
-        so on. Total minus first order is interaction.
-
-    Raises:
-        InputError: If the groups do not name every input once, or ``samples`` is no power of two.
-    """
-    inputs = sorted(i for group in groups.values() for i in group)
-    d = len(inputs)
-    if inputs != list(range(d)) or not d:
-        raise InputError(f"the groups name inputs {inputs}; name each of 0 to {max(inputs, default=0)} once")
-    if samples < 2 or samples & (samples - 1):
-        raise InputError(f"{samples} samples; give a power of two, such as 1024")
-    even = qmc.Sobol(2 * d, rng=rng).random(samples)
-    first, second = even[:, :d], even[:, d:]
-    mixed = []
-    for group in groups.values():
-        swapped = first.copy()
-        swapped[:, list(group)] = second[:, list(group)]
-        mixed.append(model(swapped))
-    at_first, at_second, at_mixed = model(first)[None], model(second)[None], np.stack(mixed)[:, None]
-
-    def indices(chosen: Any) -> Array:
-        values = {"f_A": at_first[:, chosen], "f_B": at_second[:, chosen], "f_AB": at_mixed[..., chosen]}
-        found = sobol_indices(func=values, n=samples)  # type: ignore[arg-type]
-        return np.stack([np.ravel(found.first_order), np.ravel(found.total_order)])
-
-    whole = indices(slice(None))
-    low, high = interval95(resampled(np.arange(samples)[None], indices, rng, RESAMPLES))
-    return pa.Table.from_pylist(
-        [
-            {"group": name}
-            | {
-                f"{kind}{end}": float(v[row, i])
-                for row, kind in enumerate(("first_order", "total"))
-                for end, v in (("", whole), ("_low", low), ("_high", high))
-            }
-            for i, name in enumerate(groups)
-        ]
+    every = [_terms_of(group, k) for group in groups]
+    return _Regression(
+        slopes=slopes,
+        terms=terms,
+        variance=float(variance),
+        share=np.array([slopes[p] @ terms[np.ix_(p, p)] @ slopes[p] / variance for p in every]),
+        mean_square=np.array([slopes[k:][list(group)].sum() for group in groups]),
+        linear=np.array([slopes[group[0]] * np.sqrt(terms[group[0], group[0]] / variance) for group in groups]),
+        r2=float(slopes @ covariance[1:-1, -1] / variance),
     )
+
+
+def _terms_of(group: Sequence[int], deviations: int) -> list[int]:
+    """Places of x and x^2 of a group among the terms."""
+    return [*group, *(deviations + i for i in group)]
+
+
+def _share_by_chance(
+    found: _Regression, left_out: Sequence[_Regression], groups: Sequence[Sequence[int]], arms: int
+) -> Array:
+    """What the scatter of the slopes alone adds to each group's share ``(G,)``.
+
+    The scatter is the jackknife's, which holds for errors of any distribution; it is too large by as much as few arms
+    leave the regression (the leverage), and put right for that.
+    """
+    k = len(found.slopes) // 2
+    slopes = np.array([part.slopes for part in left_out])
+    scatter = np.sqrt((len(slopes) - 1) / len(slopes) * (1.0 - (2 * k + 1) / arms)) * (slopes - slopes.mean(axis=0))
+    added = []
+    for group in groups:
+        p = _terms_of(group, k)
+        added.append(np.sum((scatter[:, p] @ found.terms[np.ix_(p, p)]) * scatter[:, p]) / found.variance)
+    return np.array(added)
+
+
+def _jackknifed(left_out: Array) -> Array:
+    """Standard error ``(G,)`` of what was found with each of B blocks left out ``(B, G)``."""
+    blocks = len(left_out)
+    return np.asarray(np.sqrt((blocks - 1) / blocks * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0)))
+
+
+def _interval(share: float, chance: float, step: float) -> tuple[float, float]:
+    """95 % interval of a share without what chance adds.
+
+    The root of a share is a length in the space of slopes, and its standard error the same everywhere, so that the
+    share over that error squared is noncentral chi-square, as if of ``chance / step**2`` degrees of freedom. The
+    interval holds the noncentralities that such a share does not contradict. It begins at zero where zero is one of
+    them, and holds the estimate where that is below zero.
+    """
+    estimate = share - chance
+    if not step > 0.0:
+        return estimate, estimate
+    scale, freedom = step**2, max(chance / step**2, 1e-6)
+    low, high = (
+        scale * float(chndtrinc(share / scale, freedom, tail)) if chndtr(share / scale, freedom, 0.0) > tail else 0.0
+        for tail in TAILS
+    )
+    return min(low, estimate), max(high, estimate)

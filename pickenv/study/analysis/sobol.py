@@ -1,29 +1,32 @@
-"""Sobol indices of groups of tolerances: how the variance of the squared error divides among them.
+"""Sobol indices of groups of tolerances: how the variance of the squared error divides among them (Saltelli 2010).
 
-Unlike the regression of `pickenv.study.analysis.sensitivity` they include interactions, and they need arms of their
-own. The tracker does not err here, so that all variance comes from the arms. Output: squared RMS error over the
-fruit, mm^2.
+Unlike the regression of `pickenv.study.analysis.sensitivity` they include interactions and need no model, but arms of
+their own. The tracker does not err here. Each row of the sample has fruit and poses of its own, the same for all arms
+that are compared in it: the indices are averages over fruit and poses. Output: squared RMS error, mm^2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.tolerances import plants_from, random_columns
 from pickenv.errors import InputError
-from pickenv.study.analysis.sensitivity import sobol_table
 from pickenv.study.design.config import LS, RAW, Setting
-from pickenv.study.design.protocol import Protocol, prepared_study
+from pickenv.study.design.protocol import Circumstances, Protocol, prepared_study
 from pickenv.study.results.outcomes import figures
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.study_folder import SOBOL, SOBOL_AGAIN, read_record, study_at, write_record
+from pickenv.study.results.variance_indices import variance_indices
 
 GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "joint stiffness": ("joint_compliance", ("joint_stiffness",)),
@@ -38,8 +41,10 @@ GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 """For each group of effects, the effect and the random numbers (`random_columns`) that it takes."""
 STREAM = 7
 """Key of the random numbers, apart from those of the study's rows."""
-AT_ONCE = 128
-"""Arms judged together."""
+SCRAMBLES = 32
+"""Independent Sobol sequences that a sample consists of; the intervals are over them."""
+SAMPLES = 2048
+"""Rows of a sample when nothing else is asked."""
 
 
 def tolerance_groups(design: Plant) -> dict[str, list[int]]:
@@ -63,12 +68,12 @@ def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[st
         samples: A power of two; (groups + 2) times as many arms are made.
 
     Returns:
-        As `pickenv.study.analysis.sensitivity.sobol_table`, as rows, with the number of arms.
+        As `sobol_indices`, with the number of arms.
 
     Raises:
         InputError: If the setting's method is another, or an arm cannot be judged.
     """
-    from pickenv.study.running.batched import judge_ideally
+    from pickenv.study.running.batched import judge_batch
 
     if setting.method not in (RAW, LS):
         raise InputError(
@@ -79,24 +84,68 @@ def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[st
     active = [i for columns in groups.values() for i in columns]
     every = max(columns.stop for columns in random_columns(protocol.design).values())
 
-    def squared_error(even: Array) -> Array:
+    @cache
+    def given(row: int) -> Circumstances:
+        found = protocol.circumstances(protocol.config.arms + row)
+        return replace(found, noise=np.zeros_like(found.noise))
+
+    def squared_error(even: Array, rows: NDArray[np.int64]) -> Array:
         whole = np.full((len(even), every), 0.5)
         whole[:, active] = even
-        found = []
-        for first in range(0, len(even), AT_ONCE):
-            plants = plants_from(protocol.design, tolerances, whole[first : first + AT_ONCE])
-            outcomes = judge_ideally(protocol, setting, plants)
-            for status in outcomes.status:
-                if status != OK:
-                    raise InputError(f"Sobol indices of setting {setting.number} need every arm's error: {status}")
-            found.append(figures(outcomes.position, outcomes.attitude, protocol.config.radius_mm)["error_rms_mm"] ** 2)
-        return np.concatenate(found)
+        plants = plants_from(protocol.design, tolerances, whole)
+        outcomes = judge_batch(protocol, setting, plants, [given(row) for row in rows.tolist()])
+        for status in outcomes.status:
+            if status != OK:
+                raise InputError(f"Sobol indices of setting {setting.number} need every arm's error: {status}")
+        return figures(outcomes.position, outcomes.attitude, protocol.config.radius_mm)["error_rms_mm"] ** 2
 
     places = np.cumsum([0, *(len(columns) for columns in groups.values())]).tolist()
     numbered = {name: range(a, b) for name, a, b in zip(groups, places, places[1:], strict=False)}
     rng = np.random.default_rng(np.random.SeedSequence(protocol.config.seed, spawn_key=(STREAM,)))
-    rows = sobol_table(squared_error, numbered, samples, rng).to_pylist()
+    rows = sobol_indices(squared_error, numbered, samples, rng)
     return [row | {"arms": samples * (len(groups) + 2)} for row in rows]
+
+
+def sobol_indices(
+    model: Callable[[Array, NDArray[np.int64]], Array],
+    groups: Mapping[str, Sequence[int]],
+    samples: int,
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """Sobol indices, first and total, of groups of independent inputs.
+
+    Args:
+        model: From even random numbers ``(N, d)`` in 0..1, and the rows of the sample that they stand in ``(N,)``, to
+            one finite number for each ``(N,)``. What it makes of the row's number is averaged over.
+        groups: For each group, which inputs belong to it; together they name every input once.
+        samples: Rows of the sample, a power of two; the model is evaluated (number of groups + 2) times as often.
+        rng: Draws the scrambled Sobol sequences, `SCRAMBLES` of them.
+
+    Returns:
+        As `variance_indices`. Total minus first order is interaction.
+
+    Raises:
+        InputError: If the groups do not name every input once, or ``samples`` is no power of two or too few.
+    """
+    inputs = sorted(i for group in groups.values() for i in group)
+    d = len(inputs)
+    if inputs != list(range(d)) or not d:
+        raise InputError(f"the groups name inputs {inputs}; name each of 0 to {max(inputs, default=0)} once")
+    if samples < 2 * SCRAMBLES or samples & (samples - 1):
+        raise InputError(f"{samples} samples; give a power of two from {2 * SCRAMBLES}, such as {SAMPLES}")
+    each, rows = samples // SCRAMBLES, np.arange(samples)
+    even = np.concatenate([qmc.Sobol(2 * d, rng=rng).random(each) for _ in range(SCRAMBLES)])
+    first, second = even[:, :d], even[:, d:]
+
+    def found(numbers: Array) -> Array:
+        return model(numbers, rows).reshape(SCRAMBLES, each)
+
+    mixed = []
+    for group in groups.values():
+        swapped = first.copy()
+        swapped[:, list(group)] = second[:, list(group)]
+        mixed.append(found(swapped))
+    return variance_indices(found(first), found(second), np.stack(mixed), list(groups))
 
 
 def write_sobol(folder: str | Path, settings: list[int], samples: int) -> Path:

@@ -16,8 +16,10 @@ from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn
 from pickenv.study.analysis import study_figures as figures
 from pickenv.study.analysis.sensitivity import sensitivities_of
 from pickenv.study.analysis.single_arms import Placement, place
+from pickenv.study.analysis.study_verdict import specified
 from pickenv.study.design.config import RAW, StudyConfig
 from pickenv.study.design.protocol import Protocol, prepared_study
+from pickenv.study.results.held_rows import Row, held
 from pickenv.study.results.quantiles import quantiles_of
 from pickenv.study.results.study_folder import read_rows, study_of
 from pickenv.study.results.yields import yields_of
@@ -75,7 +77,7 @@ def gather(folder: str | Path) -> Findings:
     design, yields = protocol.design, yields_of(rows, config.share)
     sensitivities: dict[int, pa.Table | str] = {}
     placements: dict[int, Placement | str] = {}
-    for setting in (row["setting"] for row in figures.held(yields.to_pylist(), ("method",))):
+    for setting in (row["setting"] for row in held(yields.to_pylist(), ("method",))):
         try:
             sensitivities[setting] = sensitivities_of(rows, setting)
         except InputError as error:
@@ -95,11 +97,6 @@ def gather(folder: str | Path) -> Findings:
         sensitivities=sensitivities,
         placements=placements,
     )
-
-
-def specified(config: StudyConfig) -> str:
-    """When an arm is good enough, in words."""
-    return f"at least {100 * config.share:g} % of the fruit within {config.radius_mm:g} mm"
 
 
 def study_drawings(found: Findings) -> Drawings:
@@ -139,7 +136,7 @@ def study_drawings(found: Findings) -> Drawings:
         if isinstance(table, str):
             drawings.append(NotDrawn(name, table))
         else:
-            caption = f"Share of the variance between arms that each tolerance explains: {label}."
+            caption = f"What each tolerance explains of the variance between arms, each at its own fruit: {label}."
             drawings.append(Drawing(name, caption, partial(figures.tornado, table, label)))
     for setting, placement in found.placements.items():
         name = f"placement_{_word(found.row(setting))}"
@@ -153,6 +150,6 @@ def study_drawings(found: Findings) -> Drawings:
     return drawings
 
 
-def _word(row: figures.Row) -> str:
+def _word(row: Row) -> str:
     """A setting's method as part of a file name."""
     return RAW if row["method"] == RAW else str(row["method"]).replace("+", "_")

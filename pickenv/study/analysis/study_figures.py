@@ -5,7 +5,7 @@ Each takes the tables of `yields`, `quantiles` and `sensitivity` and returns a m
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 from pickenv.errors import InputError
 from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours, viridis
 from pickenv.inspect.figures.style import LINES, MARKS, SOFT, WIDTH, new_figure, plain_decades, rgb
-
-Row = Mapping[str, Any]
+from pickenv.study.analysis.study_verdict import method_label
+from pickenv.study.design.config import RAW
+from pickenv.study.results.held_rows import Row, held
 
 AXES = {
     "it_grade": "IT grade of the lengths (ISO 286-1)",
@@ -29,21 +30,15 @@ WORDS = {"it_grade": "IT{}", "poses": "{} poses", "noise_mm": "noise {:g} mm", "
 ERROR, ERROR_LABEL = "error_mean_mm", "arm's mean position error (mm)"
 NOTE = 7.5
 """Size of the line below a figure that says how to read it, points."""
-UNCALIBRATED = "raw"
 LONGEST = 16
 """Parameters in a tornado; the rest are as good as zero."""
-
-
-def method_label(method: str) -> str:
-    """A method's name for people: LS for ls, LS+BPNN for ls+bpnn; raw stays."""
-    return method if method == UNCALIBRATED else method.upper()
 
 
 def setting_label(row: Row) -> str:
     """A setting in a few words, with units."""
     calibration = (
         "raw"
-        if row["method"] == UNCALIBRATED
+        if row["method"] == RAW
         else f"{method_label(row['method'])}, {row['poses']} poses, noise {row['noise_mm']:g} mm"
     )
     load = f", payload {row['payload_kg']:g} kg" if row["payload_kg"] else ""
@@ -52,7 +47,7 @@ def setting_label(row: Row) -> str:
 
 def varied(rows: Sequence[Row]) -> list[str]:
     """Which of `AXES` take several values among calibrated settings (payload and grade among all)."""
-    calibrated = [row for row in rows if row["method"] != UNCALIBRATED]
+    calibrated = [row for row in rows if row["method"] != RAW]
     return [
         name for name in AXES if len({row[name] for row in (calibrated if name in ("poses", "noise_mm") else rows)}) > 1
     ]
@@ -155,7 +150,8 @@ def tornado(sensitivities: pa.Table, setting: str) -> Figure:
                 axes.barh(place, share, color=palette[order.index(row["kind"]) % len(palette)], height=0.7)
                 axes.plot([low, high], [place, place], color=SOFT, linewidth=1.2)
             axes.set_yticks(range(len(bars)), [_parameter_label(row["parameter"]) for row in bars], fontsize=8)
-            axes.set(ylim=(max(len(bars), len(single)) - 0.4, -0.6), xlim=(0.0, None), xlabel="share of variance (%)")
+            least = min(0.0, *(100.0 * row["share_low"] for row in bars))
+            axes.set(ylim=(max(len(bars), len(single)) - 0.4, -0.6), xlim=(least, None), xlabel="share of variance (%)")
             axes.set_title(title)
             axes.grid(axis="y", visible=False)
         figure.suptitle(f"Which tolerance matters: {setting}", x=0.01, ha="left", fontsize=9, fontweight="bold")
@@ -174,19 +170,21 @@ def arm_among_population(
         setting: Number of the setting.
         error_mm: The arm's mean position error, mm.
         name: The arm, for the label.
-        percentile: Share of the population below it with its 95 % interval, 0..1.
+        percentile: Share of the population below it in equal circumstances, with its 95 % interval, 0..1.
     """
     rows = [row for row in _quantiles(quantiles) if row["setting"] == setting]
     if not rows:
         raise InputError(f"the quantiles have no arm of setting {setting}; give another setting")
     rows.sort(key=lambda row: row["probability"])
-    value, low, high = (np.array([row[key] for row in rows]) for key in ("value", "low", "high"))
+    value, low, high = (np.array([row[key] for row in rows], dtype=float) for key in ("value", "low", "high"))
     level = 100.0 * np.array([row["probability"] for row in rows])
     blue, red = rgb([*policy_colours(["ls"]), RED])
     share, least, most = (100.0 * p for p in percentile)
     with new_figure(WIDTH * 0.7, 3.4) as figure:
         axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
-        axes.fill_betweenx(level, low, high, color=blue, alpha=0.25, linewidth=0.0, label="95 % band")
+        axes.fill_betweenx(
+            level, low, high, color=blue, alpha=0.25, linewidth=0.0, label="95 % band, as far as so many arms bound it"
+        )
         axes.plot(value, level, color=blue, label=f"population of {rows[0]['arms']} arms")
         label = f"{name}: {error_mm:.2f} mm, better than {100.0 - share:.0f} % ({100 - most:.0f} to {100 - least:.0f})"
         axes.plot([error_mm], [share], "D", color=red, markersize=6, label=label, clip_on=False)
@@ -208,7 +206,7 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
     beside = ("method", "poses") if along == "it_grade" else ("method", "it_grade")
     shown = ("tolerances", along, *beside)
     classes = list(dict.fromkeys(row["tolerances"] for row in rows))
-    chosen = [r for r in held(rows, shown) if along not in ("poses", "noise_mm") or r["method"] != UNCALIBRATED]
+    chosen = [r for r in held(rows, shown) if along not in ("poses", "noise_mm") or r["method"] != RAW]
     colours, lines = _looks(chosen, along)
     with new_figure(WIDTH * (0.75 if len(classes) == 1 else 1.0), 3.7) as figure:
         panels: Any = figure.subplots(1, len(classes), squeeze=False, sharey=True)[0]
@@ -231,34 +229,19 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
     return figure
 
 
-def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
-    """The rows in which everything that is not shown stands at its middle value; raw arms have no poses and noise."""
-    calibrated = [row for row in rows if row["method"] != UNCALIBRATED] or rows
-    middle = {}
-    for name in ("tolerances", *AXES):
-        values = list(dict.fromkeys(row[name] for row in calibrated))
-        middle[name] = values[(len(values) - 1) // 2]
-
-    def fits(row: Row) -> bool:
-        free = ("poses", "noise_mm") if row["method"] == UNCALIBRATED else ()
-        return all(row[name] == value for name, value in middle.items() if name not in (*shown, *free))
-
-    return [row for row in rows if fits(row)]
-
-
 def _held_words(rows: Sequence[Row], shown: Sequence[str]) -> str | None:
     """What was held, for the legend's title."""
-    calibrated = [row for row in rows if row["method"] != UNCALIBRATED]
+    calibrated = [row for row in rows if row["method"] != RAW]
     words = [WORDS[name].format(calibrated[0][name]) for name in AXES if name not in shown] if calibrated else []
     return "\n".join(words) or None
 
 
 def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterator[tuple[str, list[Row]]]:
     """Rows of one curve each, with its label, ordered along the axis."""
-    keys = sorted({(row[beside[0]], row[beside[1]]) for row in rows}, key=lambda key: (key[0] != UNCALIBRATED, *key))
+    keys = sorted({(row[beside[0]], row[beside[1]]) for row in rows}, key=lambda key: (key[0] != RAW, *key))
     for key in keys:
         curve = sorted((r for r in rows if (r[beside[0]], r[beside[1]]) == key), key=lambda row: row[along])
-        detail = "" if beside[1] == "poses" and key[0] == UNCALIBRATED else ", " + WORDS[beside[1]].format(key[1])
+        detail = "" if beside[1] == "poses" and key[0] == RAW else ", " + WORDS[beside[1]].format(key[1])
         yield method_label(key[0]) + detail, curve
 
 
@@ -267,7 +250,7 @@ def _looks(rows: Sequence[Row], along: str) -> tuple[Any, Any]:
     methods = list(dict.fromkeys(row["method"] for row in rows))
     if along == "it_grade":
         colours = dict(zip(methods, rgb(policy_colours(methods)), strict=True))
-        poses = sorted({row["poses"] for row in rows if row["method"] != UNCALIBRATED})
+        poses = sorted({row["poses"] for row in rows if row["method"] != RAW})
 
         def line(row: Row) -> tuple[Any, str]:
             place = poses.index(row["poses"]) if row["poses"] in poses else 0

@@ -1,4 +1,7 @@
-"""A Rerun recording of a setting's worst, median and best arm: their error fields and reaches side by side."""
+"""A Rerun recording of a setting's worst, median and best arm: their error fields and reaches side by side.
+
+Each arm is calibrated at its own poses; all reach for the fruit of the worst one, so that they can be compared.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.pose_error import pose_error
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at
@@ -15,7 +19,7 @@ from pickenv.inspect.runs.comparison import Comparison, PolicyErrors, compared, 
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 from pickenv.study.analysis.single_arms import ranked
 from pickenv.study.design.config import Setting
-from pickenv.study.design.protocol import Protocol, carrying, prepared_study
+from pickenv.study.design.protocol import Circumstances, Protocol, carrying, prepared_study
 from pickenv.study.results.study_folder import read_rows, study_of
 from pickenv.study.running.arm_by_arm import arm_commands
 
@@ -47,8 +51,17 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
     chosen, grid = protocol.settings[setting], field_grid(protocol.nominal, GRID_STEP, protocol.config.seed)
     places = ranked(read_rows(folder), setting)
     arms = {name: plant_at(protocol.draw(chosen, range(arm, arm + 1)), 0) for name, (arm, _) in places.items()}
+    fruit = protocol.circumstances(places["worst"][0]).fruit
     policies = (
-        _arm_errors(protocol, chosen, grid, arms[name], arm, f"{name} arm (number {arm})", name)
+        _arm_errors(
+            protocol,
+            chosen,
+            grid,
+            arms[name],
+            replace(protocol.circumstances(arm), fruit=fruit),
+            f"{name} arm (number {arm})",
+            name,
+        )
         for name, (arm, _) in places.items()
     )
     config = protocol.config
@@ -57,23 +70,23 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
         grid,
         policies,
         seed=config.seed,
-        fruit=protocol.wanted.position,
+        fruit=forward(protocol.nominal, fruit).position,
         tolerance_mm=config.radius_mm,
     )
 
 
 def _arm_errors(
-    protocol: Protocol, setting: Setting, grid: FieldGrid, arm: Plant, number: int, label: str, key: str
+    protocol: Protocol, setting: Setting, grid: FieldGrid, arm: Plant, given: Circumstances, label: str, key: str
 ) -> PolicyErrors:
-    """One arm's errors over the field and at the study's fruit, calibrated as the setting says."""
+    """One arm's errors over the field and at its fruit, calibrated as the setting says."""
     loaded = carrying(arm, setting.payload_kg)
 
-    def judged(protocol: Protocol) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        joints = arm_commands(protocol, setting, arm, number).joints
+    def judged(given: Circumstances) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        joints = arm_commands(protocol, setting, arm, given).joints
         reached = loaded.tool_pose(joints)
-        return joints, reached.position, pose_error(protocol.wanted, reached)
+        return joints, reached.position, pose_error(forward(protocol.nominal, given.fruit), reached)
 
-    _, _, field = judged(replace(protocol, fruit=grid.joints))
-    joints, positions, errors = judged(protocol)
+    _, _, field = judged(replace(given, fruit=grid.joints))
+    joints, positions, errors = judged(given)
     success = 1e3 * np.linalg.norm(errors[:, :3], axis=1) <= protocol.config.radius_mm
     return policy_errors(label, field, joints, positions, errors, success, key)

@@ -7,30 +7,43 @@ from collections import Counter
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from pickenv.files import write_text
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, write_drawings
-from pickenv.inspect.reports.report_page import Page, PageTable, PageVerdict, Pair, Part, Section, html_of
+from pickenv.inspect.reports.report_page import Page, PageTable, Pair, Part, Section, html_of
 from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
 from pickenv.inspect.runs.run_folder import Run, TakePicture
 from pickenv.study.analysis.single_arms import Placement
 from pickenv.study.analysis.sobol import read_sobol, write_sobol
-from pickenv.study.analysis.study_drawings import Findings, gather, specified, study_drawings
-from pickenv.study.analysis.study_figures import Row, method_label, setting_label
+from pickenv.study.analysis.study_drawings import Findings, gather, study_drawings
+from pickenv.study.analysis.study_figures import setting_label
+from pickenv.study.analysis.study_verdict import specified, study_verdict
 from pickenv.study.design.config import LS, RAW, StudyConfig
+from pickenv.study.results.held_rows import Row
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.study_folder import read_summary
 
-REQUIRED_YIELD = 0.95
-"""Share of arms for which a way of making and calibrating arms counts as sufficient."""
-CHOICES = ("tolerances", "it_grade", "method", "poses", "noise_mm", "noise_deg")
-"""What a maker chooses; the payload is what the arms then meet."""
 COUNTS = ("within", "arms", "failed")
 MOST_REASONS = 10
+YIELD_OF = (
+    "Every arm is calibrated at poses of its own, spread over the joint ranges, and reaches for fruit of its own, "
+    "wherever its tool can be upright. A yield is that of the design over this region, and its interval (Wilson, 95 %) "
+    "is over all that was drawn. Settings share all three, so that their differences are known better than the yields."
+)
+COMPONENTS = (
+    "One thing is drawn again while the others are held: shares of the variance of the logarithm of the radius that "
+    "holds the required share of an arm's fruit. Alone: what it explains by itself; with interactions: what would be "
+    "lost without it."
+)
+SHARES = (
+    "The squared error of each arm over its own fruit is regressed on what was drawn for the arm and on the squares of "
+    "that; what chance alone would explain is taken off, so that a tolerance without effect has a share of zero on "
+    "average. The mean square error is what a tolerance adds to it; what R² leaves is interaction, the arm's own fruit "
+    "and poses, and tracker noise."
+)
 MATTERS = 8
 """Parameters listed for each setting; the figure shows more."""
 
@@ -87,16 +100,14 @@ def study_page(folder: str | Path, found: Findings) -> str:
         Section(
             "Yields",
             (Pair(figures("yield_")), _yield_table(found), _failures(found)),
-            "All arms are calibrated at the same poses, spread over the joint ranges, and reach for the same fruit; "
-            "both follow from the study's seed, and the intervals are over arms alone.",
+            YIELD_OF,
         ),
         Section("Errors", (Pair(figures("error_")), _error_table(found), *_placements(found, figures("placement_")))),
+        Section("Where the differences come from", _component_tables(summary), COMPONENTS),
         Section(
             "Which tolerance matters",
             (*figures("sensitivity_"), *_sensitivity_tables(found), *_sobol_tables(folder, found)),
-            "The squared error of each arm is regressed on what was drawn for it and on the squares of that. The mean "
-            "square error is what a tolerance adds to it; what R² leaves is interaction, tracker noise and what has no "
-            "column.",
+            SHARES,
         ),
     )
     return html_of(
@@ -113,67 +124,10 @@ def study_page(folder: str | Path, found: Findings) -> str:
     )
 
 
-def study_verdict(config: StudyConfig, rows: Sequence[Row]) -> PageVerdict:
-    """Whether some way of making and calibrating arms suffices at every payload, and which is the least demanding."""
-    ways: dict[tuple[Any, ...], Row] = {}
-    for row in rows:
-        key = tuple(row[name] for name in CHOICES)
-        if key not in ways or row["yield"] < ways[key]["yield"]:
-            ways[key] = row  # the payload at which this way yields least
-    enough = [row for row in ways.values() if row["yield_low"] >= REQUIRED_YIELD]
-    perhaps = [row for row in ways.values() if row["yield_high"] >= REQUIRED_YIELD]
-    percent = f"{100 * REQUIRED_YIELD:g} %"
-    if enough:
-        tone, chosen = "good", max(enough, key=_ease)
-        headline = f"{_way(chosen)} is enough for a yield of {percent}"
-    elif perhaps:
-        tone, chosen = "care", max(perhaps, key=lambda row: row["yield"])
-        headline = f"{_way(chosen)} may be enough for a yield of {percent}: too few arms to tell"
-    else:
-        tone, chosen = "bad", max(ways.values(), key=lambda row: row["yield"])
-        headline = f"Nothing that was tried gives a yield of {percent}"
-    said = [f"With {_way(chosen)}, {_share(chosen)} of arms pick {specified(config)}{_load(chosen)}."]
-    others = [r for r in rows if all(r[k] == chosen[k] for k in CHOICES) and r["setting"] != chosen["setting"]]
-    said += [f"{_capital(_load(row)) or 'Without payload'} it is {_share(row)}." for row in others]
-    uncalibrated = [
-        row for row in rows
-        if row["method"] == RAW and all(row[k] == chosen[k] for k in ("tolerances", "it_grade", "payload_kg"))
-    ]  # fmt: skip
-    if chosen["method"] != RAW and uncalibrated:
-        said.append(f"Of the same arms without calibration it is {_share(uncalibrated[0])}.")
-    return PageVerdict(tone, headline[:1].upper() + headline[1:], " ".join(said))
-
-
-def _ease(row: Row) -> tuple[Any, ...]:
-    """Larger for what asks less of a maker: coarse grades first, then few poses, then a noisy tracker."""
-    return row["it_grade"], -row["poses"], row["noise_mm"], row["method"] == RAW
-
-
-def _way(row: Row) -> str:
-    how = (
-        "no calibration" if row["method"] == RAW
-        else f"{row['poses']} poses by a tracker of {row['noise_mm']:g} mm noise, {method_label(row['method'])}"
-    )  # fmt: skip
-    return f"IT{row['it_grade']} ({row['tolerances']}) and {how}"
-
-
-def _load(row: Row) -> str:
-    return f", carrying {row['payload_kg']:g} kg" if row["payload_kg"] else ""
-
-
-def _capital(text: str) -> str:
-    text = text.removeprefix(", ")
-    return text[:1].upper() + text[1:]
-
-
-def _share(row: Row) -> str:
-    """Yield with its interval, percent."""
-    return percent(row["yield"], row["yield_low"], row["yield_high"], 1)
-
-
 def _percents(row: Row, key: str) -> tuple[str, str]:
     """A share and its interval, percent, in two cells."""
-    return f"{100 * row[key]:.1f}", between(100 * row[f"{key}_low"], 100 * row[f"{key}_high"], 1)
+    low, high = (None if row[end] is None else 100 * row[end] for end in (f"{key}_low", f"{key}_high"))
+    return f"{100 * row[key]:.1f}", between(low, high, 1)
 
 
 def _tiles(config: StudyConfig, summary: Row) -> dict[str, str]:
@@ -223,7 +177,24 @@ def _error_table(found: Findings) -> PageTable:
         "mean error, 95 % of arms below (mm)",
         "attitude error, median arm (deg)",
     )
-    return PageTable("Errors of an arm over its fruit, quantiles over arms with 95 % bands", heads, rows)
+    return PageTable(
+        "Errors of an arm over its fruit: quantiles over arms, 95 % intervals, open where few arms set no bound",
+        heads,
+        rows,
+    )
+
+
+def _component_tables(summary: Row) -> list[Part]:
+    heads = ("drawn anew", "alone (%)", "95 % interval", "with interactions (%)", "95 % interval")
+    parts: list[Part] = []
+    for setting in summary["components"]:
+        label = setting_label(setting)
+        if setting["missing"] is not None:
+            parts.append(f"{label}: {setting['missing']}.")
+            continue
+        rows = [(row["group"], *_percents(row, "first_order"), *_percents(row, "total")) for row in setting["shares"]]
+        parts.append(PageTable(f"{label}: {setting['shares'][0]['arms']} further arms", heads, rows))
+    return parts
 
 
 def _placements(found: Findings, drawn: Sequence[Drawing]) -> tuple[Part, ...]:
@@ -233,7 +204,9 @@ def _placements(found: Findings, drawn: Sequence[Drawing]) -> tuple[Part, ...]:
         if isinstance(p, Placement)
     ]
     heads = ("setting", "its mean error (mm)", "arms with a smaller error", "arms")
-    caption = f"The true arm of {found.protocol.design.name} itself, calibrated and judged like the population"
+    caption = (
+        f"The true arm of {found.protocol.design.name} itself, compared with each arm at that arm's own fruit and poses"
+    )
     return (Pair(drawn), PageTable(caption, heads, rows)) if rows else ()
 
 

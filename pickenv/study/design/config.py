@@ -22,7 +22,7 @@ from pickenv.errors import InputError
 from pickenv.limits import LIMITS
 from pickenv.toml_tables import ONCE, SHARE, WHOLE, Check, Key, Unit, made, toml_of, toml_table
 
-VERSION = 1
+VERSION = 2
 """Raised whenever the same configuration gives other rows, so that old results are not mixed with new ones."""
 
 RAW, LS = "raw", "ls"

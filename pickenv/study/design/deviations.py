@@ -1,7 +1,8 @@
 """How each drawn arm differs from its design: the columns that sensitivity analyses start from.
 
-``delta_PARAMETER_mm`` or ``_deg``: true minus nominal; ``size_EFFECT``: factor on the design's size; ``rise_K``: the
-warm arm's temperature rise. Numbers that change nothing at rest (frequencies, time constants) are left out.
+``delta_PARAMETER_mm`` or ``_deg``: true minus nominal; ``size_EFFECT``: factor on the design's size; ``sine_EFFECT``
+and ``cosine_EFFECT``: that factor times sine and cosine of the phase, as a periodic error acts; ``rise_K``: the warm
+arm's temperature rise. Numbers that change nothing at rest (frequencies, time constants) are left out.
 """
 
 from __future__ import annotations
@@ -18,7 +19,6 @@ SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
     "joint_stiffness": ("joint_compliance", lambda effect: effect.stiffness),
     "flexural_rigidity": ("boom_bending", lambda effect: (effect.flexural_rigidity,)),
     "lead": ("transmission_error", lambda effect: effect.lead),
-    "transmission_error": ("transmission_error", lambda effect: tuple(term.amplitude for term in effect.harmonics)),
     "roller_clearance": ("roller_play", lambda effect: (effect.clearance,)),
     "backlash": ("backlash", lambda effect: effect.width),
     "friction_forward": ("stick_band", lambda effect: effect.forward),
@@ -56,9 +56,13 @@ def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
         for i, (size, drawn) in enumerate(zip(sizes, numbers(getattr(arms, effect)), strict=True), start=1):
             if size:
                 columns[f"size_{name}_{i}" if len(sizes) > 1 else f"size_{name}"] = drawn / size
-    if arms.transmission_error is not None:
-        for i, term in enumerate(arms.transmission_error.harmonics, start=1):
-            columns[f"phase_transmission_error_{i}_deg"] = np.degrees(term.phase)
+    if arms.transmission_error is not None and design.transmission_error is not None:
+        pairs = zip(design.transmission_error.harmonics, arms.transmission_error.harmonics, strict=True)
+        for i, (own, term) in enumerate(pairs, start=1):
+            if own.amplitude:
+                size = term.amplitude / own.amplitude
+                columns[f"sine_transmission_error_{i}"] = size * np.sin(term.phase)
+                columns[f"cosine_transmission_error_{i}"] = size * np.cos(term.phase)
     if arms.thermal_growth is not None:
         columns["rise_K"] = np.asarray(arms.thermal_growth.final_rise)
     return columns

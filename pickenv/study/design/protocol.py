@@ -1,7 +1,8 @@
-"""What all arms of a study share: design, populations, fruit and calibration poses; and each arm's random numbers.
+"""What a study draws: each arm, and what it meets: fruit, calibration poses, and how the tracker errs. SI units.
 
-An arm's random numbers depend on the study's seed and the arm's own number alone, never on chunks, workers or settings:
-arm 17 deviates in the same direction in every grade, and its tracker errs the same way. SI units.
+Everything follows from the study's seed and the arm's own number alone, never from chunks, workers or settings: arm 17
+deviates in the same direction in every grade, reaches for the same fruit and is measured at the same poses. No two arms
+share anything, so that they are independent, and a yield is that of the design over its workspace.
 """
 
 from __future__ import annotations
@@ -9,18 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.stats import qmc
 
 from pickenv.arm.kinematics.forward import forward
-from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
+from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant.plant import MeasurementNoise, Plant
 from pickenv.arm.plant.tolerances import Tolerances, draw_plants
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.error_model import ErrorModel, link_model
-from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
+from pickenv.calibration.model.measurements import Measurements, random_joints, tracked
 from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.errors import InputError
 from pickenv.study.design.config import Noise, Setting, StudyConfig
@@ -34,6 +35,29 @@ MAX_TILT = math.radians(30.0)
 DRAWS = 1000
 """Joints drawn for every fruit before an arm counts as unable to hold its tool upright."""
 
+AT_ONCE = 4
+"""Joints drawn for every fruit at a time; of the shipped arms two in five or more are upright."""
+
+TRIED = 5
+"""Arms for which a study's numbers of poses are tried before it begins."""
+
+
+@dataclass(frozen=True, eq=False)
+class Circumstances:
+    """What one arm meets, whatever the setting.
+
+    Attributes:
+        number: The arm's number.
+        fruit: Nominal joints that bring the tool to each of its fruit ``(M, n)``, rad or m.
+        poses: Calibration poses ``(P, n)``, spread evenly; a setting with fewer uses the first ones.
+        noise: How the tracker errs there, in standard deviations ``(P, 6)``.
+    """
+
+    number: int
+    fruit: Array
+    poses: Array
+    noise: Array
+
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
@@ -45,9 +69,6 @@ class Protocol:
         design: The plant that arms are drawn from.
         tolerances: Tolerance classes by name.
         model: What least squares identifies.
-        fruit: Nominal joints that bring the tool to each fruit ``(M, n)``, rad or m.
-        poses: Calibration poses ``(P, n)``, spread evenly; a setting with fewer uses the first ones.
-        residual_poses: Poses for learnt residuals ``(R, n)``.
     """
 
     config: StudyConfig
@@ -55,19 +76,11 @@ class Protocol:
     design: Plant
     tolerances: Mapping[str, Tolerances]
     model: ErrorModel
-    fruit: Array
-    poses: Array
-    residual_poses: Array
 
     @property
     def nominal(self) -> Geometry:
         """What the controller believes."""
         return self.design.arm.nominal
-
-    @cached_property
-    def wanted(self) -> Pose:
-        """Tool poses at the fruit ``(M,)``."""
-        return forward(self.nominal, self.fruit)
 
     def populations(self) -> list[list[Setting]]:
         """The settings by population: those that draw the same arms."""
@@ -82,40 +95,48 @@ class Protocol:
         tolerances = replace(self.tolerances[setting.tolerances], it_grade=setting.it_grade)
         return draw_plants(self.design, tolerances, len(arms), np.random.default_rng(parent))
 
-    def perfect_measurements(self, poses: int, noise: Noise) -> Measurements:
-        """What a tracker of this noise would see, if it did not err, of an arm that is as its controller believes."""
-        joints = self.poses[:poses]
-        pose, tracker = forward(self.nominal, joints), seen_by(self.design, noise)
-        return replace(
-            simulated_tracker(tracker, joints, np.random.default_rng(0)), position=pose.position, rotation=pose.rotation
+    def circumstances(self, arm: int) -> Circumstances:
+        """What an arm meets, by its number.
+
+        Raises:
+            InputError: If no joints are found that hold the tool upright.
+        """
+        count = max((setting.poses for setting in self.settings), default=0)
+        return Circumstances(
+            number=arm,
+            fruit=_upright_joints(self.nominal, self.config.fruit, self.stream(FRUIT, arm)),
+            poses=spread_joints(self.nominal, count, self.stream(POSES, arm)),
+            noise=self.stream(TRACKER, arm).normal(size=(count, 6)),
         )
 
     def stream(self, purpose: int, arm: int) -> np.random.Generator:
-        """The random numbers of an arm for a purpose: `TRACKER` or `RESIDUAL`."""
-        return _stream(self.config, purpose, arm)
+        """The random numbers of an arm for a purpose: `TRACKER`, `FRUIT`, `POSES` or `RESIDUAL`."""
+        return np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=(purpose, arm)))
 
 
 def prepared_study(config: StudyConfig) -> Protocol:
-    """Load and draw what all arms share.
+    """Load what a study needs, and try its first arms.
 
     Raises:
         InputError: If plant or tolerance class are unknown, poses are too few to calibrate with, or no fruit is found.
     """
     design = config.load_plant()
-    nominal = design.arm.nominal
-    protocol = Protocol(
-        config=config,
-        settings=config.settings(),
-        design=design,
-        tolerances=config.load_tolerances(),
-        model=link_model(nominal),
-        fruit=_upright_joints(nominal, config.fruit, _stream(config, FRUIT)),
-        poses=_spread_joints(nominal, max(config.poses), _stream(config, POSES)),
-        residual_poses=_spread_joints(nominal, config.residual_poses, _stream(config, RESIDUAL)),
-    )
-    for poses in {setting.poses for setting in protocol.settings if setting.poses}:
-        identify(protocol.model, nominal, protocol.perfect_measurements(poses, Noise(0.0, 0.0)))  # refuses too few
+    protocol = Protocol(config, config.settings(), design, config.load_tolerances(), link_model(design.arm.nominal))
+    ideal = Plant(design.name, design.arm, design.arm.nominal)
+    calibrated = {setting.poses: setting for setting in protocol.settings if setting.poses}
+    for arm in range(TRIED if calibrated else 1):
+        given = protocol.circumstances(arm)
+        for setting in calibrated.values():  # of an arm as its controller believes, by a tracker that does not err
+            perfect = replace(given, noise=np.zeros_like(given.noise))
+            identify(protocol.model, protocol.nominal, measured(ideal, setting, perfect))
     return protocol
+
+
+def measured(arm: Plant, setting: Setting, given: Circumstances) -> Measurements:
+    """What the setting's tracker sees of an arm at its calibration poses."""
+    instrument, joints = seen_by(arm, setting.noise), given.poses[: setting.poses]
+    scale = np.repeat([setting.noise.position_mm * 1e-3, math.radians(setting.noise.attitude_deg)], 3)
+    return tracked(instrument, joints, displace_pose(arm.tool_pose(joints), given.noise[: setting.poses] * scale))
 
 
 def seen_by(plant: Plant, noise: Noise) -> Plant:
@@ -130,16 +151,10 @@ def carrying(plant: Plant, payload_kg: float) -> Plant:
     return plant if plant.load is None else replace(plant, load=replace(plant.load, payload=payload_kg))
 
 
-def _stream(config: StudyConfig, *key: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=key))
-
-
-def _spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count, n)`` spread evenly over the joint ranges: so is every first part of them.
-
-    All arms share them. Drawn at random, a few poses would bend all results of a study by their luck: what dynamic
-    errors leave behind least squares depends on the poses more than what a tracker's noise leaves.
-    """
+def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
+    """Joints ``(count, n)`` spread evenly over the joint ranges (scrambled Halton): so is every first part of them."""
+    if not count:
+        return np.empty((0, nominal.joints))
     return np.asarray(qmc.scale(qmc.Halton(nominal.joints, rng=rng).random(count), nominal.lower, nominal.upper))
 
 
@@ -148,8 +163,8 @@ def _upright_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> 
     margin = GOAL_MARGIN * (nominal.upper - nominal.lower)
     inner = replace(nominal, lower=nominal.lower + margin, upper=nominal.upper - margin)
     found = np.empty((0, nominal.joints))
-    for _ in range(DRAWS):
-        joints = random_joints(inner, count, rng)
+    for _ in range(DRAWS // AT_ONCE):
+        joints = random_joints(inner, AT_ONCE * count, rng)
         upright = forward(nominal, joints).rotation[:, 2, 2] >= math.cos(MAX_TILT)
         found = np.concatenate([found, joints[upright]])
         if len(found) >= count:

@@ -36,6 +36,17 @@ class Outcomes:
     attitude: Array
 
 
+def gathered(outcomes: Sequence[Outcomes]) -> Outcomes:
+    """Outcomes of some arms each in one setting, as one."""
+    return Outcomes(
+        setting=outcomes[0].setting,
+        status=[text for part in outcomes for text in part.status],
+        iterations=[steps for part in outcomes for steps in part.iterations],
+        position=np.concatenate([part.position for part in outcomes]),
+        attitude=np.concatenate([part.attitude for part in outcomes]),
+    )
+
+
 def reach_status(missed: int, config: StudyConfig) -> str:
     """Status of an arm whose commands end at a joint limit, far from this many fruit by the calibration's own word."""
     if (config.fruit - missed) / config.fruit >= config.share:

@@ -1,8 +1,8 @@
 """Quantiles of the arms' errors per setting, each with a band from order statistics; mm and degrees.
 
 Up to `EXACT_ROWS` rows they are exact; beyond, t-digests (Dunning and Ertl 2019) keep memory flat. The i-th of N values
-stands at probability (i - 1/2) / N, in both (Hazen's definition). The band needs no assumption about the distribution:
-the number of values below the true quantile is binomial.
+stands at probability (i - 1/2) / N, in both (Hazen's definition). The 95 % band needs no assumption about the
+distribution. Its ends are open where so few arms cannot bound the quantile: below 5 % and above 95 % of fewer than 72.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow.dataset import Dataset
-from scipy.stats import binom
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.intervals import quantile_levels
 from pickenv.study.results.row_table import FIGURES
 from pickenv.study.results.streaming import SETTING, grouped
 
@@ -43,15 +43,15 @@ def quantiles_of(
 
     Returns:
         One row per setting, column and probability: the setting's columns, ``quantity``, ``arms``, ``probability``,
-        ``value`` and the 95 % band ``low``, ``high``; null where no arm of the setting has a result.
+        ``value`` and the 95 % band ``low``, ``high``; null for an end that is open, and where no arm has a result.
     """
     exact = rows.count_rows() <= exact_rows
     found: list[dict[str, Any]] = []
     for column in columns:
         value = {"value": pc.if_else(pc.is_nan(pc.field(column)), None, pc.field(column))}
         counted = grouped(rows, value, [("value", "hash_count", pc.CountOptions("only_valid"), "arms")])
-        levels = {n: band_levels(n, probabilities) for n in sorted(set(counted["arms"].to_pylist()))}
-        wanted = np.unique(np.concatenate([level.ravel() for level in levels.values()]))
+        levels = {n: _levels(n, probabilities) for n in sorted(set(counted["arms"].to_pylist()))}
+        wanted = np.unique([level for rows in levels.values() for row in rows for level in row if level is not None])
         if exact:
             table = grouped(rows, value, [("value", "hash_list", None, "values")])
             values = [_exact(listed.values.to_numpy(zero_copy_only=False), wanted) for listed in table["values"]]
@@ -62,26 +62,16 @@ def quantiles_of(
         for setting, arms, quantiles in zip(
             table.select(SETTING).to_pylist(), counted["arms"].to_pylist(), values, strict=True
         ):
-            low, middle, high = (quantiles[np.searchsorted(wanted, level)] for level in levels[arms])
-            for i, probability in enumerate(probabilities):
-                ends = (middle[i], low[i], high[i])
-                numbers = dict(zip(("value", "low", "high"), map(float, ends) if arms else [None] * 3, strict=True))
+            at = dict(zip(wanted.tolist(), quantiles.tolist(), strict=True)) if arms else {}
+            for probability, level in zip(probabilities, levels[arms], strict=True):
+                numbers = {name: at.get(place) for name, place in zip(("value", "low", "high"), level, strict=True)}
                 found.append(setting | {"quantity": column, "arms": arms, "probability": probability, **numbers})
     return pa.Table.from_pylist(found)
 
 
-def band_levels(count: int, probabilities: Sequence[float]) -> Array:
-    """Probabilities ``(3, P)`` of the lower end, the quantile and the upper end of a 95 % band.
-
-    Args:
-        count: Number of values N.
-        probabilities: Of the quantiles ``(P,)``.
-    """
-    p = np.asarray(probabilities, dtype=float)
-    n = max(count, 1)
-    low, high = binom.ppf(0.025, n, p), binom.ppf(0.975, n, p) + 1.0  # numbers of order statistics, from 1
-    ends = (np.clip((rank - 0.5) / n, 0.0, 1.0) for rank in (low, high))
-    return np.stack([*ends, p])[[0, 2, 1]]
+def _levels(count: int, probabilities: Sequence[float]) -> list[tuple[float | None, ...]]:
+    """Levels of each quantile of ``count`` values, of the lower and the upper end of its band."""
+    return [(float(p), *quantile_levels(count, p)) for p in probabilities]
 
 
 def _exact(values: Array, wanted: Array) -> Array:

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pyarrow.dataset import Dataset
 
-from pickenv.intervals import share_interval as wilson_interval
+from pickenv.intervals import share_interval
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.streaming import grouped
 
@@ -37,7 +37,7 @@ def yields_of(rows: Dataset, required_share: float) -> pa.Table:
         ],
     )
     counts = zip(table["within"].to_pylist(), table["arms"].to_pylist(), strict=True)
-    found = [(k / n, *wilson_interval(k, n)) for k, n in counts]
+    found = [(k / n, *share_interval(k, n)) for k, n in counts]
     for name, values in zip(("yield", "yield_low", "yield_high"), zip(*found, strict=True), strict=True):
         table = table.append_column(name, pa.array(values, pa.float64()))
     return table

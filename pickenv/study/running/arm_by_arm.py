@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import pose_error
 from pickenv.arm.plant.plant import Plant
@@ -25,8 +26,8 @@ from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.errors import InputError
 from pickenv.study.design.config import LS, RAW, Setting
-from pickenv.study.design.protocol import RESIDUAL, TRACKER, Protocol, carrying, seen_by
-from pickenv.study.results.outcomes import Outcomes, chunk_table, reach_status
+from pickenv.study.design.protocol import RESIDUAL, Circumstances, Protocol, carrying, measured, seen_by, spread_joints
+from pickenv.study.results.outcomes import Outcomes, chunk_table, gathered, reach_status
 from pickenv.study.results.row_table import OK
 from pickenv.threads import single_threaded
 
@@ -51,82 +52,70 @@ def evaluate_chunk(protocol: Protocol, chunk: int) -> pa.Table:
     arms = protocol.config.arms_of(chunk)
     populations = []
     with single_threaded():
+        each = [protocol.circumstances(arm) for arm in arms]
         for settings in protocol.populations():
             plants = protocol.draw(settings[0], arms)
-            found = [evaluate_arm(protocol, settings, plant_at(plants, i), arm) for i, arm in enumerate(arms)]
-            populations.append((plants, [_gathered(outcomes) for outcomes in zip(*found, strict=True)]))
+            found = [evaluate_arm(protocol, settings, plant_at(plants, i), given) for i, given in enumerate(each)]
+            populations.append((plants, [gathered(outcomes) for outcomes in zip(*found, strict=True)]))
     return chunk_table(protocol, arms, populations)
 
 
-def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, number: int) -> list[Outcomes]:
+def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, given: Circumstances) -> list[Outcomes]:
     """Calibrate and judge one true arm in several settings.
 
     Args:
         protocol: The study.
         settings: The settings; the arm need not be of their populations.
         arm: The true arm.
-        number: Its number, which picks its random numbers.
+        given: Its fruit, its calibration poses and how its tracker errs.
 
     Returns:
         For each setting, the outcomes of one arm.
     """
     known: dict[tuple[Any, ...], ArmCommands] = {}
     outcomes = []
+    wanted = forward(protocol.nominal, given.fruit)
     for setting in settings:
         key = (setting.method, setting.poses, setting.noise)
         if key not in known:  # a payload changes where the arm ends, not what it is told
-            known[key] = arm_commands(protocol, setting, arm, number)
-        given = known[key]
-        error = pose_error(protocol.wanted, carrying(arm, setting.payload_kg).tool_pose(given.joints))
+            known[key] = arm_commands(protocol, setting, arm, given)
+        told = known[key]
+        error = pose_error(wanted, carrying(arm, setting.payload_kg).tool_pose(told.joints))
         position, attitude = (np.linalg.norm(part, axis=1)[None] for part in (error[:, :3], error[:, 3:]))
-        outcomes.append(Outcomes(setting, [given.status], [given.iterations], position, attitude))
+        outcomes.append(Outcomes(setting, [told.status], [told.iterations], position, attitude))
     return outcomes
 
 
-def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, number: int) -> ArmCommands:
+def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, given: Circumstances) -> ArmCommands:
     """Calibrate one arm as the setting says, and correct its commands."""
     if setting.method == RAW:
-        return ArmCommands(protocol.fruit)
+        return ArmCommands(given.fruit)
     try:
-        compensator, iterations = _calibrated(protocol, setting, arm, number)
+        compensator, iterations = _calibrated(protocol, setting, arm, given)
     except InputError as error:
-        return ArmCommands(protocol.fruit, str(error))
+        return ArmCommands(given.fruit, str(error))
     except np.linalg.LinAlgError as error:
-        return ArmCommands(protocol.fruit, f"the identification broke down: {error}")
-    joints = compensator(protocol.fruit)
-    miss = np.linalg.norm(compensator.predict(joints).position - protocol.wanted.position, axis=1)
+        return ArmCommands(given.fruit, f"the identification broke down: {error}")
+    joints, wanted = compensator(given.fruit), forward(protocol.nominal, given.fruit).position
+    miss = np.linalg.norm(compensator.predict(joints).position - wanted, axis=1)
     limited = ((joints <= protocol.nominal.lower) | (joints >= protocol.nominal.upper)).any(axis=1)
     missed = int(np.sum(limited & (miss > 1e-3 * protocol.config.radius_mm)))
     return ArmCommands(joints, reach_status(missed, protocol.config), iterations)
 
 
-def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, number: int) -> tuple[Compensator, int]:
+def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, given: Circumstances) -> tuple[Compensator, int]:
     """The compensator of one arm, and the steps of its least squares."""
-    measured = seen_by(arm, setting.noise)
-    noise = protocol.stream(TRACKER, number)
-    found = identify_converged(
-        protocol.model, protocol.nominal, simulated_tracker(measured, protocol.poses[: setting.poses], noise)
-    )
+    found = identify_converged(protocol.model, protocol.nominal, measured(arm, setting, given))
     iterations = len(found.residual_rms) - 1
     _, _, kind = setting.method.partition(f"{LS}+")
     if not kind:
         return Compensator(protocol.nominal, found.geometry), iterations
-    rng = protocol.stream(RESIDUAL, number)
-    further = simulated_tracker(measured, protocol.residual_poses, rng)
+    rng = protocol.stream(RESIDUAL, given.number)
+    joints = spread_joints(protocol.nominal, protocol.config.residual_poses, rng)
+    further = simulated_tracker(seen_by(arm, setting.noise), joints, rng)
     targets = further.difference(found.arm_model)
     learnt = fit_residual(kind, further.joints, targets, further.prismatic, rng)
     calibration = Calibration(
         protocol.design.arm.name, protocol.nominal, protocol.nominal, ArmModel.of(found.geometry), learnt, record={}
     )
     return calibration.compensator(), iterations
-
-
-def _gathered(outcomes: Sequence[Outcomes]) -> Outcomes:
-    """The outcomes of single arms in one setting, as one."""
-    return Outcomes(
-        setting=outcomes[0].setting,
-        status=[text for part in outcomes for text in part.status],
-        iterations=[steps for part in outcomes for steps in part.iterations],
-        position=np.concatenate([part.position for part in outcomes]),
-        attitude=np.concatenate([part.attitude for part in outcomes]),
-    )

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -27,10 +28,10 @@ from pickenv.arm.plant.tree import tree_map
 from pickenv.calibration.compensation.compensator import Compensator, corrected
 from pickenv.errors import InputError
 from pickenv.study.design.config import RAW, Setting
-from pickenv.study.design.protocol import TRACKER, Protocol, carrying
-from pickenv.study.results.outcomes import Outcomes, chunk_table, reach_status
+from pickenv.study.design.protocol import Circumstances, Protocol, carrying
+from pickenv.study.results.outcomes import Outcomes, chunk_table, gathered, reach_status
 from pickenv.study.running.arm_by_arm import evaluate_arm
-from pickenv.study.running.batched_identification import Place, identify_batch
+from pickenv.study.running.batched_identification import Place, components, identify_batch
 from pickenv.threads import torch_on_one_thread
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
@@ -42,7 +43,7 @@ class _Commands:
     """What N arms are told.
 
     Attributes:
-        joints: Components ``(M, N)`` or, without calibration, ``(M, 1)``, rad or m.
+        joints: Components ``(M, N)``, rad or m.
         missed: Fruit out of each arm's reach ``(N,)``, as far as its calibration can say.
         steps: Least-squares steps ``(N,)``.
         converged: Whether the arm was calibrated here ``(N,)``; the others are handed over.
@@ -58,20 +59,21 @@ def evaluate_batch(protocol: Protocol, chunk: int, device: str = "cpu") -> pa.Ta
     """The rows of a chunk of arms."""
     place = partial(torch.as_tensor, dtype=torch.float64, device=device)
     arms = protocol.config.arms_of(chunk)
-    size = max(1, BLOCKS[device] // max(protocol.config.fruit, len(protocol.poses)))
+    size = _block_size(protocol, device)
     blocks = [range(first, min(first + size, arms.stop)) for first in range(arms.start, arms.stop, size)]
     with torch_on_one_thread():
         return pa.concat_tables([_evaluate_block(protocol, block, place) for block in blocks])
 
 
-def judge_ideally(protocol: Protocol, setting: Setting, plants: Plant) -> Outcomes:
-    """Any batch of arms in one setting, calibrated with a tracker that does not err: what the arms alone make of it."""
+def judge_batch(protocol: Protocol, setting: Setting, plants: Plant, given: Sequence[Circumstances]) -> Outcomes:
+    """Any batch of arms in one setting, each in the circumstances that are given for it, on this processor."""
     place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
-    count = len(plants.geometry.alpha)
-    noise = np.zeros((count, setting.poses, 6)) if setting.poses else None
+    size, parts = _block_size(protocol, "cpu"), []
     with torch_on_one_thread():
-        (found,) = _outcomes(protocol, [setting], plants, range(count), noise, place)
-    return found
+        for first in range(0, len(given), size):
+            part = slice(first, first + size)
+            parts += _outcomes(protocol, [setting], plants_on(plants, itemgetter(part)), given[part], place)
+    return gathered(parts)
 
 
 def check_device(device: str) -> None:
@@ -86,35 +88,40 @@ def check_device(device: str) -> None:
         raise InputError("torch sees no CUDA device on this machine; give --device cpu")
 
 
+def _block_size(protocol: Protocol, device: str) -> int:
+    """Arms worked on together."""
+    return max(1, BLOCKS[device] // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
+
+
 def _evaluate_block(protocol: Protocol, arms: range, place: Place) -> pa.Table:
-    longest = max(setting.poses for setting in protocol.settings)
-    noise = np.array([protocol.stream(TRACKER, arm).normal(size=(longest, 6)) for arm in arms]) if longest else None
+    given = [protocol.circumstances(arm) for arm in arms]
     populations = []
     for settings in protocol.populations():
         plants = protocol.draw(settings[0], arms)
-        populations.append((plants, _outcomes(protocol, settings, plants, arms, noise, place)))
+        populations.append((plants, _outcomes(protocol, settings, plants, given, place)))
     return chunk_table(protocol, arms, populations)
 
 
 def _outcomes(
-    protocol: Protocol, settings: Sequence[Setting], plants: Plant, arms: range, noise: Array | None, place: Place
+    protocol: Protocol, settings: Sequence[Setting], plants: Plant, given: Sequence[Circumstances], place: Place
 ) -> list[Outcomes]:
     """Outcomes of all arms of one population in each of its settings."""
     placed = plants_on(plants, place)
-    wanted = _wanted(protocol, place)
+    targets = components([one.fruit for one in given], place)
+    wanted = tool_frame(torch, chain_of(protocol.nominal), targets)
     known: dict[tuple[Any, ...], _Commands] = {}
     found = []
     for setting in settings:
         key = (setting.method, setting.poses, setting.noise)
         if key not in known:
-            known[key] = _commands(protocol, setting, placed, noise, wanted, place)
-        given = known[key]
-        error = frame_error(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, given.joints))
-        position, attitude = (_norms(part, len(arms)) for part in (error[:3], error[3:]))
-        status = [reach_status(int(missed), protocol.config) for missed in given.missed]
-        steps = given.steps.tolist()
-        for i in np.flatnonzero(~given.converged).tolist():
-            (alone,) = evaluate_arm(protocol, [setting], plant_at(plants, i), arms[i])
+            known[key] = _commands(protocol, setting, placed, given, (targets, wanted), place)
+        told = known[key]
+        error = frame_error(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, told.joints))
+        position, attitude = (_norms(part, len(given)) for part in (error[:3], error[3:]))
+        status = [reach_status(int(missed), protocol.config) for missed in told.missed]
+        steps = told.steps.tolist()
+        for i in np.flatnonzero(~told.converged).tolist():
+            (alone,) = evaluate_arm(protocol, [setting], plant_at(plants, i), given[i])
             status[i], steps[i] = alone.status[0], alone.iterations[0]
             position[i], attitude[i] = alone.position[0], alone.attitude[0]
         found.append(Outcomes(setting, status, steps, position, attitude))
@@ -122,16 +129,19 @@ def _outcomes(
 
 
 def _commands(
-    protocol: Protocol, setting: Setting, plants: Plant, noise: Array | None, wanted: Frame, place: Place
+    protocol: Protocol,
+    setting: Setting,
+    plants: Plant,
+    given: Sequence[Circumstances],
+    fruit: tuple[list[Tensor], Frame],
+    place: Place,
 ) -> _Commands:
-    """Calibrate all arms as the setting says, and correct their commands."""
-    count = len(plants.geometry.alpha)
-    targets = [place(column[:, None].copy()) for column in protocol.fruit.T]
+    """Calibrate all arms as the setting says, and correct their commands for these targets and wanted frames."""
+    count, (targets, wanted) = len(given), fruit
     if setting.method == RAW:
         none = np.zeros(count, dtype=np.int64)
         return _Commands(targets, none, none, np.ones(count, dtype=bool))
-    assert noise is not None, "a calibrated setting has poses"
-    found = identify_batch(protocol, setting, plants, noise[:, : setting.poses], place)
+    found = identify_batch(protocol, setting, plants, given, place)
     chain = tree_map(place, chain_of(found.geometry, np))
     chains = (chain_of(protocol.nominal), chain)
     joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)
@@ -147,15 +157,8 @@ def _limited(protocol: Protocol, command: Sequence[Tensor], count: int) -> NDArr
     return np.asarray(torch.stack(each).any(0).expand(-1, count).cpu().numpy().T)
 
 
-def _wanted(protocol: Protocol, place: Place) -> Frame:
-    """Tool frames at the fruit, components ``(M, 1)``."""
-    pose = protocol.wanted
-    axes = [place(pose.rotation[:, row, column, None].copy()) for column in range(3) for row in range(3)]
-    return (*axes, *(place(pose.position[:, i, None].copy()) for i in range(3)))
-
-
 def _norms(components: Sequence[Tensor], count: int) -> Array:
-    """Norms of vectors of three components ``(M, N)`` or ``(M, 1)``, as an array ``(N, M)``."""
+    """Norms of vectors of three components ``(M, N)``, as an array ``(N, M)``."""
     x, y, z = components
     norms = torch.sqrt(x * x + y * y + z * z)
     return np.ascontiguousarray(norms.expand(-1, count).cpu().numpy().T)

@@ -1,14 +1,15 @@
 """Rank-aware least squares of many arms at once, step by step as `least_squares` takes them.
 
-All arms start at the nominal geometry and share their poses and tracker, so the redundant parameters are the same for
-all, and so is the first Jacobian. Only undamped steps are taken: an arm that needs more is said so. Components are
-``(P, N)``: poses first, arms last. SI units.
+All arms start at the nominal geometry. What is redundant follows from each arm's own poses, and is nearly always the
+same; an arm with others, or one that needs more than undamped steps, is said so. Components are ``(P, N)``: poses
+first, arms last. SI units.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -22,10 +23,11 @@ from pickenv.arm.kinematics.pose_error import displaced_frame, frame_error
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import with_links
 from pickenv.arm.plant.tree import tree_map
-from pickenv.calibration.identification.least_squares import identify, judged_step
+from pickenv.calibration.identification.least_squares import judged_step
 from pickenv.calibration.model.error_model import ErrorModel
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
 from pickenv.study.design.config import Setting
-from pickenv.study.design.protocol import Protocol, seen_by
+from pickenv.study.design.protocol import Circumstances, Protocol, measured
 
 STEPS = 10
 """Steps before an arm counts as one that needs more; three or four are usual."""
@@ -41,7 +43,7 @@ class BatchIdentification:
     Attributes:
         geometry: Link parameters ``(N, n)``.
         steps: Least-squares steps of each arm ``(N,)``.
-        converged: Whether undamped steps led to the minimum ``(N,)``.
+        converged: Whether the usual parameters and undamped steps led to the minimum ``(N,)``.
     """
 
     geometry: Geometry
@@ -51,12 +53,12 @@ class BatchIdentification:
 
 @dataclass(frozen=True, eq=False)
 class _Tracker:
-    """Poses and weights that all arms share.
+    """Poses, and the weights and parameters that all arms share.
 
     Attributes:
-        joints: Components ``(P, 1)``, rad or m.
+        joints: Components ``(P, N)``, rad or m.
         weights: One over the standard uncertainty of the six rows of a pose.
-        model: The identifiable parameters.
+        model: The parameters.
     """
 
     joints: list[Tensor]
@@ -65,7 +67,7 @@ class _Tracker:
 
 
 def identify_batch(
-    protocol: Protocol, setting: Setting, plants: Plant, noise: Array, place: Place
+    protocol: Protocol, setting: Setting, plants: Plant, given: Sequence[Circumstances], place: Place
 ) -> BatchIdentification:
     """Measure and identify many arms.
 
@@ -73,27 +75,33 @@ def identify_batch(
         protocol: The study.
         setting: Poses and tracker.
         plants: The true arms, where torch computes.
-        noise: Standard normal numbers ``(N, P, 6)``: how the tracker errs.
+        given: What each of them meets.
         place: Puts arrays there.
     """
-    tracker = _tracker(protocol, setting, place)
-    std = seen_by(protocol.design, setting.noise).measurement_noise
-    assert std is not None, "seen_by gives every plant a tracker"
-    error = place(np.moveaxis(noise * np.repeat([std.position_std, std.attitude_std], 3), -1, 0).swapaxes(1, 2).copy())
-    measured = displaced_frame(torch, plants.tool_frame(torch, tracker.joints), list(error))
-    count, nominal = noise.shape[0], protocol.nominal
-    geometry = _displaced_links(nominal, tracker.model, np.zeros((count, len(tracker.model.columns))))
-    links, tool = _links(chain_of(nominal), tracker)
-    weighted = _residual(tracker, tool, measured)
-    matrix = _jacobian(protocol.nominal, tracker, links, tool)
+    nominal, count, poses = protocol.nominal, len(given), setting.poses
+    readings = measured(protocol.design, setting, given[0])  # for what its instrument is: weights and scatter
+    joints = components([one.poses[:poses] for one in given], place)
+    whole = _Tracker(joints, place(readings.row_weights), protocol.model)
+    noise, std = np.stack([one.noise[:poses] for one in given], axis=1), setting.noise
+    scale = np.repeat([std.position_mm * 1e-3, math.radians(std.attitude_deg)], 3)
+    error = place(np.ascontiguousarray(np.moveaxis(noise * scale, -1, 0)))
+    seen = displaced_frame(torch, plants.tool_frame(torch, joints), list(error))
+    links, tool = _links(chain_of(nominal), whole)
+    weighted = _residual(whole, tool, seen)
+    matrix = _jacobian(nominal, whole, links, tool)
+    kept, usual = _usual_parameters(matrix)
+    matrix = matrix[:, :, torch.as_tensor(kept)]
+    columns, names = whole.model.columns[kept], tuple(whole.model.names[k] for k in kept)
+    tracker = replace(whole, model=ErrorModel(columns, names, whole.model.tolerance[kept]))
+    geometry = _displaced_links(nominal, tracker.model, np.zeros((count, len(kept))))
     history = _rms(weighted)
-    running = torch.ones_like(history, dtype=torch.bool)
-    converged, steps = ~running, torch.zeros_like(history, dtype=torch.int64)
+    running = torch.as_tensor(usual, device=history.device)
+    converged, steps = torch.zeros_like(running), torch.zeros_like(history, dtype=torch.int64)
     for _ in range(STEPS):
         step, sound = _solve(matrix, weighted)
         moved = _displaced_links(geometry, tracker.model, step.cpu().numpy() * tracker.model.tolerance)
         links, tool = _links(tree_map(place, chain_of(moved, np)), tracker)
-        moved_weighted = _residual(tracker, tool, measured)
+        moved_weighted = _residual(tracker, tool, seen)
         rms = _rms(moved_weighted)
         # From here on as in `least_squares`, arm by arm; what it would shorten is left to it.
         _, negligible, better, finished = judged_step(step, (matrix @ step[:, :, None])[..., 0], weighted, history, rms)
@@ -110,13 +118,34 @@ def identify_batch(
     return BatchIdentification(geometry, steps.cpu().numpy(), converged.cpu().numpy())
 
 
-def _tracker(protocol: Protocol, setting: Setting, place: Place) -> _Tracker:
-    reference = protocol.perfect_measurements(setting.poses, setting.noise)
-    model = protocol.model
-    kept = identify(model, protocol.nominal, reference, max_iterations=1).identifiability.kept
-    identifiable = ErrorModel(model.columns[kept], tuple(model.names[k] for k in kept), model.tolerance[kept])
-    joints = [place(column[:, None].copy()) for column in reference.joints.T]
-    return _Tracker(joints, place(reference.row_weights), identifiable)
+def components(each: Sequence[Array], place: Place) -> list[Tensor]:
+    """Joints of N arms ``(M, n)`` as n components ``(M, N)``, where torch computes."""
+    return [place(np.ascontiguousarray(column)) for column in np.moveaxis(np.stack(each, axis=1), -1, 0)]
+
+
+def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The parameters ``(K,)`` that most arms can identify, and which arms those are ``(N,)``; as `identifiability`.
+
+    Args:
+        matrix: Stacked, scaled Jacobians ``(N, rows, P)``, in order of preference.
+    """
+    rows, parameters = matrix.shape[1:]
+    r = matrix if rows <= parameters else torch.linalg.qr(matrix, mode="r").R
+    threshold = REDUNDANCY_TOLERANCE * torch.linalg.vector_norm(r, dim=1).amax(1)
+    basis = torch.zeros_like(r)
+    masks: list[Tensor] = []
+    for k in range(parameters):
+        rest = r[:, :, k, None]
+        for _ in range(2):
+            rest = rest - basis @ (basis.mT @ rest)
+        size = torch.linalg.vector_norm(rest, dim=1)
+        mask = (size[:, 0] > threshold) & (sum(masks, torch.zeros_like(threshold)) < r.shape[1])
+        basis[:, :, k] = torch.where(mask[:, None], rest[..., 0] / size, 0.0)
+        masks.append(mask)
+    found = torch.stack(masks, dim=1).cpu().numpy()
+    patterns, which, counts = np.unique(found, axis=0, return_inverse=True, return_counts=True)
+    most = int(np.argmax(counts))
+    return np.flatnonzero(patterns[most]), np.ravel(which) == most
 
 
 def _links(chain: Chain, tracker: _Tracker) -> tuple[list[Frame], Frame]:
@@ -132,7 +161,7 @@ def _residual(tracker: _Tracker, tool: Frame, measured: Frame) -> Tensor:
 
 
 def _jacobian(nominal: Geometry, tracker: _Tracker, links: Sequence[Frame], tool: Frame) -> Tensor:
-    """Whitened derivatives ``(N, 6P, K)`` by the identifiable parameters, in tolerances; one for all arms if N is 1."""
+    """Whitened derivatives ``(N, 6P, K)`` by the parameters, in tolerances."""
     model = tracker.model
     shape = torch.broadcast_shapes(*(value.shape for value in tool[9:]))
     columns = torch.zeros((6, *shape, len(model.columns)), dtype=torch.float64, device=tracker.weights.device)
@@ -153,8 +182,7 @@ def _solve(matrix: Tensor, weighted: Tensor) -> tuple[Tensor, Tensor]:
     turned = matrix.mT
     factor, failed = torch.linalg.cholesky_ex(turned @ matrix)
     right = turned @ weighted[..., None]
-    step = torch.cholesky_solve(right, factor.expand(len(right), -1, -1))[..., 0]
-    return step, (failed == 0).expand(len(right))
+    return torch.cholesky_solve(right, factor)[..., 0], failed == 0
 
 
 def _rms(weighted: Tensor) -> Tensor:

@@ -15,7 +15,8 @@ from pickenv.locks import locked
 from pickenv.study.design.config import LS, RAW, StudyConfig
 from pickenv.study.design.protocol import Protocol, prepared_study
 from pickenv.study.results import study_folder
-from pickenv.study.results.row_table import Study, write_chunk
+from pickenv.study.results.held_rows import held
+from pickenv.study.results.row_table import Study, setting_columns, write_chunk
 from pickenv.study.running.runners import Crew, Executor, Work, load_executor, run_serial
 
 BATCHED = "batched"
@@ -75,7 +76,7 @@ def run_study(
                 write_chunk(folder, chunk, rows, study)
                 done += len(config.arms_of(chunk))
                 report(done, config.arms)
-        return _summary(study, folder, executor, time.perf_counter() - begin, reused)
+        return _summary(protocol, study, folder, executor, time.perf_counter() - begin, reused)
 
 
 def _batched_run(crew: Crew, device: str) -> Executor:
@@ -98,11 +99,14 @@ def _work(protocol: Protocol, executor: str, device: str) -> Work:
     return partial(evaluate_batch, protocol, device=device)
 
 
-def _summary(study: Study, folder: Path, executor: str, seconds: float, reused: int) -> dict[str, Any]:
+def _summary(
+    protocol: Protocol, study: Study, folder: Path, executor: str, seconds: float, reused: int
+) -> dict[str, Any]:
     from pickenv.study.results.quantiles import quantiles_of
     from pickenv.study.results.yields import yields_of
 
     config, rows = study.config, study_folder.read_rows(folder)
+    yields = yields_of(rows, config.share).to_pylist()
     quantiles = [{key: _known(value) for key, value in row.items()} for row in quantiles_of(rows).to_pylist()]
     summary = {
         "plant": config.plant,
@@ -119,12 +123,24 @@ def _summary(study: Study, folder: Path, executor: str, seconds: float, reused: 
         "chunks_reused": reused,
         "config_sha256": study.sha256,
         "table_sha256": study_folder.table_sha256(folder),
-        "yield": yields_of(rows, config.share).to_pylist(),
+        "yield": yields,
         "quantiles_mm": [row for row in quantiles if row["quantity"].endswith("_mm")],
         "quantiles_deg": [row for row in quantiles if row["quantity"].endswith("_deg")],
+        "components": [_components(protocol, row["setting"]) for row in held(yields, ("method",))],
     }
     # The summary comes last: where it stands, the study is complete.
     return study_folder.write_record(folder / study_folder.SUMMARY, summary)
+
+
+def _components(protocol: Protocol, number: int) -> dict[str, Any]:
+    """What the differences between arms come from in a setting that stands for its method, or why it is not known."""
+    from pickenv.study.running.components import components_of
+
+    setting = protocol.settings[number]
+    try:
+        return setting_columns(setting) | {"shares": components_of(protocol, setting), "missing": None}
+    except InputError as error:
+        return setting_columns(setting) | {"shares": [], "missing": str(error)}
 
 
 def _known(value: Any) -> Any:

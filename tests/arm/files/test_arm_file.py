@@ -76,6 +76,8 @@ def test_base_and_tool_are_read(write):
     g = load_arm(path).nominal
     np.testing.assert_allclose(g.base.position, [0, 0, 0.9])
     np.testing.assert_allclose(g.tool.rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(g.base.rotation, np.eye(3))  # what is left out moves nothing
+    np.testing.assert_array_equal(g.tool.position, np.zeros(3))
 
 
 def test_an_edited_file_is_read_again(write):

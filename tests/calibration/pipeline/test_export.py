@@ -8,9 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.arm import forward, load_arm, rotation_matrix
+from pickenv.arm.files.arm_file import ARMS
 from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
-from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.terms import ThermalTerm
+from pickenv.calibration.pipeline.calibration import Remainder
 from pickenv.calibration.pipeline.export import arm_toml, provenance, write_arm_toml, write_arm_urdf, write_onnx
 from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.errors import InputError
@@ -129,3 +132,40 @@ def test_what_has_no_onnx_form_is_refused(calibration, dynamic, tmp_path):
     with pytest.raises(InputError, match="'rbf' cannot be written as ONNX"):
         write_onnx(replace(calibration, learnt=rbf), tmp_path / "r.onnx")
     assert not (tmp_path / "r.onnx").exists()
+
+
+def test_a_joints_table_is_that_of_the_link_that_moves_just_as_it_does(calibration, tmp_path):
+    """Of two links that one joint moves the second has ratio 1, so the first follows it, by half."""
+    parts = (ARMS / "qiao2026.toml").read_text(encoding="utf-8").split("[[joints]]")
+    kept = [line for line in parts[2].splitlines() if not line.startswith(("lower", "upper", "speed"))]
+    parts[2] = "\n".join(kept) + "\nfollows = 3\nratio = 0.5\n\n"
+    (tmp_path / "coupled.toml").write_text("[[joints]]".join(parts), encoding="utf-8")
+    arm = load_arm(tmp_path / "coupled.toml")
+    assert arm.nominal.coupling.joint[:3] == (0, 1, 1) and arm.nominal.coupling.ratio[:3] == (1.0, 0.5, 1.0)
+    moved = replace(calibration, model=ArmModel.of(arm.nominal), learnt=None)
+    path = write_arm_toml(moved, arm, tmp_path / "again.toml")
+    again = load_arm(path)
+    assert again.nominal.coupling == arm.nominal.coupling and path.read_text().count("follows = 3") == 1
+    joints = random_joints(arm.nominal, 10, np.random.default_rng(0))
+    same_kinematics(again.nominal, arm.nominal, joints, 1e-12)
+    np.testing.assert_allclose(again.nominal.upper, arm.nominal.upper)
+    np.testing.assert_allclose(again.speed, arm.speed)
+
+
+@pytest.mark.parametrize("knows", [False, True])
+def test_what_remains_is_terms_and_learnt_residual_each_with_its_own_conditions(qiao, knows):
+    """A residual that was learnt without temperatures is not given the one that the terms need."""
+    rng = np.random.default_rng(0)
+    joints, warmth = random_joints(qiao.nominal, 40, rng), rng.uniform(0.0, 10.0, (40, 1))
+    errors, known = 1e-4 * rng.normal(size=(40, 3)), warmth if knows else None
+    learnt = fit_residual("rbf", joints, errors, qiao.nominal.prismatic, rng, conditions=known)
+    model = ArmModel.of(qiao.nominal, (ThermalTerm(),))
+    change = np.zeros(len(model.parameter_names))
+    change[-1] = 23e-6
+    model, later = model.displaced(change), random_joints(qiao.nominal, 6, rng)
+    found = Remainder(model, learnt, Conditions(temperature=np.array([8.0]))).predict(later.reshape(2, 3, 6))
+    expected = model.displacement(later, Conditions(temperature=np.full(6, 8.0)))
+    expected[:, :3] += learnt.predict(later, np.full((6, 1), 8.0) if knows else None)
+    np.testing.assert_allclose(found.reshape(6, 6), expected, atol=1e-15)
+    plain = Remainder(ArmModel.of(qiao.nominal), None, Conditions())
+    np.testing.assert_array_equal(plain.predict(later), np.zeros((6, 6)))

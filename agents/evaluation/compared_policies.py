@@ -1,0 +1,127 @@
+"""What a name on the command line stands for: a kind of policy, a shipped one, a file, or a folder of trainings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pickenv.agents.evaluation.rollout import PolicyMaker
+from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
+from pickenv.agents.policies.learned import load_policy
+from pickenv.agents.policies.oracle import OracleReach
+from pickenv.agents.policies.policy import Policy
+from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
+from pickenv.agents.policies.servo import ServoReach
+from pickenv.envs.shared.task import FEEDBACK
+from pickenv.errors import InputError
+
+CALIBRATED_PRIOR = 0.2
+"""Share of the parameters' tolerances that an adaptive policy expects to be left behind a calibration."""
+
+SEQUENTIAL_STEPS = 30
+"""Steps of an episode of a policy that learns from pick to pick: the longest way takes 20."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of policy.
+
+    Attributes:
+        feedback: What it can use: "encoders", "camera".
+        sequential: Whether it learns from episode to episode.
+        raw_only: Whether a compensator would only stand in its way.
+        files: Of a learned policy, one per training seed; else empty.
+    """
+
+    feedback: tuple[str, ...] = FEEDBACK
+    sequential: bool = False
+    raw_only: bool = False
+    files: tuple[str, ...] = ()
+
+    @property
+    def steps(self) -> int:
+        """Steps of an episode."""
+        return SEQUENTIAL_STEPS if self.sequential else 60
+
+
+PLAIN: Mapping[str, Callable[[Any], Policy]] = {"scripted": ScriptedReach, "oracle": OracleReach, "servo": ServoReach}
+
+KINDS: Mapping[str, Kind] = {
+    "random": Kind(("encoders",)),
+    "scripted": Kind(("encoders",)),
+    "oracle": Kind(("encoders",), raw_only=True),
+    "servo": Kind(("camera",)),
+    "adaptive": Kind(("camera",), sequential=True),
+}
+
+
+def kind_of(name: str) -> Kind:
+    """What kind of policy a name stands for.
+
+    Raises:
+        InputError: If it is no kind, no shipped policy, no policy file and no folder of one training with several
+            seeds.
+    """
+    if name in KINDS:
+        return KINDS[name]
+    if Path(name).is_dir():
+        files = tuple(str(path) for path in sorted(Path(name).glob("*/policy.npz")))
+        return Kind(_feedback_of(name, files), files=files)
+    try:
+        policy = load_policy(name)
+    except InputError as error:
+        if name.endswith(".npz"):
+            raise
+        raise InputError(
+            f"unknown policy '{name}'; give {', '.join(KINDS)}, a shipped baseline, a file or a folder of trainings"
+        ) from error
+    return Kind(("camera",) if policy.scaling.camera else ("encoders",), files=(name,))
+
+
+def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw") -> PolicyMaker:
+    """How a policy is made for an environment, from a seed.
+
+    Args:
+        name: Of `KINDS`, of a shipped policy, or a policy file.
+        camera_noise_mm: Noise that an adaptive policy expects, per axis.
+        compensation: What it stands behind.
+    """
+
+    def make(env: Any, seed: int) -> Policy:
+        if name == "random":
+            return RandomReach(env, np.random.default_rng(seed))
+        if name in PLAIN:
+            return PLAIN[name](env)
+        if name == "adaptive":
+            prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
+            return AdaptiveReach(env, AdaptiveSettings(camera_std=camera_noise_mm * 1e-3, prior=prior))
+        return load_policy(name, env.task.plant.arm)
+
+    return make
+
+
+def policy_name(name: str) -> str:
+    """How a policy is called in tables: files and folders by the end of their path."""
+    path = Path(name)
+    if name.endswith(".npz"):
+        return "/".join(path.with_suffix("").parts[-3:])
+    return path.name if len(path.parts) > 1 else name
+
+
+def _feedback_of(folder: str, files: tuple[str, ...]) -> tuple[str, ...]:
+    """What the trainings of a folder can use; they must differ in their seeds alone."""
+    if not files:
+        raise InputError(f"{folder} holds no trainings; give a folder whose folders hold a policy.npz each, one a seed")
+    policies = [load_policy(file) for file in files]
+    trainings = [dict(policy.record.get("training", {})) for policy in policies]
+    seeds = [training.pop("seed", None) for training in trainings]
+    if len(set(seeds)) < len(seeds) or any(training != trainings[0] for training in trainings):
+        raise InputError(
+            f"{folder} holds trainings that differ in more than their seeds, or two of one seed; give one training "
+            "with several seeds, each in a folder of its own"
+        )
+    return ("camera",) if policies[0].scaling.camera else ("encoders",)

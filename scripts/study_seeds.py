@@ -1,0 +1,128 @@
+"""Does a tolerance study say the same at other seeds? Run it at several, and count the intervals that hold.
+
+    python scripts/study_seeds.py scripts/tolerance_study.toml scripts/tolerance_grades.toml --out runs/seeds
+
+For every yield of every seed: does its interval hold the mean of the other seeds? For every two settings that differ in
+grade or number of poses alone: do two seeds ever order them differently, and if so, both with an interval of the
+difference (same arms, so paired) that leaves zero out? Studies go on where they were stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pickenv.intervals import mean_interval
+from pickenv.study.design.config import StudyConfig, load_study
+from pickenv.study.results.study_folder import read_rows
+from pickenv.study.running.run_study import run_study
+
+AXES = ("it_grade", "poses")
+"""Numbers whose order is compared."""
+SETTING = ("tolerances", "it_grade", "method", "poses", "noise_mm", "payload_kg")
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What several seeds of a study say of one another.
+
+    Attributes:
+        held: Intervals that hold the mean of the other seeds' yields.
+        intervals: Of how many.
+        reordered: Pairs of settings that two seeds order differently.
+        contradicted: Those of them where both seeds' intervals of the difference leave zero out.
+        pairs: Pairs of settings that differ in one of `AXES` alone.
+    """
+
+    held: int
+    intervals: int
+    reordered: int
+    contradicted: int
+    pairs: int
+
+
+def seeds_agree(yields: Sequence[Sequence[dict[str, Any]]], within: Sequence[np.ndarray]) -> Agreement:
+    """Compare seeds.
+
+    Args:
+        yields: For each seed, the yields of its settings.
+        within: For each seed, whether each arm is within specification in each setting ``(settings, arms)``.
+    """
+    shares = np.array([[row["yield"] for row in rows] for rows in yields])
+    held = 0
+    for seed, rows in enumerate(yields):
+        others = np.delete(shares, seed, axis=0).mean(axis=0)
+        held += sum(row["yield_low"] <= other <= row["yield_high"] for row, other in zip(rows, others, strict=True))
+    reordered = contradicted = pairs = 0
+    for i, j in combinations(range(shares.shape[1]), 2):
+        one, other = yields[0][i], yields[0][j]
+        differ = [name for name in SETTING if one[name] != other[name]]
+        if len(differ) != 1 or differ[0] not in AXES:
+            continue
+        pairs += 1
+        gains = [seed[i].astype(float) - seed[j] for seed in within]
+        signs = {float(np.sign(gain.mean())) for gain in gains}
+        ends = [found for gain in gains if (found := mean_interval(gain)) is not None]
+        reordered += {-1.0, 1.0} <= signs
+        contradicted += any(low > 0.0 for low, _ in ends) and any(high < 0.0 for _, high in ends)
+    return Agreement(held, shares.size, reordered, contradicted, pairs)
+
+
+def studied(config: StudyConfig, seeds: Sequence[int], out: Path) -> list[dict[str, Any]]:
+    """The summaries of a study at these seeds, each in a folder of its own."""
+    found = []
+    for seed in seeds:
+        print(f"{out.name}, seed {seed} …", file=sys.stderr, flush=True)
+        found.append(run_study(replace(config, seed=seed), out / f"seed-{seed}", executor="batched"))
+    return found
+
+
+def within_specification(folder: Path, share: float) -> np.ndarray:
+    """Whether each arm of a study is within specification in each setting ``(settings, arms)``."""
+    table = (
+        read_rows(folder)
+        .to_table(columns=["setting", "arm", "share_within"])
+        .sort_by([("setting", "ascending"), ("arm", "ascending")])
+    )
+    good = table["share_within"].to_numpy() >= share
+    return np.asarray(good.reshape(len(table["setting"].unique()), -1))
+
+
+def agreement(config: StudyConfig, seeds: Sequence[int], out: Path) -> Agreement:
+    """Run a study at several seeds and compare them."""
+    summaries = studied(config, seeds, out)
+    within = [within_specification(out / f"seed-{seed}", config.share) for seed in seeds]
+    return seeds_agree([summary["yield"] for summary in summaries], within)
+
+
+def sentence(name: str, seeds: Sequence[int], found: Agreement) -> str:
+    """What was counted, in words."""
+    return (
+        f"{name}, {len(seeds)} seeds: {found.held} of {found.intervals} yield intervals "
+        f"({100 * found.held / found.intervals:.0f} %) hold the mean of the other seeds; of {found.pairs} pairs of "
+        f"grades or numbers of poses {found.reordered} change their order between seeds, {found.contradicted} of them "
+        "with intervals that exclude one another"
+    )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("configs", type=Path, nargs="+", help="studies (.toml)")
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(6)))
+    parser.add_argument("--out", type=Path, default=Path("runs/seeds"))
+    arguments = parser.parse_args()
+    for path in arguments.configs:
+        found = agreement(load_study(path), arguments.seeds, arguments.out / path.stem)
+        print(sentence(path.stem, arguments.seeds, found), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""docs/findings.md and README say the same, name their seeds, and show every figure."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FINDINGS = (ROOT / "docs" / "findings.md").read_text(encoding="utf-8")
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+POLICIES = {"scripted": "scripted", "PPO": "ppo_encoders", "visual servo": "servo", "PPO, camera": "ppo_camera"}
+CALIBRATIONS = {"LS+Gaussian process": "LS+GP"}
+
+
+def table(text: str, head: str) -> list[dict[str, str]]:
+    """The rows of the first table of a page whose head begins so."""
+    lines = text[text.index(f"\n| {head}") + 1 :].split("\n\n")[0].splitlines()
+    heads, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return [dict(zip(heads, row, strict=True)) for row in rows]
+
+
+def test_readme_shows_what_the_findings_found() -> None:
+    found = {
+        (row["policy"], row["feedback"], row["calibration"]): row["mean"]
+        for row in table(FINDINGS, "plant | policy | feedback | calibration")
+        if row["plant"] == "qiao2026"
+    }
+    rows = table(README, "policy | feedback | raw")
+    assert rows
+    for row in rows:
+        name = POLICIES["PPO, camera" if (row["policy"], row["feedback"]) == ("PPO", "camera") else row["policy"]]
+        for label, cell in row.items():
+            if label not in ("policy", "feedback"):
+                assert cell == found[name, row["feedback"], CALIBRATIONS.get(label, label)]
+
+
+def test_both_say_on_how_many_arms_and_fruit() -> None:
+    (said,) = re.findall(r"Final position errors of (\d+) arms per plant, (\d+) fruit each", FINDINGS)
+    assert f"Policies on {said[0]} arms" in README and f"({said[1]} fruit each" in README
+    assert "seed 0" in FINDINGS and "seed 0" in README
+
+
+def test_every_finding_is_one_sentence_and_one_figure_that_is_there() -> None:
+    findings = FINDINGS.split("\n# Tables")[0].split("\n## ")[1:]
+    assert len(findings) >= 4
+    for each in findings:
+        _, sentence, picture = each.strip().split("\n\n")
+        assert len(re.findall(r"[a-z)]\. [A-Z]", sentence)) <= 1
+        (name,) = re.findall(r"\((images/.+\.png)\)", picture)
+        assert (ROOT / "docs" / name).is_file()
+
+
+@pytest.mark.parametrize("text", ["bootstrap", "not significant"])
+def test_what_fell_is_gone(text: str) -> None:
+    assert text not in FINDINGS

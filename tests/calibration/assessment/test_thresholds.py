@@ -1,0 +1,323 @@
+"""Each sentence, caution and failure of a verdict, from both sides of the threshold that its docstring names."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pickenv.arm import forward, parameter_jacobian
+from pickenv.calibration import complete_model, identify, link_model, random_joints
+from pickenv.calibration.assessment.base_frame import base_frame_error
+from pickenv.calibration.assessment.quality import (
+    Completeness,
+    base_combinations,
+    correlated_pairs,
+    grade_quality,
+)
+from pickenv.calibration.assessment.screen import Block, figure, is_number, main_parts, unit_of
+from pickenv.calibration.assessment.states import HELD, LOST, MEASURED, States, parameter_states
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.error_model import frames_model, with_terms
+from pickenv.calibration.model.identifiability import Dropped, Identifiability
+from pickenv.calibration.model.prior import EXPECTED
+from pickenv.calibration.model.terms import ThermalTerm
+
+JUST = 1e-9
+
+
+@pytest.fixture(scope="module")
+def found(qiao, exact):
+    """An identification with spare equations, from measurements without noise."""
+    return identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.true, 40))
+
+
+def errors(size, count=40, seed=0):
+    """Position errors ``(count, 3)`` in all directions whose root mean square is ``size``, m."""
+    vectors = np.random.default_rng(seed).normal(size=(count, 3))
+    return size * vectors / np.sqrt(np.mean(np.sum(vectors**2, axis=1)))
+
+
+def cautions(found, trained=1e-4, after=1e-4, **more):
+    """What is said by way of caution of an arm whose error falls from 2 mm to ``after``."""
+    quality = grade_quality(found, errors(trained), errors(2e-3), errors(after), **more)
+    assert quality.grade == ("with care" if quality.findings[0].weight == "caution" else "good")
+    return [finding.text for finding in quality.findings if finding.weight == "caution"]
+
+
+def with_condition(found, condition):
+    values = np.linspace(condition, 1.0, found.identifiability.rank)
+    return replace(found, identifiability=replace(found.identifiability, singular_values=values))
+
+
+@pytest.mark.parametrize(("ratio", "noise"), [(2.0, "stated noise"), (0.5, "assumed noise"), (7.0, "stated noise")])
+def test_the_ratio_in_the_sentence_is_of_sizes_and_not_of_squares(ratio, noise):
+    freedom = 100
+    test = Completeness(ratio**2 * freedom, freedom, 1e-9, 1.0, noise)
+    assert (
+        f"what remains is {ratio:.2g} times the {noise} (reduced chi^2 {ratio**2:.3g}, 100 degrees" in test.sentence()
+    )
+
+
+def test_the_chi_square_test_rejects_below_5_percent_and_warns_below_two_and_a_half():
+    def said(p_value, p_small=1.0, freedom=10):
+        return Completeness(10.0, freedom, p_value, p_small).sentence()
+
+    assert "is complete for it" in said(0.05) and "p = 0.05)" in said(0.05)
+    assert "effects beyond the model" in said(0.05 - JUST)
+    assert "is complete for it" in said(0.9, 0.025)
+    assert "probably too large" in said(0.9, 0.025 - JUST)
+    assert said(0.9, freedom=0) == "there are no spare equations, so the model cannot be tested"
+    assert "1 degrees of freedom" in said(0.9, freedom=1)
+    assert np.isnan(Completeness(10.0, 0, 1.0, 0.0).reduced) and Completeness(10.0, 1, 1.0, 0.0).reduced == 10.0
+
+
+def test_a_condition_number_above_300_is_cautioned(found):
+    assert cautions(with_condition(found, 300.0)) == []
+    (said,) = cautions(with_condition(found, 300.1))
+    assert "the condition number is 300.1: some parameter combinations are hardly seen" in said
+
+
+def test_the_condition_is_that_of_the_geometry_without_further_terms(found):
+    assert cautions(with_condition(found, 500.0), geometric=with_condition(found, 100.0)) == []
+    assert len(cautions(with_condition(found, 100.0), geometric=with_condition(found, 500.0))) == 1
+
+
+def test_held_out_errors_above_one_and_a_half_times_the_training_errors_are_cautioned(found):
+    assert cautions(found, 1e-4, 1.49e-4) == []
+    (said,) = cautions(found, 1e-4, 1.51e-4)
+    assert "held-out errors (0.1510 mm RMS) are 1.5 times as large as on the training rows" in said
+    assert cautions(found, 1e-4, 9e-4, parametric=errors(1e-4)) == []
+    assert len(cautions(found, 1e-4, 1e-4, parametric=errors(9e-4))) == 1
+
+
+def test_fewer_spare_equations_than_parameters_are_cautioned(found):
+    rank = found.identifiability.rank
+    assert cautions(replace(found, degrees_of_freedom=rank)) == []
+    (said,) = cautions(replace(found, degrees_of_freedom=rank - 1))
+    assert f"{rank - 1} spare equations for {rank} parameters are few" in said
+
+
+def failures(found, before, after):
+    return [f.text for f in grade_quality(found, errors(1e-4), before, after).findings if f.weight == "fail"]
+
+
+def test_two_held_out_rows_judge_nothing_and_three_do(found):
+    assert ["only 2 rows were held out" in text for text in failures(found, errors(1e-3, 2), errors(1e-4, 2))] == [True]
+    assert ["only 1 row was held out" in text for text in failures(found, errors(1e-3, 1), errors(1e-4, 1))] == [True]
+    same = np.repeat([[1e-3, 0.0, 0.0]], 3, axis=0)
+    assert failures(found, same, 0.1 * same) == []
+
+
+def test_an_arm_that_is_no_better_is_not_to_be_used(found):
+    same = np.repeat([[1e-3, 0.0, 0.0]], 40, axis=0)
+    (said,) = failures(found, same, same)
+    assert "no better (1.000 mm RMS) than the nominal one (1.000 mm RMS)" in said
+    assert failures(found, same, 0.999 * same) == []  # each pose gains equally: no chance
+
+
+def test_a_gain_counts_where_a_paired_t_test_says_so(found):
+    """SciPy's referee on the sizes of the errors; gains on both sides of its threshold of 5 %."""
+    told = []
+    for seed in range(20):
+        before, after = errors(1e-3, 30, seed), errors(0.85e-3, 30, seed + 50)
+        p = stats.ttest_rel(*[np.linalg.norm(part, axis=1) for part in (before, after)], alternative="greater").pvalue
+        told.append(failures(found, before, after) == [])
+        assert told[-1] == (p <= 0.05)
+    assert 3 < sum(told) < 17
+
+
+def test_a_good_verdict_states_the_root_mean_squares_of_positions_in_mm(found):
+    before = np.hstack([np.repeat([[1e-3, 0, 0], [0, 3e-3, 0]], 20, axis=0), np.full((40, 3), 9.0)])
+    quality = grade_quality(found, errors(1e-4), before, errors(1e-4))
+    rms = np.sqrt((1.0 + 9.0) / 2)
+    assert quality.reason == f"on 40 held-out rows the error falls from {rms:#.4g} to 0.1000 mm RMS"
+
+
+def correlated(found, rho):
+    """The identification with one pair that correlates by rho, another by -0.95, and nothing else."""
+    size = found.identifiability.rank
+    std = np.linspace(1.0, 2.0, size)
+    matrix = np.eye(size)
+    matrix[0, 1] = matrix[1, 0] = rho
+    matrix[2, 5] = matrix[5, 2] = -0.95
+    return replace(found, covariance=matrix * std[:, None] * std)
+
+
+def test_pairs_that_correlate_by_more_than_nine_tenths_are_named_strongest_first(found):
+    names = found.identifiability.kept_names
+    weak = (names[2], names[5], pytest.approx(-0.95))
+    assert correlated_pairs(correlated(found, 0.89)) == (weak,)
+    assert correlated_pairs(correlated(found, 0.99)) == ((names[0], names[1], pytest.approx(0.99)), weak)
+    notes = [finding.text for finding in grade_quality(correlated(found, 0.99), *[errors(1e-4)] * 3).findings]
+    assert any(
+        f"2 pairs of parameters correlate by more than 0.9, most {names[0]} and {names[1]} (+0.99)" in n for n in notes
+    )
+    notes = [finding.text for finding in grade_quality(correlated(found, 0.89), *[errors(1e-4)] * 3).findings]
+    assert any(
+        f"1 pair of parameters correlate by more than 0.9, most {names[2]} and {names[5]} (-0.95)" in n for n in notes
+    )
+    matrix = np.eye(found.identifiability.rank)
+    matrix[0, 1] = matrix[1, 0] = 0.9
+    assert correlated_pairs(replace(found, covariance=matrix)) == ()  # not more than nine tenths
+    unknown = replace(found, covariance=np.full_like(found.covariance, np.nan))
+    assert grade_quality(unknown, errors(1e-4), errors(2e-3), errors(1e-4)).pairs == ()
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [
+        (0.01, "a1 + 0.01 a2"),
+        (0.0099, "a1"),
+        (-0.01, "a1 - 0.01 a2"),
+        (1.0 + 1e-7, "a1 + a2"),
+        (1.0 + 1e-5, "a1 + 1 a2"),
+        (2.5, "a1 + 2.5 a2"),
+    ],
+)
+def test_shares_below_a_hundredth_are_left_out_and_a_whole_one_needs_no_number(share, text):
+    found = Identifiability(("a1", "a2"), np.array([0]), (Dropped("a2", {"a1": share}),), *[np.ones(2)] * 3)
+    assert base_combinations(found) == {"a1": text}
+
+
+def test_a_share_that_is_left_out_hides_no_other():
+    dropped = (Dropped("a3", {"a1": 1e-4, "a2": 0.5}),)
+    found = Identifiability(("a1", "a2", "a3"), np.array([0, 1]), dropped, *[np.ones(3)] * 3)
+    assert base_combinations(found) == {"a1": "a1", "a2": "a2 + 0.5 a3"}
+
+
+def test_a_small_share_of_another_unit_is_shown():
+    found = Identifiability(("d3", "theta1"), np.array([0]), (Dropped("theta1", {"d3": 0.005}),), *[np.ones(2)] * 3)
+    assert base_combinations(found) == {"d3": f"d3 + {np.radians(0.005) * 1e3:.4g} mm/deg theta1"}
+
+
+def with_scatter(found, deviations, chi_square=None):
+    """The identification with these standard deviations, m or rad, of some kept parameters."""
+    std = np.array([deviations.get(name, 1e-9) for name in found.identifiability.kept_names])
+    return replace(found, covariance=np.diag(std**2), chi_square=chi_square or found.chi_square)
+
+
+def test_what_is_known_less_well_than_parts_are_made_is_lost(found):
+    """1 mm and 1 mrad; kept at one hair less, and lost whatever its spread where the rank has no room."""
+    angle = next(name for name in found.identifiability.kept_names if name.startswith("theta"))
+    length = next(name for name in found.identifiability.kept_names if name.startswith("a"[:1] + "1"))
+    for share, state in ((1 - JUST, MEASURED), (1 + JUST, LOST)):
+        loose = with_scatter(found, {angle: share * 1e-3, length: share * 1e-3})
+        states = parameter_states(loose, loose)
+        assert states.of(angle) == states.of(length) == state
+        assert states.of(found.identifiability.dropped[0].name) == LOST
+    assert set(states.geometry) == set(found.identifiability.names) and states.terms == {}
+
+
+@pytest.mark.parametrize(("share", "state"), [(0.499, MEASURED), (0.501, HELD)])
+def test_a_term_is_measured_where_its_spread_is_below_half_of_what_its_prior_expects(qiao, exact, found, share, state):
+    """What is expected grows with what the fit leaves, against what is left without terms: here four times as much."""
+    start = ArmModel.of(qiao.nominal, (ThermalTerm(),))
+    data = exact(qiao.true, 40)
+    data = replace(data, conditions=Conditions(temperature=np.linspace(-20.0, 20.0, 40)))
+    wide = identify(with_terms(link_model(qiao.nominal), start), start, data)
+    expected = ThermalTerm().tolerances(qiao.nominal)[0] * EXPECTED * 4.0
+    wide = with_scatter(wide, {"thermal": share * expected}, 4.0 * wide.degrees_of_freedom)
+    bare = with_scatter(found, {}, 0.25 * found.degrees_of_freedom)
+    assert parameter_states(wide, bare).terms == {"thermal": state}
+    lost = replace(wide, identifiability=replace(wide.identifiability, kept=wide.identifiability.kept[:-1]))
+    lost = replace(lost, covariance=wide.covariance[:-1, :-1])
+    assert parameter_states(lost, bare).of("thermal") == LOST
+
+
+def test_base_and_tool_may_lie_anywhere(qiao, exact):
+    found = identify(complete_model(qiao.nominal), qiao.nominal, exact(qiao.true, 40))
+    base = [n for n in found.identifiability.kept_names if n.startswith(("base_", "tool_"))]
+    loose = with_scatter(found, dict.fromkeys(base, 1.0))
+    assert base and {parameter_states(loose, loose).of(name) for name in base} == {MEASURED}
+
+
+def test_states_are_counted_in_words():
+    states = States({"a": MEASURED, "b": LOST, "c": LOST}, {"k": HELD, "l": MEASURED})
+    assert (
+        states.text()
+        == "geometry: 1 of 3 measured, 2 lost in others; further terms: 1 of 2 measured, 1 held by their prior"
+    )
+    assert states.of("k") == HELD and states.of("b") == LOST
+    assert States({"a": MEASURED}, {}).text() == "geometry: 1 of 1 measured"
+    assert states.as_dict() == {"geometry": dict(states.geometry), "terms": dict(states.terms)}
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (None, "unknown"),
+        (np.nan, "unknown"),
+        (0.0, "0.000"),
+        (1e-3, "0.001000"),
+        (9.99e-4, "9.990e-04"),
+        (-0.12345, "-0.1235"),
+        (9999.4, "9999"),
+        (1e4, "10000"),
+        (12345.6, "12346"),
+        (9.99e8, "999000000"),
+        (1e9, "1.000e+09"),
+    ],
+)
+def test_screens_show_four_significant_digits(value, shown):
+    assert figure(value) == shown
+
+
+def test_numbers_stand_to_the_right_and_words_to_the_left():
+    block = Block("Errors", ("axis", "mm"), (("x", "1.5"), ("yaw", "-12.25")), "of rows")
+    assert block.text().splitlines() == ["Errors: of rows", "  axis      mm", "  x        1.5", "  yaw   -12.25"]
+    plain = Block("Facts", (), (("1", "one"), ("20", "twenty")))
+    assert plain.text().splitlines() == ["Facts", "  1   one", "  20  twenty"]
+    assert [is_number(cell) for cell in ("+1", "-2", "3", "9 mm", "x1", "")] == [True, True, True, True, False, False]
+
+
+def test_parts_below_a_hundredth_of_the_largest_are_left_out():
+    assert main_parts({"a": -2.0, "b": 0.02, "c": 0.0199}) == {"a": -2.0, "b": 0.02}
+    assert main_parts({}) == {}
+
+
+def test_units_of_screens():
+    geometric = ("theta1", "a1", "base_rx", "tool_x")
+    assert [unit_of(name, geometric) for name in geometric] == [
+        ("deg", pytest.approx(180 / np.pi)),
+        ("mm", 1e3),
+        ("deg", pytest.approx(180 / np.pi)),
+        ("mm", 1e3),
+    ]
+    assert [unit_of(n, geometric) for n in ("reflector_x", "anchor_y", "socket_z", "gravity_2")] == [
+        ("mm", 1e3)
+    ] * 3 + [("SI", 1.0)]
+
+
+def test_the_interval_of_the_base_frame_is_that_of_drawn_bases_and_tools(qiao):
+    """Anew with other draws: sizes even in their logarithm from 0.2 to 1 mm and mrad per axis."""
+    nominal, joints = qiao.nominal, random_joints(qiao.nominal, 12, np.random.default_rng(3))
+    fitted = nominal.displaced(1e-4 * np.ones(len(nominal.parameter_names)))
+    left = np.full((12, 6), 3e-4)
+    found = base_frame_error(nominal, fitted, joints, left)
+    rng, model = np.random.default_rng(77), frames_model(nominal)
+    size = 10 ** rng.uniform(np.log10(0.2e-3), np.log10(1e-3), (6000, 1))
+    shift = np.einsum(
+        "nip,dp->dni", parameter_jacobian(nominal, joints)[:, :3, model.columns], size * rng.normal(size=(6000, 12))
+    )
+    means = np.linalg.norm(shift + left[:, :3], axis=2).mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    assert found.low == pytest.approx(low, rel=0.1) and found.high == pytest.approx(high, rel=0.12)
+    apart = forward(nominal, joints).position - forward(fitted, joints).position
+    assert found.moved == pytest.approx(np.mean(np.linalg.norm(apart, axis=1)))
+    assert found.as_dict() == {
+        "mean_ci95_mm": [found.low * 1e3, found.high * 1e3],
+        "assumed_std_mm": [0.2, 1.0],
+        "assumed_std_mrad": [0.2, 1.0],
+        "frames_moved_mm": found.moved * 1e3,
+    }
+
+
+@pytest.mark.parametrize(("moved", "near"), [(0.0499, True), (0.05, False)])
+def test_frames_that_hardly_moved_suggest_a_registered_instrument(qiao, moved, near):
+    joints = random_joints(qiao.nominal, 5, np.random.default_rng(0))
+    told = replace(
+        base_frame_error(qiao.nominal, qiao.nominal, joints, np.zeros((5, 3))), moved=moved, low=1e-3, high=2e-3
+    )
+    assert "is 1.00 to 2.00 mm (95 % interval, if base and tool lie 0.2 to 1 mm and mrad" in told.sentences()
+    assert ("the fitted frames move the tool by 49.9 mm" in told.sentences()) == near

@@ -1,0 +1,232 @@
+"""The steps of least squares and their stop rule: each bound from both sides, ridge and covariance written out."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from pickenv.calibration.identification import least_squares
+from pickenv.calibration.identification.least_squares import describe_absorption, identify, is_angle, judged_step
+from pickenv.calibration.model.error_model import geometric_model, link_model
+from pickenv.calibration.model.identifiability import identifiability
+from pickenv.errors import InputError
+
+FAR = np.full(3, 1e-2)
+"""A step of a hundredth of a tolerance, which counts."""
+
+
+def judged(step=FAR, explained=10.0, weighted=1.0, before=1.0, after=0.5, rows=23, of=np.asarray):
+    """The judgement of a step of three parameters; ``explained`` and ``weighted`` are root mean squares over rows."""
+    return judged_step(
+        of(np.asarray(step)),
+        of(np.full(rows, float(explained))),
+        of(np.full(rows, float(weighted))),
+        of(before),
+        of(after),
+    )
+
+
+@pytest.mark.parametrize("of", [np.asarray, torch.as_tensor], ids=["NumPy", "torch"])
+def test_a_step_that_moves_nothing_by_a_hundred_thousandth_of_a_tolerance_is_negligible(of):
+    assert not judged(of=of).negligible
+    assert judged([9.9e-6, -9.9e-6, 9.9e-6], of=of).negligible
+    assert not judged([9.9e-6, -1.01e-5, 9.9e-6], of=of).negligible
+
+
+@pytest.mark.parametrize(("share", "negligible"), [(0.999e-3, True), (1.001e-3, False)])
+def test_so_is_one_that_explains_less_than_a_thousandth_of_the_uncertainty(share, negligible):
+    """Explained per parameter against the scatter per degree of freedom: 23 rows and 3 parameters."""
+    scatter = 23 * 2.0**2 / (23 - 3)
+    explained = share * np.sqrt(scatter * 3 / 23)
+    found = judged(explained=explained, weighted=2.0)
+    assert found.offset == pytest.approx(share**2) and found.negligible == negligible
+
+
+def test_with_no_more_rows_than_parameters_the_scatter_is_that_of_one_degree_of_freedom():
+    assert judged(explained=1.0, weighted=2.0, rows=3).offset == pytest.approx(3 / (3 * 3 * 4.0))
+    assert judged(explained=1.0, weighted=2.0, rows=2).offset == pytest.approx(2 / (3 * 2 * 4.0))
+    assert judged(np.empty(0), explained=0.0, weighted=0.0, rows=4).negligible
+
+
+@pytest.mark.parametrize(
+    ("after", "better"), [(1.0, True), (1.0 + 9e-10, True), (1.0 + 2e-9, False), (2.0, False), (np.nan, False)]
+)
+def test_a_step_is_better_unless_the_residual_grows_by_more_than_rounding(after, better):
+    assert judged(after=after).better == better
+
+
+@pytest.mark.parametrize(("after", "finished"), [(1.0 - 0.9e-7, True), (1.0 - 1.1e-7, False), (0.5, False)])
+def test_the_search_is_finished_where_a_step_gains_less_than_a_ten_millionth(after, finished):
+    assert judged(after=after).finished == finished
+    assert judged(FAR * 1e-4, after=0.5).finished
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3, 10.0])
+def test_a_step_is_that_of_ridge_regression(damping):
+    """Ridge relative to the mean squared column norm; without damping plain least squares."""
+    rng = np.random.default_rng(0)
+    matrix, right = rng.normal(size=(30, 4)) * [1.0, 5.0, 0.2, 1.0], rng.normal(size=30)
+    ridge = damping * np.sum(matrix**2) / 4
+    expected = np.linalg.solve(matrix.T @ matrix + ridge * np.eye(4), matrix.T @ right)
+    np.testing.assert_allclose(least_squares._solve(matrix, right, damping), expected, rtol=1e-9)
+
+
+def test_covariance_is_the_scatter_times_the_inverse_of_the_normal_matrix(qiao, exact):
+    data = exact(qiao.true, 30)
+    data = replace(data, position=data.position + 1e-4 * np.random.default_rng(0).normal(size=(30, 3)))
+    found = identify(link_model(qiao.nominal), qiao.nominal, data)
+    arm, model = found.arm_model, link_model(qiao.nominal)
+    columns = model.columns[found.identifiability.kept]
+    weights = np.repeat([1 / data.position_std, 1 / data.attitude_std], 3)
+    rows = (arm.jacobian(data.joints, None)[..., columns] * weights[:, None]).reshape(-1, len(columns))
+    left = (data.difference(arm) * weights).ravel()
+    expected = left @ left / (180 - 16) * np.linalg.inv(rows.T @ rows)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(found.covariance / scale, expected / scale, atol=1e-4)
+    assert found.chi_square == pytest.approx(left @ left, rel=1e-6)
+    assert found.residual_rms[-1] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
+    assert found.poses == 30 and found.kind == "pose"
+
+
+def dampings(qiao, exact, monkeypatch, script, steps=20):
+    """The damping of each step where the judgement of steps is scripted."""
+    asked, real = [], least_squares._solve
+    judgements = iter(script)
+
+    def solve(matrix, right, damping):
+        asked.append(damping)
+        return real(matrix, right, damping)
+
+    monkeypatch.setattr(least_squares, "_solve", solve)
+    monkeypatch.setattr(least_squares, "judged_step", lambda *_: next(judgements))
+    found = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.true, 20), max_iterations=steps)
+    return asked, found
+
+
+def told(better, negligible=False, finished=False, offset=1.0):
+    return least_squares.Progress(offset, negligible, better, finished)
+
+
+def test_damping_grows_tenfold_from_a_thousandth_and_falls_as_it_grew(qiao, exact, monkeypatch):
+    script = [told(False), told(False), told(True), told(True, finished=True), told(True), told(True, negligible=True)]
+    asked, found = dampings(qiao, exact, monkeypatch, script)
+    shortened = [damping for damping in asked if damping]
+    np.testing.assert_allclose(shortened, [1e-3, 1e-2, 1e-3, 1e-4, 1e-5])
+    assert asked.count(0.0) == 6 and found.converged  # the whole step is looked at each time
+    assert len(found.iterates) == len(found.residual_rms) == 1 + 4
+
+
+def test_small_damping_ends(qiao, exact, monkeypatch):
+    script = [told(False), *[told(True)] * 5, told(True, finished=True)]
+    asked, found = dampings(qiao, exact, monkeypatch, script)
+    np.testing.assert_allclose([d for d in asked if d], [1e-3, 1e-4, 1e-5, 1e-6, 1e-7], rtol=1e-6, atol=1e-12)
+    assert found.converged
+
+
+@pytest.mark.parametrize(("offset", "converged"), [((0.029) ** 2, True), ((0.031) ** 2, False)])
+def test_where_no_step_helps_what_is_left_to_explain_decides(qiao, exact, monkeypatch, offset, converged):
+    asked, found = dampings(qiao, exact, monkeypatch, [told(False, offset=offset)] * 40, steps=40)
+    assert max(asked) == pytest.approx(1e9) and found.converged == converged
+    assert len(found.iterates) == 1
+
+
+def test_worse_by_rounding_alone_is_the_minimum(qiao, exact, monkeypatch):
+    asked, found = dampings(qiao, exact, monkeypatch, [told(False, negligible=True)])
+    assert asked == [0.0] and found.converged and len(found.iterates) == 1
+
+
+def test_too_few_iterations_leave_it_unconverged(qiao, exact, monkeypatch):
+    _, found = dampings(qiao, exact, monkeypatch, [told(True)] * 20)
+    assert not found.converged and len(found.iterates) == 21
+
+
+@pytest.mark.parametrize(
+    ("name", "angle"),
+    [
+        ("alpha1", True),
+        ("theta6", True),
+        ("beta2", True),
+        ("a1", False),
+        ("d3", False),
+        ("base_rx", True),
+        ("tool_x", False),
+    ],
+)
+def test_angles_are_told_by_their_names(name, angle):
+    assert is_angle(name) == angle
+
+
+def test_what_absorbs_a_parameter_is_named_largest_first_and_four_at_most():
+    shares = {"a": 0.5, "b": -2.0, "c": 0.1, "d": 1.0}
+    assert describe_absorption(shares) == "absorbed by -2 b +1 d +0.5 a +0.1 c"
+    assert describe_absorption(shares | {"e": 0.01}) == "absorbed by -2 b +1 d +0.5 a +0.1 c and 1 more"
+
+
+def test_base_and_tool_are_parameters_where_they_are_not_known(qiao):
+    """And betas only between parallel axes: of the picking arm J1 and J2, J5 and J6."""
+    known, fitted = (geometric_model(qiao.nominal, known).names for known in (True, False))
+    assert len(known) == 24 and not any(name.startswith(("base", "tool", "beta")) for name in known)
+    assert set(fitted) - set(known) == {
+        *(f"{part}_{axis}" for part in ("base", "tool") for axis in ("x", "y", "z", "rx", "ry", "rz")),
+        *(f"beta{i}" for i in range(1, 6) if qiao.nominal.alpha[i] == 0.0),
+    }
+
+
+def test_a_solution_takes_no_longer_than_the_call(qiao, exact):
+    data, begin = exact(qiao.true, 20), time.perf_counter()
+    found = identify(link_model(qiao.nominal), qiao.nominal, data)
+    assert 0.0 < found.solve_seconds < time.perf_counter() - begin
+
+
+@pytest.mark.parametrize("rows", [40, 5])
+def test_the_base_set_is_that_of_a_qr_in_the_models_order(rows):
+    """Columns 2 and 4 are combinations of those before; the rest of each column beside them is |R_kk|."""
+    rng = np.random.default_rng(0)
+    matrix = rng.normal(size=(rows, 6)) * [1.0, 3.0, 1.0, 0.5, 1.0, 2.0]
+    matrix[:, 2] = 2.0 * matrix[:, 0] - 0.5 * matrix[:, 1]
+    matrix[:, 4] = matrix[:, 3] + 0.25 * matrix[:, 1]
+    tolerance = np.array([1.0, 2.0, 4.0, 1.0, 0.5, 1.0])
+    names = ("p", "q", "r", "s", "t", "u")
+    found = identifiability(matrix, names, tolerance, 4)
+    assert found.kept_names == ("p", "q", "s", "u") and found.rank == 4
+    assert [item.name for item in found.dropped] == ["r", "t"]
+    # in units of the parameters: column k is the Jacobian times the k-th tolerance
+    assert found.dropped[0].absorbed_by == {"p": pytest.approx(2.0 * 1 / 4), "q": pytest.approx(-0.5 * 2 / 4)}
+    assert found.dropped[1].absorbed_by == {"q": pytest.approx(0.25 * 2 / 0.5), "s": pytest.approx(1 / 0.5)}
+    kept = matrix[:, [0, 1, 3, 5]]
+    diagonal = np.abs(np.diag(np.linalg.qr(kept, mode="r")))
+    np.testing.assert_allclose(found.r_diagonal[[0, 1, 3, 5]], diagonal)
+    np.testing.assert_allclose(found.r_diagonal[[2, 4]], 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.phi, found.r_diagonal / (diagonal.sum() / 6))
+    values = np.linalg.svd(kept, compute_uv=False) / 2.0  # per root of four poses
+    np.testing.assert_allclose(found.singular_values, values)
+    assert found.condition == pytest.approx(values[0] / values[-1])
+    spread = found.of_all(np.array([1.0, 2.0, 3.0, 4.0]))
+    np.testing.assert_array_equal(spread, [1.0, 2.0, np.nan, 3.0, np.nan, 4.0])
+
+
+@pytest.mark.parametrize(("share", "rank"), [(0.9e-3, 1), (1.1e-3, 2)])
+def test_what_adds_less_than_a_thousandth_of_the_largest_is_redundant(share, rank):
+    matrix = np.zeros((9, 2))
+    matrix[0, 0], matrix[1, 1] = 5.0, 5.0 * share
+    assert identifiability(matrix, ("a", "b"), np.ones(2), 1).rank == rank
+    assert identifiability(matrix, ("a", "b"), np.ones(2), 1, 10e-3).rank == 1
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.9e-3, False), (1.1e-3, True)])
+def test_shares_below_a_thousandth_of_a_tolerance_are_not_named(share, named):
+    matrix = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, share], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    (dropped,) = identifiability(matrix, ("a", "b", "c"), np.ones(3), 1).dropped
+    assert ("b" in dropped.absorbed_by) == named and "a" in dropped.absorbed_by
+
+
+@pytest.mark.parametrize(("positions", "poses", "needed"), [(False, 2, 6), (True, 4, 10)], ids=["12 of 16", "12 of 14"])
+def test_too_few_equations_are_refused_with_twice_the_poses_they_ask_for(qiao, exact, positions, poses, needed):
+    data = exact(qiao.true, poses)
+    data = data.positions_only() if positions else data
+    with pytest.raises(
+        InputError, match=rf"{poses} poses give 12 equations, too few .* measure at least {needed} poses"
+    ):
+        identify(link_model(qiao.nominal), qiao.nominal, data)

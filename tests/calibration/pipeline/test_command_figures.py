@@ -1,0 +1,194 @@
+"""The figures of corrected commands, of their uncertainty and of a calibration's result, recomputed from raw arrays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.arm import parameter_jacobian
+from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.calibration.assessment.screen import figure
+from pickenv.calibration.pipeline.apply import CorrectedCommands
+from pickenv.calibration.pipeline.result import GEOMETRIC, NOMINAL, assess
+from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, pose_uncertainty, uncertainty_from
+from pickenv.calibration.residuals.gate import GateReport, GateVerdict
+
+PRISMATIC = (False, True)
+
+
+def commands(reached, **more):
+    """Four commands of a turning and a sliding joint, with errors of every size."""
+    rng = np.random.default_rng(0)
+    before, remaining, impossible = (size * rng.normal(size=(4, 6)) for size in (1e-3, 1e-4, 1e-5))
+    values = {
+        "targets": rng.normal(size=(4, 2)),
+        "joints": rng.normal(size=(4, 2)),
+        "reached": np.array(reached),
+        "before": before,
+        "remaining": remaining,
+        "impossible": impossible,
+        "position_uncertainty": np.array([1e-4, 2e-4, 4e-4, 9e-4]),
+        "attitude_uncertainty": np.array([1e-3, 2e-3, 4e-3, 9e-3]),
+        "reasons": {},
+        "lines": (2, 3, 5, 8),
+        "prismatic": PRISMATIC,
+    }
+    return CorrectedCommands(**(values | more))
+
+
+@pytest.mark.parametrize(
+    ("reached", "counted"),
+    [([True, False, True, False], [0, 2]), ([True] * 4, [0, 1, 2, 3]), ([False] * 4, [0, 1, 2, 3])],
+    ids=["some", "all", "none"],
+)
+def test_means_are_those_of_the_targets_that_can_be_reached(reached, counted):
+    """Where none can, of all: there is nothing better to say."""
+    found = commands(reached)
+    mm = [1e3 * np.mean(np.linalg.norm(e[counted, :3], axis=1)) for e in (found.before, found.remaining)]
+    deg = [
+        np.degrees(np.mean(np.linalg.norm(e[counted, 3:], axis=1)))
+        for e in (found.before, found.remaining, found.impossible)
+    ]
+    text = found.report()
+    assert text.startswith(f"{sum(reached)} of 4 targets can be reached\n")
+    assert f"would miss by {mm[0]:.3f} mm and {deg[0]:.4f} deg" in text
+    assert f"commands {mm[1]:.4f} mm and {deg[1]:.4f} deg remain, of which {deg[2]:.4f} deg is a rotation" in text
+    assert "position reached: 0.300 mm (median), 0.900 mm at most" in text
+
+
+def test_the_table_holds_each_number_in_its_unit_and_no_command_where_none_should_be_driven():
+    found = commands([True, False, True, True], reasons={1: "too far"})
+    names, rows = found.table()
+    column = {name: rows[:, i] for i, name in enumerate(names)}
+    assert names[:3] == ["q1_deg", "q2_mm", "reached"]
+    np.testing.assert_allclose(column["q1_deg"][[0, 2, 3]].astype(float), np.degrees(found.joints[[0, 2, 3], 0]))
+    np.testing.assert_allclose(column["q2_mm"][[0, 2, 3]].astype(float), 1e3 * found.joints[[0, 2, 3], 1])
+    assert list(rows[1, :2]) == ["", ""] and column["reached"].tolist() == ["yes", "no", "yes", "yes"]
+    for label, error in (
+        ("uncorrected", found.before),
+        ("predicted", found.remaining),
+        ("noncompensable", found.impossible),
+    ):
+        size = np.sqrt(np.sum(error.reshape(4, 2, 3) ** 2, axis=2))
+        np.testing.assert_allclose(column[f"{label}_error_mm"].astype(float), 1e3 * size[:, 0])
+        np.testing.assert_allclose(column[f"{label}_error_deg"].astype(float), np.degrees(size[:, 1]))
+    np.testing.assert_allclose(column["uncertainty_mm"].astype(float), 1e3 * found.position_uncertainty)
+    np.testing.assert_allclose(column["uncertainty_deg"].astype(float), np.degrees(found.attitude_uncertainty))
+    assert column["note"].tolist() == ["", "too far", "", ""]
+    assert "row 3: too far" in found.report()
+    bare = commands([True] * 4, attitude_uncertainty=None)
+    assert "uncertainty_deg" not in bare.table()[0] and "uncertainty_mm" in bare.table()[0]
+
+
+@pytest.fixture(scope="module")
+def sets(dynamic):
+    rng = np.random.default_rng(4)
+    return [simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (60, 30)]
+
+
+@pytest.fixture(scope="module", params=["poses", "positions"])
+def judged(request, dynamic, sets):
+    train, test = sets if request.param == "poses" else [part.positions_only() for part in sets]
+    verdict = GateVerdict("gp", 1e-4, 2e-4, 3e-4, 4e-4, None, None, 5e-5, 6e-5, True, "cuts")
+    gate = GateReport((verdict,), "gp", 2e-4, ())
+    return assess(dynamic.arm, fit(dynamic.arm, train, known_frames=True), train, test, gate=gate)
+
+
+def test_a_results_figures_are_those_of_its_errors(judged, sets):
+    """Rows of the table on the screen and numbers of the JSON, per model."""
+    train, test = judged.train, judged.test
+    errors = {NOMINAL: test.difference(judged.arm.nominal), GEOMETRIC: test.difference(judged.fit.calibration.model)}
+    told = judged.as_dict()["held_out"]
+    block = next(block for block in judged.blocks() if block.title == "Errors on held-out rows")
+    assert block.note == "30 rows held out, 60 fitted; used: geometry"
+    for (name, error), cells in zip(errors.items(), block.rows, strict=True):
+        size = 1e3 * np.linalg.norm(error[:, :3], axis=1)
+        expected = [np.sqrt(np.mean(size**2)), size.mean(), np.percentile(size, 95), size.max()]
+        assert [cells[i] for i in (1, 2, 4, 5)] == [figure(value) for value in expected]
+        assert told[f"{name}_mm"]["p95"] == pytest.approx(expected[2])
+        low, high = judged.position[name].mean_ci95
+        assert cells[3] == f"{figure(low)} to {figure(high)}"
+        if error.shape[1] == 6:
+            turned = np.degrees(np.linalg.norm(error[:, 3:], axis=1))
+            assert cells[6] == figure(turned.mean())
+            assert told[f"{name}_deg"]["max"] == pytest.approx(turned.max())
+        else:
+            assert len(cells) == 6 and f"{name}_deg" not in told
+    nominal, best = (1e3 * np.linalg.norm(errors[name][:, :3], axis=1) for name in (NOMINAL, GEOMETRIC))
+    assert told["nominal_rms_mm"] == pytest.approx(np.sqrt(np.mean(nominal**2)))
+    for name in ("geometric", "best"):
+        assert told[f"{name}_rms_mm"] == pytest.approx(np.sqrt(np.mean(best**2)))
+        assert told[f"{name}_mean_mm"] == pytest.approx(best.mean())
+    low, high = told["best_mean_ci95_mm"]
+    noise = 3 * (1e3 * test.position_std) ** 2
+    own = low * np.sqrt(1 - noise / np.mean(best**2)), high
+    assert told["own_mean_ci95_mm"] == pytest.approx(own) and own[0] < low < best.mean() < high
+    assert f"is {figure(own[0])} to {figure(own[1])} mm (95 % interval" in judged.frames_text
+    assert judged.as_dict()["rows"] == {"train": len(train.joints), "test": len(test.joints)}
+
+
+def test_an_error_of_noise_alone_may_be_none_of_the_arms(judged):
+    drowned = replace(judged, test=replace(judged.test, position_std=1.0))
+    assert drowned.own_mean_ci95 == (0.0, judged.best.mean_ci95[1])
+
+
+def test_a_results_parameters_are_the_change_of_the_geometry_in_mm_and_degrees(judged):
+    found, fitted = judged.fit.identification, judged.fit.calibration
+    change = dict(zip(found.identifiability.names, found.delta, strict=True))
+    std = dict(zip(found.identifiability.kept_names, np.sqrt(np.diag(found.covariance)), strict=True))
+    rows = {row["name"]: row for row in judged.parameters()}
+    assert set(rows) == set(found.identifiability.kept_names)
+    for name, row in rows.items():
+        unit, scale = ("deg", 180 / np.pi) if name.startswith(("alpha", "theta")) else ("mm", 1e3)
+        assert row["unit"] == unit and row["std"] == pytest.approx(std[name] * scale)
+        assert row["change"] == pytest.approx(change[name] * scale, rel=1e-6, abs=1e-9)
+    assert fitted.identified is not fitted.nominal
+    facts = dict(next(block for block in judged.blocks() if block.title == "Evidence").rows)
+    values = found.identifiability.singular_values
+    assert facts["condition number of the geometry"] == figure(values[0] / values[-1])
+    assert facts["least squares"].startswith(f"{len(found.residual_rms) - 1} iterations, ")
+    told = judged.as_dict()
+    assert (told["rank"], told["parameters"]) == (len(rows), 24)
+    assert told["condition"] == pytest.approx(values[0] / values[-1])
+
+
+def test_the_gates_table_is_in_mm(judged):
+    block = next(block for block in judged.blocks() if block.title == "Learnt residual models")
+    assert block.rows == (("without", "0.3000", "0.4000", ""), ("gp", "0.1000", "0.2000", "cuts"))
+    assert block.note == "'gp' is used; judged within the training rows"
+    off = replace(judged, gate=replace(judged.gate, selected=None))
+    assert any(block.note.startswith("none is used;") for block in off.blocks())
+
+
+def test_the_uncertainty_of_a_reach_is_that_of_parameters_and_of_what_they_do_not_say(judged):
+    """u^2 = J C J^T + u_repeat^2 for each coordinate; a position's is the root of the sum of three."""
+    found, model = judged.fit.identification, judged.fit.calibration.model
+    errors = np.random.default_rng(0).normal(size=(50, 6)) * [1e-4, 2e-4, 3e-4, 1e-3, 2e-3, 3e-3]
+    sure = pose_uncertainty(found, errors)
+    assert sure.position_repeat == pytest.approx(np.sqrt(np.mean(errors[:, :3] ** 2)))
+    assert sure.attitude_repeat == pytest.approx(np.sqrt(np.mean(errors[:, 3:] ** 2)))
+    q = random_joints(judged.arm.nominal, 5, np.random.default_rng(1))
+    names = model.geometry.parameter_names
+    jacobian = parameter_jacobian(model.geometry, q)[..., [names.index(n) for n in found.identifiability.kept_names]]
+    spread = jacobian @ found.covariance @ np.swapaxes(jacobian, 1, 2)
+    variance = np.diagonal(spread, axis1=1, axis2=2)
+    position, attitude = sure.standard(model, q)
+    np.testing.assert_allclose(position, np.sqrt(variance[:, :3].sum(1) + 3 * sure.position_repeat**2))
+    np.testing.assert_allclose(attitude, np.sqrt(variance[:, 3:].sum(1) + 3 * sure.attitude_repeat**2))
+    flat = pose_uncertainty(found, errors[:, :3])
+    assert flat.attitude_repeat is None and flat.standard(model, q)[1] is None
+    np.testing.assert_allclose(flat.standard(model, q)[0], position)
+    np.testing.assert_allclose(flat.pose_covariance(model, q)[:, 3:, 3:], spread[:, 3:, 3:], rtol=1e-9)
+
+
+def test_an_uncertainty_survives_its_record_and_one_that_is_no_number_is_none(judged):
+    sure = PoseUncertainty(("a1", "d1"), np.array([[2.0, 0.1], [0.1, 3.0]]), 1e-4, None)
+    record = {"uncertainty": sure.as_record()}
+    again = uncertainty_from(record)
+    np.testing.assert_array_equal(again.covariance, sure.covariance)
+    assert (again.names, again.position_repeat, again.attitude_repeat) == (("a1", "d1"), 1e-4, None)
+    record["uncertainty"]["covariance"][0][1] = float("nan")
+    assert uncertainty_from(record) is uncertainty_from({}) is uncertainty_from({"uncertainty": None}) is None
+    kept = judged.calibration.record["uncertainty"]
+    held = judged.test.difference(judged.fit.calibration.model)
+    assert kept["position_repeat_m"] == pytest.approx(np.sqrt(np.mean(held[:, :3] ** 2)))

@@ -1,0 +1,200 @@
+"""From how many rows the stages choose terms and residual models, among which, and how those are ranked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.calibration import Choices, random_joints, simulated_tracker
+from pickenv.calibration.identification.diagnosis import LeftOut
+from pickenv.calibration.identification.term_choice import TermChoice
+from pickenv.calibration.pipeline import stages
+from pickenv.calibration.residuals.gate import GateReport, GateVerdict
+from pickenv.calibration.residuals.residual_models import FITTERS
+from pickenv.errors import InputError
+
+AUTO = Choices(frames="known", residual="auto", terms="auto", seed=5)
+
+
+@pytest.fixture(scope="module")
+def sets(dynamic):
+    rng = np.random.default_rng(0)
+    return [simulated_tracker(dynamic, random_joints(dynamic.geometry, n, rng), rng) for n in (40, 10)]
+
+
+def identified(dynamic, sets, rows=40, choices=AUTO):
+    """The draft before terms."""
+    train = sets[0].select(np.arange(rows))
+    draft = stages.Draft(dynamic.arm, choices, train, sets[1], np.random.default_rng(0))
+    for stage in stages.STAGES[:4]:
+        draft = stage(draft)
+    return draft
+
+
+@pytest.mark.parametrize(("rows", "asked"), [(39, False), (40, True)])
+def test_forty_training_rows_are_enough_to_choose_terms_on_blocks(dynamic, sets, rows, asked, monkeypatch):
+    calls = []
+
+    def choosing(arm, aligned, data, known):
+        calls.append((len(data), known))
+        return TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3})
+
+    monkeypatch.setattr(stages, "choose_terms", choosing)
+    draft = stages._add_terms(identified(dynamic, sets, rows))
+    assert calls == ([(rows, True)] if asked else [])
+    assert list(draft.fits) == ["geometry"] + ["geometry+gravity"] * asked
+    assert (draft.term_choice is not None) == asked and len(draft.terms) == asked
+    if asked:
+        assert draft.best[1].calibration.record["terms"] == ["gravity"]
+        assert draft.best[1].calibration.model.terms == draft.terms
+    told = stages._add_terms(identified(dynamic, sets, 39, replace(AUTO, terms="gravity")))
+    assert list(told.fits) == ["geometry", "geometry+gravity"] and told.term_choice is None
+
+
+def test_of_terms_that_do_not_converge_the_last_is_given_up_first(dynamic, sets, monkeypatch):
+    draft = identified(dynamic, sets, choices=replace(AUTO, terms="gravity+periodic"))
+    tried, real = [], stages.identify_terms
+
+    def wandering(terms, *given):
+        tried.append(len(terms))
+        return replace(real(terms, *given), converged=len(terms) == 1)
+
+    monkeypatch.setattr(stages, "identify_terms", wandering)
+    found = stages._add_terms(draft)
+    assert tried[-1] == 1 < tried[0] and len(tried) == 2
+    assert list(found.fits) == ["geometry", "geometry+gravity"] and len(found.terms) == 1
+    monkeypatch.setattr(stages, "identify_terms", lambda *given: replace(real(*given), converged=False))
+    none = stages._add_terms(draft)
+    assert list(none.fits) == ["geometry"] and none.terms == ()
+
+
+def verdict(name, blocked=1e-3, inner=1e-3, accepted=True):
+    return GateVerdict(name, 1e-3, blocked, 2e-3, 4e-3, None, None, inner, 5e-3, accepted, "")
+
+
+@pytest.mark.parametrize(("rows", "asked"), [(39, False), (40, True)])
+def test_and_to_judge_residual_models(dynamic, sets, rows, asked, monkeypatch):
+    calls = []
+
+    def judging(data, refit, rng, *, models, fitters, rank):
+        calls.append((len(data), models, rng.bit_generator.state, rank))
+        assert refit(data).geometry is not None
+        return GateReport((verdict("trees"),), "trees", 1e-3, ())
+
+    monkeypatch.setattr(stages, "gate_residuals", judging)
+    draft = stages._learn(identified(dynamic, sets, rows))
+    assert list(draft.fits) == ["geometry"] + ["geometry+trees"] * asked and (draft.gate is not None) == asked
+    if asked:
+        ((count, models, state, rank),) = calls
+        assert (count, models) == (40, tuple(FITTERS)) and rank is stages._error_on_both
+        assert state == np.random.default_rng(5).bit_generator.state
+    named = stages._learn(identified(dynamic, sets, rows, replace(AUTO, residual="rbf")))
+    assert calls[-1][1] == ("rbf",) if asked else calls == []
+    assert list(named.fits)[1:] == (["geometry+trees"] if asked else [])
+
+
+def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, monkeypatch):
+    monkeypatch.setattr(
+        stages, "gate_residuals", lambda *_, **__: GateReport((verdict("rbf", accepted=False),), None, 1e-3, ())
+    )
+    named = replace(AUTO, residual="rbf")
+    for choices, fits in (
+        (named, ["geometry"]),
+        (replace(named, force=True), ["geometry", "geometry+rbf"]),
+        (replace(AUTO, force=True), ["geometry"]),
+        (replace(AUTO, residual="none", force=True), ["geometry"]),
+    ):
+        assert list(stages._learn(identified(dynamic, sets, choices=choices)).fits) == fits
+    with pytest.raises(InputError, match="unknown residual model 'magic'"):
+        stages._learn(identified(dynamic, sets, choices=replace(AUTO, residual="magic")))
+
+
+def test_models_are_ranked_by_the_product_of_what_they_leave_on_both():
+    assert stages._error_on_both(verdict("gp", 1e-3, 2e-3)) == pytest.approx((1 / 4) * (2 / 5))
+    assert stages._error_on_both(verdict("gp", 3e-3, 2e-3)) == pytest.approx((3 / 4) * (2 / 5))
+
+
+def test_residual_models_are_judged_on_3000_rows_at_most(dynamic, sets, monkeypatch):
+    rows = []
+    monkeypatch.setattr(stages, "gate_residuals", lambda data, *_, **__: rows.append(data.joints[:, 0]))
+    draft = identified(dynamic, sets)
+    many = sets[0].select(np.arange(3100) % 40)
+    many = replace(many, joints=np.arange(3100.0)[:, None] * np.ones(6))
+    stages._verdicts(draft, many, ("rbf",))
+    assert len(rows[0]) == 3000 and rows[0][0] == 0 and rows[0][-1] == 3099 and (np.diff(rows[0]) >= 1).all()
+
+
+def test_options_of_poses_are_refused_for_other_kinds_and_defaults_are_not(dynamic, sets):
+    class Wires:
+        source, kind = "wires.csv", "distance"
+
+    stages._refuse_options(Wires(), Choices())
+    stages._refuse_options(Wires(), Choices(residual="none", frames="fitted"))
+    for choices, option in (
+        (Choices(robust=True), "--robust is"),
+        (Choices(frames="known"), "--frames known is"),
+        (Choices(residual="gp"), "--residual gp is"),
+    ):
+        with pytest.raises(InputError, match=f"^{option} for poses and positions, but wires.csv holds distance"):
+            stages._refuse_options(Wires(), choices)
+
+
+def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monkeypatch):
+    """Rows are held out by one generator of the seed, and the residual model drawn from another."""
+    seen = []
+    monkeypatch.setattr(stages, "STAGES", (*stages.STAGES[:4], lambda draft: seen.append(draft) or draft))
+    stages.calibrate(dynamic.arm, sets[0], choices=replace(AUTO, seed=9, terms="none", residual="none"))
+    (draft,) = seen
+    assert draft.rng.bit_generator.state == np.random.default_rng(9).bit_generator.state
+    order = np.random.default_rng(9).permutation(40)
+    np.testing.assert_array_equal(draft.train.joints, sets[0].joints[np.sort(order[:32])])
+    np.testing.assert_array_equal(draft.test.joints, sets[0].joints[np.sort(order[32:])])
+
+
+def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
+    """Fits step by step, the choice of terms, the gate's verdicts, rows left out, and what the poses hide."""
+    choice = TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3})
+    gate = GateReport((verdict("rbf"),), "rbf", 1e-3, ())
+    monkeypatch.setattr(stages, "choose_terms", lambda *_: choice)
+    monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: gate)
+    left = (LeftOut("tracker.csv", 7, False, 5e-3, None, 9.0),)
+    seen = []
+    monkeypatch.setattr(
+        stages, "STAGES", (*stages.STAGES, lambda draft: seen.append(replace(draft, left_out=left)) or seen[0])
+    )
+    found = stages.calibrate(dynamic.arm, sets[0], test=sets[1], choices=AUTO, unit="17")
+    (draft,) = seen
+    assert list(found.errors) == ["nominal", "geometric", "geometry+gravity", "geometry+gravity+rbf"]
+    assert found.terms is choice and found.gate is gate and found.left_out is left and found.unit == "17"
+    assert found.quality.coverage is draft.coverage is not None
+    assert found.fit is draft.best[1] and found.geometric is draft.fits["geometry"]
+    assert found.best_model == "geometry+gravity+rbf"
+    assert found.calibration.record["left_out"] == ["tracker.csv:7"]
+    held = {
+        "geometric": sets[1].difference(draft.fits["geometry"].calibration.model),
+        "geometry+gravity": sets[1].difference(draft.fits["geometry+gravity"].calibration.model),
+    }
+    for name, errors in held.items():
+        np.testing.assert_allclose(found.errors[name], errors, atol=1e-15)
+    learnt = draft.best[1].calibration.learnt.predict(sets[1].joints)
+    np.testing.assert_allclose(found.errors["geometry+gravity+rbf"], held["geometry+gravity"] - learnt, atol=1e-12)
+    rows = next(block for block in found.blocks() if block.title == "Further terms").rows
+    assert rows == (("none", "2.000"), ("gravity", "1.000"))
+    assert found.as_dict()["terms"] == {"chosen": "gravity", "blocked_rms_mm": {"none": 2.0, "gravity": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("frames", "label"), [("known", "nominal"), ("fitted", "nominal, base and tool fitted")], ids=["known", "fitted"]
+)
+def test_the_first_row_says_whether_base_and_tool_were_fitted(dynamic, sets, frames, label):
+    choices = replace(AUTO, frames=frames, terms="none", residual="none")
+    found = stages.calibrate(dynamic.arm, sets[0], test=sets[1], choices=choices)
+    block = next(block for block in found.blocks() if block.title == "Errors on held-out rows")
+    assert [row[0] for row in block.rows] == [label, "geometry"]
+    assert found.known_frames == (frames == "known") == (found.base_frame is None)
+    assert found.as_dict()["frames"] == frames
+    assert (found.as_dict()["base_frame"] is None) == (frames == "known")
+    record = found.calibration.record
+    assert ("base_frame" in record) == (frames == "fitted") and record["frames"] == frames
+    said = found.frames_text
+    assert ("base and tool are known" in said) == (frames == "known")

@@ -1,0 +1,171 @@
+"""Numbers beside the pictures, recomputed: the summary, bins and scales, the tiles of a calibration."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.calibration.assessment.screen import figure
+from pickenv.calibration.pipeline.result import assess
+from pickenv.inspect.reports.calibration_report import calibration_page
+from pickenv.inspect.runs.comparison_summary import (
+    attitude_scale_deg,
+    cell_means,
+    colour_scale_mm,
+    error_spread,
+    histogram_edges_mm,
+    round_step,
+    scale_end,
+    summary_markdown,
+    ticks,
+    uncertainty_scale_mm,
+)
+
+
+def numbers(values):
+    """Mean, root mean square, 95th percentile (linear between order statistics) and maximum."""
+    ordered = np.sort(np.asarray(values))
+    place = 0.95 * (len(ordered) - 1)
+    below = ordered[int(place)]
+    above = ordered[min(int(place) + 1, len(ordered) - 1)]
+    p95 = below + (place - int(place)) * (above - below)
+    return ordered.sum() / len(ordered), np.sqrt((ordered**2).sum() / len(ordered)), p95, ordered[-1]
+
+
+def mixed(comparison):
+    """The comparison with three policies whose every number differs, and where the middle one wins at some points."""
+    rng = np.random.default_rng(3)
+    policies = []
+    for i, policy in enumerate(comparison.policies):
+        count, field = len(policy.position_error_mm), len(policy.field_errors)
+        policies.append(
+            replace(
+                policy,
+                position_error_mm=rng.gamma(2.0, 1.0 + i, count),
+                attitude_error_deg=rng.gamma(3.0, 0.1 * (i + 1), count),
+                success=rng.random(count) < (0.9, 0.35, 0.62)[i],
+                field_errors=rng.normal(size=(field, 3)) * (1e-3, 3e-4, 4e-4)[i],
+            )
+        )
+    return replace(comparison, policies=tuple(policies))
+
+
+def rows_of(markdown):
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in markdown.splitlines() if line[:1] == "|"]
+
+
+def test_every_cell_of_the_summary_is_its_policys(comparison):
+    many = mixed(comparison)
+    heads, _, *rows = rows_of(summary_markdown(many, 25.0))
+    expected_heads = ["policy", "picked", "reach mean", "RMS", "p95", "max", "attitude mean", "field mean", "field RMS"]
+    assert heads == expected_heads and len(rows) == 3
+    for policy, row in zip(many.policies, rows, strict=True):
+        mean, rms, p95, largest = numbers(policy.position_error_mm)
+        field = numbers(1e3 * np.sqrt(np.sum(policy.field_errors**2, axis=1)))
+        assert row == [
+            f"**{policy.label}**",
+            f"{100 * policy.success.sum() / len(policy.success):.0f} %",
+            f"{mean:.2f} mm",
+            f"{rms:.2f}",
+            f"{p95:.2f}",
+            f"{largest:.2f}",
+            f"{numbers(policy.attitude_error_deg)[0]:.3f}°",
+            f"{field[0]:.2f} mm",
+            f"{field[1]:.2f}",
+        ]
+
+
+def test_the_sentences_below_the_summary_count_and_compare_the_last_two(comparison):
+    many = mixed(comparison)
+    text = summary_markdown(many, 25.0)
+    before, last = (np.linalg.norm(p.field_errors, axis=1) for p in many.policies[1:])
+    share = 100 * np.count_nonzero(last < before) / len(last)
+    assert 20 < share < 45
+    assert f"LS + BPNN errs less than LS at {share:.0f} % of them." in text
+    assert f"{len(many.fruit)} reaches; a pick if the fruit is inside the capture region, radius 1 mm" in text
+    assert f"{len(many.field_points)} field points, cells of 55 mm." in text
+    top = np.percentile(1e3 * np.linalg.norm(many.policies[0].field_errors, axis=1), 99)
+    assert f"drawn ×25. **Colour**: its length, 0 to {top:.2f} mm in every field (p99 of raw;" in text
+    assert f"qiao2026, seed {many.seed}" in text and "difference drawn ×25; red ball = capture region ×25" in text
+    assert colour_scale_mm(many) == pytest.approx(top)
+    shown = np.concatenate([1e3 * many.field_uncertainty, 1e3 * np.linalg.norm(many.policies[2].field_errors, axis=1)])
+    assert uncertainty_scale_mm(many) == pytest.approx(np.percentile(shown, 99))
+
+
+def test_a_field_alone_has_its_own_table(without_reaches):
+    heads, _, row = rows_of(summary_markdown(without_reaches, 10.0))
+    assert heads == ["policy", "field mean", "field RMS", "field p95", "field max"]
+    mean, rms, p95, largest = numbers(1e3 * np.linalg.norm(without_reaches.policies[0].field_errors, axis=1))
+    assert row == ["**raw**", f"{mean:.2f} mm", f"{rms:.2f}", f"{p95:.2f}", f"{largest:.2f}"]
+    text = summary_markdown(without_reaches, 10.0)
+    assert "reaches" not in text and "errs less" not in text and "Picking" not in text
+
+
+def test_spread_of_errors_of_any_shape():
+    errors = np.random.default_rng(11).gamma(4, 1.5, 48)
+    found = error_spread(errors.reshape(6, 8))
+    assert (found.mean, found.rms, found.p95, found.largest) == pytest.approx(numbers(errors))
+    assert all(np.isnan(value) for value in vars(error_spread([])).values())
+
+
+@pytest.mark.parametrize(
+    ("at_least", "step"),
+    [(1.0, 1.0), (1.01, 2.0), (2.0, 2.0), (2.2, 2.5), (2.6, 5.0), (5.1, 10.0), (0.03, 0.05), (120.0, 200.0)],
+)
+def test_round_steps_are_1_2_25_and_5(at_least, step):
+    assert round_step(at_least) == pytest.approx(step)
+
+
+def test_ticks_and_bins_are_round_and_hold_everything(comparison):
+    assert ticks(1.0) == pytest.approx([0.2 * i for i in range(6)]) and ticks(8.0) == [float(i) for i in range(9)]
+    assert ticks(1.0, 2) == pytest.approx([0.0, 0.5, 1.0]) and ticks(0.9, 2) == pytest.approx([0.0, 0.5])
+    many = mixed(comparison)
+    largest = max(policy.position_error_mm.max() for policy in many.policies)
+    edges = histogram_edges_mm(many)
+    width = edges[1]
+    assert width == round_step(largest / 24) and edges[0] == 0.0
+    np.testing.assert_allclose(np.diff(edges), width)
+    assert edges[-2] <= largest < edges[-1]
+    assert histogram_edges_mm(many, 6)[1] == round_step(largest / 6)
+    still = replace(many, policies=tuple(replace(p, position_error_mm=np.zeros(3)) for p in many.policies))
+    assert histogram_edges_mm(still)[1] == round_step(1.0 / 24)
+
+
+def test_scales_end_at_the_99th_percentile_and_at_one_where_there_is_nothing():
+    values = np.arange(1.0, 202.0)
+    assert scale_end(values) == pytest.approx(199.0)
+    assert scale_end(np.empty(0)) == scale_end(np.zeros(4)) == 1.0
+    turned = np.radians([[3.0, 4.0, 0.0]] * 3)
+    assert attitude_scale_deg({"raw": turned, "LS": 9 * turned}) == pytest.approx(5.0)
+
+
+def test_cells_hold_the_means_of_their_points():
+    cells, means = cell_means(np.array([[1, 0, 0], [0, 0, 2], [1, 0, 0]]), np.array([1.0, 5.0, 4.0]))
+    assert cells.tolist() == [[0, 0, 2], [1, 0, 0]] and means.tolist() == [5.0, 2.5]
+
+
+@pytest.fixture(scope="module")
+def judged(comparison):
+    rng, plant = np.random.default_rng(0), comparison.plant
+    train, test = (simulated_tracker(plant, random_joints(plant.arm.nominal, n, rng), rng) for n in (60, 40))
+    return assess(plant.arm, fit(plant.arm, train), train, test)
+
+
+def test_the_tiles_and_the_verdict_of_a_calibration_are_of_the_calibrated_arm(judged):
+    page = calibration_page(judged, {"seed": 0})
+    left, nominal = (
+        1e3 * np.linalg.norm(judged.test.difference(model)[:, :3], axis=1)
+        for model in (judged.fit.calibration.model, judged.fit.calibration.nominal)
+    )
+    text = " ".join(re.sub(r"<[^>]*>", " ", page).split())
+    p95 = figure(numbers(left)[2])
+    assert p95 != figure(numbers(nominal)[2])
+    tile = re.search(r"([\d.]+) mm 95 of 100 poses are better|95 of 100 poses are better than this ([\d.]+) mm", text)
+    assert tile and p95 in tile.groups()
+    assert f"{figure(nominal.mean())} → {figure(left.mean())} mm" in text
+    states = list(judged.quality.states.geometry.values())
+    assert f"{states.count('measured')} of {len(states)}" in text
+    ratio = np.sqrt(judged.fit.identification.chi_square / judged.fit.identification.degrees_of_freedom)
+    assert f"{ratio:.2g} ×" in text

@@ -1,0 +1,47 @@
+"""Streams: no two seeds, purposes, arms or environments share one."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pickenv.agents import episode_seeds
+from pickenv.agents.evaluation.grid import GridSettings
+from pickenv.agents.training.training_setup import HELD_OUT, Training, make_model
+from pickenv.seeds import seed_words, stream
+
+SEEDS = range(21)
+
+
+def test_evaluations_with_seeds_0_to_20_share_nothing():
+    """Fruit of 64 arms, populations, policies' draws, calibrations and what the training environments begin with."""
+    words: list[int] = []
+    for seed in SEEDS:
+        words += [*episode_seeds(seed, 64 * 32), GridSettings(seed=seed).population_seed]
+        words += [seed_words(stream(seed, "policy", first), 1)[0] for first in range(32)]
+        words += [seed_words(part, 1)[0] for arm in range(64) for part in stream(seed, "calibration", arm).spawn(2)]
+        words += seed_words(stream(seed, "training"), 256)
+    assert len(set(words)) == len(words)
+    assert max(words) < HELD_OUT
+
+
+def test_environments_of_trainings_with_neighbouring_seeds_share_no_fruit():
+    fruit = []
+    for seed in (0, 1):
+        _, env = make_model(Training("ppo", seed=seed, arguments={"plant": "geometry_only"}, parameters={"n_envs": 64}))
+        env.reset()
+        fruit += [tuple(row) for row in env.envs.unwrapped._seeds[:, None]]
+        env.close()
+    assert len(set(fruit)) == 128
+
+
+@given(st.integers(0, 2**128), st.integers(1, 50), st.integers(0, 50))
+def test_a_longer_list_begins_with_the_shorter(seed, count, more):
+    sequence = stream(seed, "fruit")
+    assert seed_words(sequence, count + more)[:count] == seed_words(sequence, count)
+
+
+@given(st.integers(0, 2**64), st.integers(0, 2**64))
+def test_equal_seeds_give_equal_streams_and_others_do_not(one, other):
+    found = [np.random.default_rng(stream(seed, "camera")).integers(2**62) for seed in (one, one, other)]
+    assert found[0] == found[1]
+    assert (found[0] == found[2]) == (one == other)
