@@ -12,7 +12,7 @@ import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
 
-NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+LENS_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 """A lens' numbers: focal lengths and principal point in px, distortion without unit."""
 
 SCALES = np.array([1.0, 1.0, 1.0, 1.0, 2e-3, 3e-3, 5e-4, 5e-4, 5e-3])
@@ -26,7 +26,7 @@ class Lens:
     """A camera's intrinsics.
 
     Attributes:
-        values: In the order of `NAMES` ``(9,)``.
+        values: In the order of `LENS_NAMES` ``(9,)``.
         size: Width and height of the pictures that they are for, px.
         name: How messages call the camera.
     """
@@ -92,7 +92,7 @@ def by_values(values: Array, points: Array) -> Array:
     bent = distorted(values, ideal)
     x, y = ideal[..., 0], ideal[..., 1]
     r2 = x * x + y * y
-    found = np.zeros((*x.shape, 2, len(NAMES)))
+    found = np.zeros((*x.shape, 2, len(LENS_NAMES)))
     found[..., 0, 0], found[..., 1, 1] = bent[..., 0], bent[..., 1]
     found[..., 0, 2] = found[..., 1, 3] = 1.0
     for column, power in ((4, r2), (5, r2**2), (8, r2**3)):

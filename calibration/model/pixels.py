@@ -7,7 +7,7 @@ on the flange. Only the lens, if it is to be fitted, is an unknown of this kind'
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 import numpy as np
@@ -73,7 +73,7 @@ class PixelObservations(OneGroup):
 
     def unknowns(self) -> tuple[str, ...]:
         """The fitted numbers of the lens."""
-        return tuple(lens.NAMES[i] for i in self.free)
+        return tuple(lens.LENS_NAMES[i] for i in self.free)
 
     def tolerances(self) -> Array:
         """Their scales."""
@@ -140,3 +140,8 @@ class PixelObservations(OneGroup):
             np.concatenate([by_arm, np.zeros((len(prior), by_arm.shape[1]))]),
             np.concatenate([by_lens, prior]),
         )
+
+
+def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
+    """The same views with a lens that is "fixed" or "free", whatever their description says."""
+    return replace(data, lens_std=np.full(len(lens.LENS_NAMES), 0.0 if kind == "fixed" else np.inf))

@@ -18,7 +18,7 @@ from pickenv.calibration.identification.board_poses import board_poses
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.error_model import frames_model, geometric_model, with_terms
+from pickenv.calibration.model.error_model import ErrorModel, frames_model, geometric_model, with_terms
 from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations, ReflectorObservations, SocketObservations
@@ -109,8 +109,7 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, t
     """
     nominal = arm.nominal if aligned is None else aligned.geometry
     start = ArmModel.of(nominal, terms)
-    model = frames_model(arm.nominal) if arm.name == CARRIER else geometric_model(arm.nominal, aligned is None)
-    found = identify_converged(with_terms(model, start), start, [data])
+    found = identify_converged(with_terms(fitted_model(arm.name, arm.nominal, aligned), start), start, [data])
     record = {
         "source": data.source,
         "poses": len(data.joints),
@@ -126,6 +125,11 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, t
     if isinstance(data, Measurements):
         record["data_fingerprint"] = data.fingerprint()
     return Fit(Calibration(arm.name, arm.nominal, nominal, found.arm_model, None, record), found, aligned)
+
+
+def fitted_model(arm: str, nominal: Geometry, aligned: Identification | None) -> ErrorModel:
+    """What of an arm is identified: all of it, base and tool among it where unknown; of finished poses these alone."""
+    return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, aligned is None)
 
 
 def fit_remainder(

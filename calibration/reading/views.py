@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from pickenv.calibration.camera.boards import Board, Grey, opencv
 from pickenv.calibration.camera.corners import FoundCorners, find_corners
 from pickenv.calibration.camera.lens_files import read_lens
 from pickenv.calibration.model.finished_poses import joints_of_finished_poses
-from pickenv.calibration.model.lens import NAMES, Lens
+from pickenv.calibration.model.lens import LENS_NAMES, Lens
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.reading.conventions import rotations
@@ -191,7 +190,7 @@ def _found_in_table(
 def _lens(given: LensTable, home: Path) -> Lens:
     if given.file is not None:
         return read_lens(home / given.file)
-    values = np.zeros(len(NAMES))
+    values = np.zeros(len(LENS_NAMES))
     values[:4] = [value or 0.0 for value in (given.fx, given.fy, given.cx, given.cy)]
     values[4 : 4 + len(given.distortion)] = given.distortion
     return Lens(values, (given.width or 0, given.height or 0))
@@ -201,9 +200,4 @@ def _lens_std(given: LensTable) -> Array:
     """Standard uncertainty of each number of the lens: nothing, infinite, or as stated."""
     if given.lens == "prior":
         return np.array([given.prior_px] * 4 + [given.prior_distortion] * 5)
-    return np.full(len(NAMES), 0.0 if given.lens == "fixed" else np.inf)
-
-
-def with_lens(data: PixelObservations, lens: str) -> PixelObservations:
-    """The same views with a lens that is "fixed" or "free", whatever their description says."""
-    return replace(data, lens_std=np.full(len(NAMES), 0.0 if lens == "fixed" else np.inf))
+    return np.full(len(LENS_NAMES), 0.0 if given.lens == "fixed" else np.inf)

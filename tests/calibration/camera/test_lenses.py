@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from pickenv.calibration.camera.lens_files import read_lens, write_lens
-from pickenv.calibration.model.lens import NAMES, Lens, by_point, by_values, projected, undistorted
+from pickenv.calibration.model.lens import LENS_NAMES, Lens, by_point, by_values, projected, undistorted
 from pickenv.errors import InputError
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)) * (0.3, 0.3, 0.1) + (0.0, 0.0, 1.2)
@@ -62,7 +62,7 @@ def test_camera_info_is_ross(webcam: Lens, tmp_path: Path) -> None:
     assert content["distortion_model"] == "plumb_bob" and content["image_width"] == 640
     assert len(content["projection_matrix"]["data"]) == 12 and content["camera_matrix"]["rows"] == 3
     assert content["distortion_coefficients"]["data"] == webcam.values[4:].tolist()
-    assert NAMES[4:] == ("k1", "k2", "p1", "p2", "k3")
+    assert LENS_NAMES[4:] == ("k1", "k2", "p1", "p2", "k3")
 
 
 @pytest.mark.parametrize(
