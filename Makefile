@@ -60,7 +60,7 @@ benchmark: $(DEVELOPMENT)
 	$(PYTEST) -m "" --benchmark-enable --benchmark-only $(ARGS)
 
 mutants: $(MUTANTS)
-	$(BIN)/python scripts/mutants.py $(ARGS)
+	$(BIN)/python scripts/mutation/mutants.py $(ARGS)
 
 clean:
 	rm -rf $(VENV) runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks

@@ -49,7 +49,7 @@ def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
     x = np.asarray(values, dtype=float)
     if x.ndim != 1:
         raise ValueError(f"an interval is of values in one row, one per arm or fruit; got the shape {x.shape}")
-    if len(x) < least or not np.ptp(x) > 1e-12 * np.abs(x).max():
+    if len(x) < least or _equal(x):
         return None
     from scipy.special import stdtrit  # late: half of SciPy comes along
 
@@ -147,7 +147,7 @@ def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_R
     """
     x = np.asarray(values, dtype=float)
     a, b = x.shape
-    if a < least[0] or b < least[1] or not np.ptp(x) > 1e-12 * np.abs(x).max():
+    if a < least[0] or b < least[1] or _equal(x):
         return None
     from scipy.special import stdtrit
 
@@ -196,6 +196,11 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
         rank = innermost if enough else float(brentq(beyond, 1.0, float(count), args=(tail,)))
         ends.append((rank - 0.5) / count)
     return ends[0], ends[1]
+
+
+def _equal(values: NDArray[np.float64]) -> bool:
+    """Whether values differ by rounding alone, or by less than arithmetic can square."""
+    return not np.ptp(values) > max(1e-12 * np.abs(values).max(), 1e-150)
 
 
 def _unskewed(standardised: float, skewness: float, n: int) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,10 +35,11 @@ from pickenv.agents.evaluation.calibrated import CalibrationPlan
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
 from pickenv.agents.evaluation.grid_figures import LABELS, aggregate_figure, success_curves
 from pickenv.agents.evaluation.grid_tables import gain_words, interval_words, with_interval
-from pickenv.agents.evaluation.statistics import mean_over_arms, quantile_over_arms, share_over_arms
+from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.files import write_text
 from pickenv.inspect.colours import policy_colours
-from pickenv.inspect.figures.style import WIDTH, new_figure, rgb, save_figure
+from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, rgb, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -114,15 +116,19 @@ def policies_findings(grid: PolicyGrid) -> list[Finding]:
         "arms, mm): "
         f"{', '.join(means)}; a servo with a camera of 1 mm per axis leaves {_of(servo)} on raw arms."
     )
-    cup = grid.grippers["li_cup"]
-    rates = [
-        f"{100 * share_over_arms(grid.cell('scripted', key, 'encoders', plant).chances(cup)).value:.1f} %"
+    taken = {
+        (plant, key): grid.cell("scripted", key, "encoders", plant).chances(grid.grippers["li_cup"])
         for plant in PLANTS
         for key in ("raw", "ls")
-    ]
+    }
+    change = mean_over_arms(taken["orchard", "ls"] - taken["orchard", "raw"])
+    rates = {where: with_interval(found.value, found.ci95, 1, 100.0, " %") for where, found in _shares(taken).items()}
     second = (
-        f"For Li's cup, least squares turn {rates[0]} of taken fruit into {rates[1]} on `qiao2026` and "
-        f"{rates[2]} into {rates[3]} on `orchard`; the marks' bars are 95 % intervals over arms."
+        f"On `qiao2026` Li's cup takes {rates['qiao2026', 'raw']} of the fruit from the raw arm, blind, and "
+        f"{rates['qiao2026', 'ls']} behind least squares; on `orchard`, which also drifts, {rates['orchard', 'raw']} "
+        "and "
+        f"{rates['orchard', 'ls']}, a change on the same arms and fruit of {100 * change.value:+.1f} "
+        f"({interval_words(change.ci95, 1, 100.0, '+') or change.missing}) points."
     )
     return [
         Finding(
@@ -130,6 +136,10 @@ def policies_findings(grid: PolicyGrid) -> list[Finding]:
         ),
         Finding("Whether it changes a pick", second, "success", success_curves(grid, "orchard"), success_table(grid)),
     ]
+
+
+def _shares(taken: Mapping[tuple[str, str], Array]) -> dict[tuple[str, str], Estimate]:
+    return {where: share_over_arms(chances) for where, chances in taken.items()}
 
 
 def error_tables(grid: PolicyGrid) -> list[str]:
@@ -140,14 +150,14 @@ def error_tables(grid: PolicyGrid) -> list[str]:
         "one "
         "training each.",
         "",
-        "| plant | policy | feedback | calibration | mean | median arm | 95th percentile arm |",
-        "|---|---|---|---|---|---|---|",
+        "| plant | policy | feedback | calibration | mean | median arm | 95th percentile arm | largest reach |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for cell in grid.cells:
         numbers = mean_over_arms(cell.errors_mm), *(quantile_over_arms(cell.errors_mm, p) for p in (0.5, 0.95))
         lines.append(
             f"| {cell.plant} | {cell.policy} | {cell.feedback} | {LABELS[cell.compensation]} | "
-            f"{' | '.join(map(_of, numbers))} |"
+            f"{' | '.join(map(_of, numbers))} | {cell.errors_mm.max():.1f} |"
         )
     lines += ["", "Paired differences (mm), on the same arms and fruit, open loop:", ""]
     lines += ["| plant | policy | from | to | difference | 95 % | significant |", "|---|---|---|---|---|---|---|"]
@@ -176,12 +186,19 @@ def success_table(grid: PolicyGrid) -> list[str]:
     return [*lines, ""]
 
 
-def adaptive_finding(sizes: Sizes, runs: Path) -> Finding:
+def run_adaptive(sizes: Sizes, runs: Path) -> PolicyGrid:
     """The policy that calibrates while it picks."""
-    settings = settings_of(
-        sizes, policies=("adaptive",), feedback=("camera",), plants=tuple(PLANTS), compensations=("raw", "ls")
+    return run_grid(
+        settings_of(
+            sizes, policies=("adaptive",), feedback=("camera",), plants=tuple(PLANTS), compensations=("raw", "ls")
+        ),
+        runs,
     )
-    grid = run_grid(settings, runs)
+
+
+def adaptive_finding(grid: PolicyGrid) -> Finding:
+    """By the number of the pick."""
+    settings = grid.settings
     half = settings.episodes // 2
     parts = {"first pick": slice(1), "picks 2 to 8": slice(1, 8), "second half": slice(half, None)}
     lines = [
@@ -190,8 +207,8 @@ def adaptive_finding(sizes: Sizes, runs: Path) -> Finding:
         "drift "
         "to follow (see the day). Mean error (mm), 95 % interval over arms.",
         "",
-        "| plant | starting from | " + " | ".join(parts) + " |",
-        "|---|---|" + "---|" * len(parts),
+        "| plant | starting from | " + " | ".join(parts) + " | largest |",
+        "|---|---|" + "---|" * (len(parts) + 1),
     ]
     names = [f"{cell.plant}, {LABELS[cell.compensation]}" for cell in grid.cells]
     with new_figure(WIDTH, 3.0) as figure:
@@ -199,8 +216,9 @@ def adaptive_finding(sizes: Sizes, runs: Path) -> Finding:
         for cell, name, colour in zip(grid.cells, names, rgb(policy_colours(names)), strict=True):
             errors = cell.errors_mm
             found = [_of(mean_over_arms(errors[:, :, part])) for part in parts.values()]
-            lines.append(f"| {cell.plant} | {LABELS[cell.compensation]} | {' | '.join(found)} |")
+            lines.append(f"| {cell.plant} | {LABELS[cell.compensation]} | {' | '.join(found)} | {errors.max():.1f} |")
             axes.plot(np.arange(1, settings.episodes + 1), errors.mean(axis=(0, 1)), color=colour, label=name)
+        plain_decades(axes.yaxis)
         figure.legend(loc="outside right center")
     errors = grid.cells[0].errors_mm
     gain = mean_over_arms(errors[:, :, half:].mean(axis=2, keepdims=True) - errors[:, :, :1])
@@ -213,7 +231,7 @@ def adaptive_finding(sizes: Sizes, runs: Path) -> Finding:
     return Finding("Calibrating while picking", sentence, "adaptive", figure, [*lines, ""])
 
 
-def _of(found: Any) -> str:
+def _of(found: Estimate) -> str:
     return with_interval(found.value, found.ci95, 2)
 
 
@@ -265,7 +283,7 @@ def main() -> None:
             title = "Open loop calibrated against closed loop raw"
             findings.append(Finding(title, noise_sentence(noise), "noise", noise_figure(noise), noise_tables(noise)))
         elif name == "adaptive":
-            findings.append(adaptive_finding(sizes, calibrations))
+            findings.append(adaptive_finding(run_adaptive(sizes, calibrations)))
         elif name == "day":
             day = run_day(settings_of(sizes), sizes.picks)
             findings.append(Finding("A day in the orchard", day_sentence(day), "day", day_figure(day), day_tables(day)))

@@ -20,7 +20,6 @@ from pytest_benchmark.fixture import BenchmarkFixture
 ROOT = Path(__file__).parents[1]
 
 GROUND = (
-    "pickenv.bootstrap",
     "pickenv.intervals",
     "pickenv.faces",
     "pickenv.files",

@@ -62,7 +62,7 @@ def test_one_value_out_of_all_bounds_does_not_turn_it_round() -> None:
     assert low < x.mean() < high
 
 
-@pytest.mark.parametrize("x", [np.arange(LEAST - 1.0), np.full(50, 0.3), np.zeros(50), []])
+@pytest.mark.parametrize("x", [np.arange(LEAST - 1.0), np.full(50, 0.3), np.zeros(50), 1e-280 * np.arange(50.0), []])
 def test_none_where_too_few_or_all_equal(x: np.ndarray) -> None:
     assert mean_interval(x) is None
     assert statistic_interval(np.asarray(x)[:, None], lambda rows: rows.sum() / 3.0) is None

@@ -1,6 +1,7 @@
 """Shares of variance and Sobol indices hold the truth as often as they say; a cause without effect may have none.
 
-Rows like a study's, but of known truth: even deviations, errors that are skewed and unequally scattered.
+Rows like a study's, but of known truth: even deviations, errors that are skewed and unequally scattered. One draw takes
+a tenth of a second, so that a thousand tell the coverage to within 1.4 points: so much is allowed on either side.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.study.analysis.sensitivity import ARMS_PER_TERM, sensitivities_of
-from pickenv.study.analysis.sobol import SAMPLES, SCRAMBLES, sobol_indices
+from pickenv.study.analysis.sobol import LEAST, SAMPLES, sobol_indices
 from pickenv.study.results.variance_indices import variance_indices
 
 DEVIATIONS = 24
@@ -55,17 +56,17 @@ def test_shares(repeats: Any, arms: int) -> None:
             null += 1
             spared += found[name]["share_low"] <= 0.0 <= found[name]["share_high"]
             estimates.append(found[name]["share"])
-    chance = 0.0 if repeats.full else 3.0 * np.sqrt(0.05 * 0.95 / times)
+    chance = (2.0 if repeats.full else 3.0) * np.sqrt(0.05 * 0.95 / times)
     assert spared / null >= 0.93, f"holds zero in {spared} of {null}"
     assert abs(np.mean(estimates)) < 4.0 * np.std(estimates) / np.sqrt(null / 4)
     for name, count in held.items():
-        assert 0.93 - chance <= count / times <= 0.97 + chance + 0.01, f"{name}: {count} of {times}"
+        assert 0.93 - chance <= count / times <= 0.97 + chance, f"{name}: {count} of {times}"
 
 
 ISHIGAMI = {"first_order": (0.3139, 0.4424, 0.0), "total": (0.5576, 0.4424, 0.2437)}
 
 
-@pytest.mark.parametrize("samples", [2 * SCRAMBLES, SAMPLES])
+@pytest.mark.parametrize("samples", [LEAST, SAMPLES])
 def test_sobol_indices(repeats: Any, samples: int) -> None:
     def model(even: np.ndarray, _rows: np.ndarray) -> np.ndarray:
         x = np.pi * (2 * even - 1)
@@ -77,9 +78,9 @@ def test_sobol_indices(repeats: Any, samples: int) -> None:
         rows = sobol_indices(model, {"x1": [0], "x2": [1], "x3": [2]}, samples, rng)
         for key, truth in ISHIGAMI.items():
             held[key] += [r[f"{key}_low"] <= t <= r[f"{key}_high"] for r, t in zip(rows, truth, strict=True)]
-    chance = 0.0 if repeats.full else 3.0 * np.sqrt(0.05 * 0.95 / times)
+    chance = (2.0 if repeats.full else 3.0) * np.sqrt(0.05 * 0.95 / times)
     for key, counts in held.items():
-        assert (counts / times >= 0.93 - chance).all() and (counts / times <= 0.98 + chance).all(), (key, counts)
+        assert (counts / times >= 0.93 - chance).all() and (counts / times <= 0.97 + chance).all(), (key, counts)
 
 
 @pytest.mark.parametrize("arms", [20, 256])
@@ -96,6 +97,5 @@ def test_components(repeats: Any, arms: int) -> None:
             one["first_order_low"] <= 0.5 <= one["first_order_high"],
             other["total_low"] <= 0.375 <= other["total_high"],
         ]
-    chance = 0.0 if repeats.full else 3.0 * np.sqrt(0.05 * 0.95 / times)
-    least = 0.93 if arms > 100 else 0.88
-    assert (held / times >= least - chance).all() and (held / times <= 0.985 + chance).all(), held / times
+    chance = (2.0 if repeats.full else 3.0) * np.sqrt(0.05 * 0.95 / times)
+    assert (held / times >= 0.93 - chance).all() and (held / times <= 0.97 + chance).all(), held / times

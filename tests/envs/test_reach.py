@@ -10,6 +10,7 @@ from pickenv.arm import forward, load_plant, pose_error, rotation_matrix
 from pickenv.envs.shared.backends import FLOATS
 from pickenv.envs.shared.simulation import goal_attempt
 from pickenv.envs.shared.streams import seed_word
+from pickenv.envs.shared.task import make_task
 from pickenv.errors import InputError
 
 MIDDLE = [math.radians(7.5), 0.3, 0.4, 0.0, 0.1, 0.0]
@@ -192,7 +193,20 @@ BAD_ARGUMENTS = {
     "negative noise": ({"camera_noise_mm": -0.1}, r"camera_noise_mm is -0\.1; give a finite number not below zero"),
     "noise beyond the observation's bounds": ({"camera_noise_mm": 200.0}, r"camera_noise_mm is 200.*at most 100"),
     "no tilt": ({"max_tilt_deg": 0.0}, r"max_tilt_deg is 0\.0"),
+    "one effect not in a list": ({"without": "boom_bending"}, r"without is 'boom_bending'; give a list"),
+    "an effect that is no name": ({"without": ["boom_bending", 3]}, r"without is \['boom_bending', 3\]; give a list"),
+    "effects that are no list": ({"without": 3}, r"without is 3; give a list"),
+    "more than any number": ({"tolerance_mm": 1e6 + 1}, r"tolerance_mm is 1000001.*at most 1000000"),
 }
+
+
+def test_a_task_of_which_nothing_is_said_is_the_one_of_the_class_and_the_largest_numbers_are_possible():
+    task = make_task()
+    assert (task.tolerance_mm, task.angle_tolerance_deg, task.arms, task.population) == (5.0, 10.0, "fixed", 1)
+    assert task.min_upright == pytest.approx(math.cos(math.radians(30.0)))
+    assert not (task.camera or task.camera_noise or task.fruit_noise or task.sparse or task.end_on_success)
+    assert make_task(arms="per_episode").population == 256
+    assert make_task(tolerance_mm=1e6).tolerance_mm == 1e6
 
 
 @pytest.mark.parametrize("case", BAD_ARGUMENTS)

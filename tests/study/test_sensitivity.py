@@ -117,7 +117,7 @@ def test_sobol_indices_of_ishigami():
 def test_no_total_is_less_than_its_first_order_and_intervals_hold_their_estimates(seed):
     """Additive in three of five inputs, where both estimate one number and chance would put either first."""
     model = lambda u, _: u[:, 0] + 2 * u[:, 1] + u[:, 2] * u[:, 3]  # noqa: E731
-    for row in sobol_indices(model, {f"x{i}": [i] for i in range(5)}, 64, np.random.default_rng(seed)):
+    for row in sobol_indices(model, {f"x{i}": [i] for i in range(5)}, 256, np.random.default_rng(seed)):
         assert row["first_order"] <= row["total"]
         for key in ("first_order", "total"):
             assert row[f"{key}_low"] <= row[key] <= row[f"{key}_high"]
@@ -145,16 +145,16 @@ def test_sobol_indices_of_groups_of_a_linear_model():
 
 def test_sobol_indices_are_reproducible_and_refuse_what_they_cannot_do():
     def run(seed):
-        return sobol_indices(lambda u, _: u.sum(axis=1), {"a": [0], "b": [1]}, 64, np.random.default_rng(seed))
+        return sobol_indices(lambda u, _: u.sum(axis=1), {"a": [0], "b": [1]}, 256, np.random.default_rng(seed))
 
     assert run(3) == run(3) != run(4)
-    for samples in (100, 32):
-        with pytest.raises(InputError, match="give a power of two from 64"):
+    for samples in (300, 128):
+        with pytest.raises(InputError, match="give a power of two from 256"):
             sobol_indices(lambda u, _: u[:, 0], {"a": [0]}, samples, np.random.default_rng(0))
     with pytest.raises(InputError, match=r"the groups name inputs \[0, 2\]"):
-        sobol_indices(lambda u, _: u[:, 0], {"a": [0], "b": [2]}, 64, np.random.default_rng(0))
+        sobol_indices(lambda u, _: u[:, 0], {"a": [0], "b": [2]}, 256, np.random.default_rng(0))
     with pytest.raises(InputError, match="no variance to divide"):
-        sobol_indices(lambda u, _: np.ones(len(u)), {"a": [0]}, 64, np.random.default_rng(0))
+        sobol_indices(lambda u, _: np.ones(len(u)), {"a": [0]}, 256, np.random.default_rng(0))
 
 
 def test_components_of_four_causes_drawn_by_hand():

@@ -21,10 +21,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow.dataset import Dataset
-from scipy.special import chndtr, chndtrinc, stdtrit
+from scipy.special import chndtr, chndtrinc, ndtri, stdtrit
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
+from pickenv.intervals import mean_interval
 from pickenv.study.results.row_table import OK
 from pickenv.threads import single_threaded
 
@@ -97,10 +98,11 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
     about = {"r2": r2, "r2_adjusted": 1.0 - (1.0 - r2) * (moments.arms - 1) / (moments.arms - terms)}
     spread = _jackknifed(np.array([part.mean_square for part in left_out]))
     half = float(stdtrit(len(left_out) - 1, TAILS[0])) * spread
-    steps = _jackknifed(np.sqrt(np.maximum([part.share for part in left_out], 0.0)))
+    roots, blocks = np.sqrt(np.maximum(found.share, 0.0)), len(left_out)
+    pseudo = blocks * roots - (blocks - 1) * np.sqrt(np.maximum([part.share for part in left_out], 0.0))
     table: list[dict[str, Any]] = []
     for i, (name, level) in enumerate([*((n, "parameter") for n in groups), *((k, "kind") for k in kinds)]):
-        low, high = _interval(found.share[i], chance[i], steps[i])
+        low, high = _interval(found.share[i], chance[i], pseudo[:, i])
         table.append(
             {
                 "parameter": name,
@@ -244,20 +246,26 @@ def _jackknifed(left_out: Array) -> Array:
     return np.asarray(np.sqrt((blocks - 1) / blocks * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0)))
 
 
-def _interval(share: float, chance: float, step: float) -> tuple[float, float]:
+def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]:
     """95 % interval of a share without what chance adds.
 
     The root of a share is a length in the space of slopes, and its standard error the same everywhere, so that the
-    share over that error squared is noncentral chi-square, as if of ``chance / step**2`` degrees of freedom. The
+    share over that error squared is noncentral chi-square, as if of ``chance / error**2`` degrees of freedom. The
     interval holds the noncentralities that such a share does not contradict. It begins at zero where zero is one of
     them, and holds the estimate where that is below zero.
+
+    Args:
+        share: With what chance adds.
+        chance: What that is.
+        pseudo: The jackknife's pseudo-values of the share's root; their skewness gives each side an error of its own.
     """
-    estimate = share - chance
-    if not step > 0.0:
+    estimate, ends = share - chance, mean_interval(pseudo)
+    if ends is None:
         return estimate, estimate
-    scale, freedom = step**2, max(chance / step**2, 1e-6)
-    low, high = (
-        scale * float(chndtrinc(share / scale, freedom, tail)) if chndtr(share / scale, freedom, 0.0) > tail else 0.0
-        for tail in TAILS
-    )
-    return min(low, estimate), max(high, estimate)
+    found = []
+    for end, tail in zip(ends, TAILS, strict=True):
+        scale = ((end - pseudo.mean()) / float(ndtri(TAILS[0]))) ** 2
+        freedom = max(chance / scale, 1e-6)
+        possible = chndtr(share / scale, freedom, 0.0) > tail  # else no share at all is too much already
+        found.append(scale * float(chndtrinc(share / scale, freedom, tail)) if possible else 0.0)
+    return min(found[0], estimate), max(found[1], estimate)

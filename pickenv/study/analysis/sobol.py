@@ -43,6 +43,8 @@ STREAM = 7
 """Key of the random numbers, apart from those of the study's rows."""
 SCRAMBLES = 32
 """Independent Sobol sequences that a sample consists of; the intervals are over them."""
+LEAST = 8 * SCRAMBLES
+"""Rows of a sample at least: with fewer the intervals hold too seldom."""
 SAMPLES = 2048
 """Rows of a sample when nothing else is asked."""
 
@@ -131,8 +133,8 @@ def sobol_indices(
     d = len(inputs)
     if inputs != list(range(d)) or not d:
         raise InputError(f"the groups name inputs {inputs}; name each of 0 to {max(inputs, default=0)} once")
-    if samples < 2 * SCRAMBLES or samples & (samples - 1):
-        raise InputError(f"{samples} samples; give a power of two from {2 * SCRAMBLES}, such as {SAMPLES}")
+    if samples < LEAST or samples & (samples - 1):
+        raise InputError(f"{samples} samples; give a power of two from {LEAST}, such as {SAMPLES}")
     each, rows = samples // SCRAMBLES, np.arange(samples)
     even = np.concatenate([qmc.Sobol(2 * d, rng=rng).random(each) for _ in range(SCRAMBLES)])
     first, second = even[:, :d], even[:, d:]

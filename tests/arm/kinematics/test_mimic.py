@@ -284,3 +284,20 @@ def test_a_coupling_that_cannot_be_gets_one_sentence(load, case):
 def test_a_multiplier_of_zero_holds_the_link_still(load):
     arm = load(PARALLELOGRAM.replace('multiplier="-1"', 'multiplier="0"'))
     assert arm.nominal.coupling is None and arm.nominal.links == 4
+
+
+def test_a_follower_that_turns_for_ever_narrows_nothing(load):
+    """Even where it states a speed; one with limits narrows both its driver's range and its speed."""
+    endless = joint("continuous", "0 0 1", "0.1 0 0", mimic='joint="j1" multiplier="2"').replace(
+        "<mimic", '<limit velocity="0.1" effort="1"/><mimic'
+    )
+    driver = joint("revolute", "0 0 1", "0 0 0.3", lower=-5.0, upper=4.0, velocity=0.5)
+    arm = load(robot(driver, endless))
+    assert (arm.nominal.lower[0], arm.nominal.upper[0], arm.speed[0]) == (-5.0, 4.0, 0.5)
+    held = joint("revolute", "0 0 1", "0.1 0 0", mimic='joint="j1" multiplier="-2" offset="1"', lower=-3, upper=2)
+    arm = load(robot(driver, held))
+    assert (arm.nominal.lower[0], arm.nominal.upper[0], arm.speed[0]) == (-0.5, 2.0, 0.25)
+
+
+def test_a_urdf_declares_that_it_is_xml(qiao):
+    assert urdf_text(qiao.nominal, "arm").startswith("<?xml version=")

@@ -127,3 +127,21 @@ def test_switching_off_an_unknown_effect_is_answered_with_the_known_ones():
 def test_an_unknown_plant_is_answered_with_the_known_ones(name):
     with pytest.raises(InputError, match=r"(unknown plant|plant file).*'geometry_only'"):
         load_plant(name)
+
+
+@pytest.mark.parametrize(("joint", "slides"), [(1, True), (2, False), (3, True)])
+def test_sizes_of_a_joint_are_in_the_unit_of_its_kind_from_the_first_joint_to_the_last(tmp_path, joint, slides):
+    path = tmp_path / "plant.toml"
+    for unit, right in (("mm", slides), ("arcmin", not slides)):
+        path.write_text(
+            f'arm = "li2016_slave"\n[stick_band]\n'
+            f"joints = [{{ joint = {joint}, forward_{unit} = 2.0, backward_{unit} = 1.0 }}]\n"
+        )
+        if right:
+            band = load_plant(path).stick_band
+            size = 2e-3 if slides else 2.0 / 60 * math.pi / 180
+            expected = [size if i + 1 == joint else 0.0 for i in range(3)]
+            assert list(band.forward) == pytest.approx(expected)
+        else:
+            with pytest.raises(InputError, match=f"forward_{unit}"):
+                load_plant(path)

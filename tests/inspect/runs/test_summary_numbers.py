@@ -84,7 +84,8 @@ def test_the_sentences_below_the_summary_count_and_compare_the_last_two(comparis
     share = 100 * np.count_nonzero(last < before) / len(last)
     assert 20 < share < 45
     assert f"LS + BPNN errs less than LS at {share:.0f} % of them." in text
-    assert f"{len(many.fruit)} reaches; a pick if the fruit is inside the capture region, radius 1 mm" in text
+    assert f"{len(many.fruit)} reaches, of this one calibration; a pick if the fruit is inside the capture" in text
+    assert "capture region, radius 1 mm" in text
     assert f"{len(many.field_points)} field points, cells of 55 mm." in text
     top = np.percentile(1e3 * np.linalg.norm(many.policies[0].field_errors, axis=1), 99)
     assert f"drawn ×25. **Colour**: its length, 0 to {top:.2f} mm in every field (p99 of raw;" in text

@@ -34,7 +34,7 @@ def table(rows: dict[str, dict[str, Any]]) -> str:
 
 def row_of(mutants: int, verdicts: list[str]) -> dict[str, Any]:
     """The score of some verdicts."""
-    from pickenv.calibration.assessment.metrics import wilson_interval  # late: see WARM in mutants
+    from pickenv.intervals import share_interval  # late: see WARM in mutants
 
     late, killed = verdicts.count("took too long"), len(verdicts) - verdicts.count("passed")
     return {
@@ -43,7 +43,7 @@ def row_of(mutants: int, verdicts: list[str]) -> dict[str, Any]:
         "killed": killed,
         "late": late,
         "score": killed / len(verdicts),
-        "interval": wilson_interval(killed, len(verdicts)),
+        "interval": share_interval(killed, len(verdicts)),
     }
 
 

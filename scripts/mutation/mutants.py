@@ -3,9 +3,10 @@
 mutmut makes the mutants; each is tried in a copy of the project, against the tests of its room alone, and is killed if
 one of them fails or does not end in time. What is written after each mutant is taken up again by the next run: a mutant
 is tried again only if its file has changed or, where it survived, the tests of its room have. Text, messages and what a
-decorator covers are left as they are, and so are changes that make no difference (scripts/mutants_equivalent.toml).
+decorator covers are left as they are, and so are changes that make no difference (mutants_equivalent.toml).
 
-Run: python scripts/mutants.py [--room NAME]... [--sample N] [--seed S] [--json FILE] [--also FILE]... [--page FILE]
+Run: python scripts/mutation/mutants.py [--room NAME]... [--sample N] [--seed S] [--json FILE] [--also FILE]...
+     [--page FILE]
 """
 
 from __future__ import annotations
@@ -96,7 +97,9 @@ ROOMS = {
         "tests/harvester",
         "picking assignment interference harvest environments",
     ),
-    "picking env": room("pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"),
+    "picking env": room(
+        "pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"
+    ),
     "harvesting env": room(
         "pickenv/envs/harvesting",
         "harvest_batch harvest_env harvest_vector",
@@ -191,7 +194,7 @@ ROOMS = {
         "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
         "reports/calibration_report reports/report_words",
         "tests/inspect",
-        "runs/summary_numbers figure_numbers page_numbers calibration_report report",
+        "runs/summary_numbers figure_numbers figures page_numbers calibration_report report",
     ),
 }
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from py_compile import PycInvalidationMode
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 LEFT_BEHIND = ("__pycache__", ".git", ".venv", ".*_cache", ".hypothesis", ".benchmarks")
 """Anywhere in the project; `MADE` is left behind in its root alone, for a package of it may have such a name."""
 MADE = {"runs", "dist"}
