@@ -29,6 +29,7 @@ from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
+from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.lens import LENS_NAMES
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
@@ -381,7 +382,8 @@ def assess(
     bare = next(iter(fits.values()))
     aligned = bare.aligned
     held_out = held_out or held_out_of(fits, train, test)
-    before, after = held_out.errors[NOMINAL], list(held_out.errors.values())[-1]
+    after = list(held_out.errors.values())[-1]
+    before = None if arm.name == CARRIER else held_out.errors[NOMINAL]
     if isinstance(test, Measurements) and isinstance(train, Measurements):
         if coverage is None:
             start = bare.calibration.nominal
