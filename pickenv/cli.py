@@ -59,9 +59,9 @@ def demo(
 
 
 def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
+    from pickenv.calibration.assessment.metrics import LEAST_ROWS
     from pickenv.demo import LABELS
     from pickenv.inspect.reports.report_words import between, percent
-    from pickenv.intervals import LEAST
 
     found = summary["identifiability"]
     heads = (
@@ -85,7 +85,7 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     caption = (
         f"success: within {summary['tolerance_mm']:g} mm and {summary['attitude_tolerance_deg']:g} deg; floor: attitude"
         " error that no joint motion removes; all of this one calibration: intervals are over fruit"
-        + ("" if summary["reaches"] >= LEAST else f", and means have none with fewer than {LEAST}")
+        + ("" if summary["reaches"] >= LEAST_ROWS else f", and means have none with fewer than {LEAST_ROWS}")
     )
     print_table(title, heads, rows, words=("policy",), caption=caption)
     dropped = ", ".join(found["dropped"])

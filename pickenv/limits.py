@@ -32,7 +32,7 @@ LIMITS: Mapping[str, tuple[float, float, str]] = {
     "episodes": (1, 100_000, MEMORY),
     "epochs": (1, 100_000, COST),
     "population": (1, 1_000_000, MEMORY),
-    "samples": (0, 2**20, COST),
+    "samples": (256, 2**20, COST),
     "seed": (0, 2**128, "random numbers come from 128 bits"),
     "seed of training": (0, 2**32 - 1, "stable-baselines3 takes 32 bits"),
 }

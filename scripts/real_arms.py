@@ -1,7 +1,8 @@
 """Every row of README's table of measured robots, with its spread: over ten random splits, and between ten blocks.
 
 Needs the measured data sets (PICKENV_DATA). Prints the Markdown table and writes it with all figures as JSON. A row
-that is done is kept in the folder by a hash of its data and settings, so a run that was cut off goes on where it was.
+that is done is kept in the folder by a hash of its data and settings, so a run that was cut off goes on where it was;
+after a change of the code start with an empty folder.
 
 Run: python scripts/real_arms.py [--out runs/real_arms] [--only ur5_blocks]
 """
@@ -33,7 +34,8 @@ SEED, SPLITS = 0, 10
 HEADS = ("robot and rows judged", "nominal (mm)", "geometry (mm)", "best model (mm)", "published (mm)")
 NOTE = (
     "Random fifths: mean over ten splits (lowest to highest). Blocks: each tenth of the file judged without itself, "
-    "with the 95 % interval between blocks. Other poses: 95 % interval over poses."
+    "with the 95 % interval between blocks. Other poses: 95 % interval over poses. None where one "
+    "block outweighs the others."
 )
 
 
@@ -79,6 +81,7 @@ SERIES = {
 }
 PANDA = ("{}/mukca_sockets/urdf/panda.urdf#ball_link", "mukca_sockets", "mukca_sockets/data/panda_1/*/hole_*.csv")
 POSITIONER = ("positioner", "positioner_rct", "positioner_rct/*.yaml")
+NOTHING = "nothing added"
 SEEN = "the rule was settled with these poses in sight"
 
 ROWS = {
@@ -171,11 +174,12 @@ def table_of(found: Mapping[str, Mapping[str, Any]]) -> str:
         best = ""
         if row.terms != "none":
             used = list(dict.fromkeys(figures["used"]))
-            words = "; ".join(text.removeprefix("geometry").replace("+", ", ").strip(", ") or "none" for text in used)
+            words = "; ".join(text.removeprefix("geometry").replace("+", ", ").strip(", ") or NOTHING for text in used)
             remark = f"; {row.remark}" if row.remark else ""
             best = f"{cell(models['best'])}: {words}{remark}"
-        cells = (f"{row.robot}, {what}, {judged_by}", cell(models["nominal"]), cell(models["geometry"]), best)
-        lines.append(f"| {' | '.join(cells)} | {row.published} |".replace("|  |", "| |"))
+        what = f"{row.robot}, {what}, {judged_by}"
+        cells = (what, cell(models["nominal"]), cell(models["geometry"]), best, row.published)
+        lines.append("".join(f"| {text} " if text else "| " for text in cells) + "|")
     return "\n".join(lines) + "\n"
 
 

@@ -39,7 +39,7 @@ COMMANDS = {
     "evaluate --episodes 1000000000": "episodes is 1000000000; give 1 to 100 000",
     "evaluate --epochs 1000000000": "epochs is 1000000000; give 1 to 100 000",
     "train --seed 4294967296": "seed is 4294967296; give 0 to 4 294 967 295",
-    f"study {STUDY} --sobol 1000000000": "--sobol is 1000000000; give 0 to 1 048 576",
+    f"study {STUDY} --sobol --samples 1000000000": "--samples is 1000000000; give 256 to 1 048 576",
 }
 
 

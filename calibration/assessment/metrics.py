@@ -15,6 +15,14 @@ from numpy.typing import ArrayLike
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.intervals import Ends, mean_interval, statistic_interval
 
+LEAST_ROWS = 20
+"""Fewest single errors for an interval of their mean: with ten, errors as arms leave them are covered in 92 %."""
+
+MOST_APART = 0.4
+"""Standard deviation, between blocks, of the logarithm of the root mean square, above which one block outweighs the
+others: then ten of them bound no root mean square (covered in less than 93 %). What calibrations of measured robots
+leave differs by 0.03 to 0.23."""
+
 
 @dataclass(frozen=True)
 class ErrorStatistics:
@@ -24,7 +32,7 @@ class ErrorStatistics:
         mean: Mean norm.
         mean_ci95: 95 % interval of the mean, over errors or over blocks of them; None where there are too few.
         rms: Root mean square of the norm.
-        rms_ci95: 95 % interval of the root mean square, as that of the mean.
+        rms_ci95: 95 % interval of the root mean square between blocks; None where rows are no blocks.
         std: Standard deviation of the norm.
         p95: 95th percentile.
         max: Largest.
@@ -63,14 +71,11 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
         raise ValueError("error statistics need at least one error, all finite")
     norms = np.abs(errors) if errors.ndim == 1 else np.linalg.norm(errors, axis=1)
     axis = () if errors.ndim == 1 else tuple(float(v) for v in np.sqrt(np.mean(errors**2, axis=0)))
-    of_mean, of_square = (
-        mean_interval(values) if blocks is None else block_interval(values, blocks) for values in (norms, norms**2)
-    )
     return ErrorStatistics(
         mean=float(norms.mean()),
-        mean_ci95=of_mean,
+        mean_ci95=mean_interval(norms, LEAST_ROWS) if blocks is None else block_interval(norms, blocks),
         rms=float(np.sqrt(np.mean(norms**2))),
-        rms_ci95=None if of_square is None else (max(of_square[0], 0.0) ** 0.5, of_square[1] ** 0.5),
+        rms_ci95=None if blocks is None else block_interval(norms, blocks, rms=True),
         std=float(norms.std()),
         p95=float(np.percentile(norms, 95)),
         max=float(norms.max()),
@@ -79,14 +84,26 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
     )
 
 
-def block_interval(values: ArrayLike, blocks: ArrayLike) -> Ends | None:
+def block_interval(values: ArrayLike, blocks: ArrayLike, *, rms: bool = False) -> Ends | None:
     """95 % interval of the mean of values ``(N,)``, between blocks ``(N,)``; None with fewer than ten of them.
 
     Of blocks of equal size it is `mean_interval` of their means.
+
+    Args:
+        values: The values.
+        blocks: The block of each.
+        rms: For the root mean square instead; its logarithm is less skewed, so the interval is that of the logarithm.
+            None where blocks differ by more than `MOST_APART`.
     """
     which = np.unique(np.asarray(blocks), return_inverse=True)[1]
-    sums = np.stack([np.bincount(which, np.asarray(values, dtype=float)), np.bincount(which)], axis=1)
-    return statistic_interval(sums, lambda rows: rows[:, 0].sum() / rows[:, 1].sum())
+    summed = np.asarray(values, dtype=float) ** (2 if rms else 1)
+    sums = np.stack([np.bincount(which, summed), np.bincount(which)], axis=1)
+    if not rms:
+        return statistic_interval(sums, lambda rows: rows[:, 0].sum() / rows[:, 1].sum())
+    if not (sums[:, 0] > 0.0).all() or np.std(0.5 * np.log(sums[:, 0] / sums[:, 1]), ddof=1) > MOST_APART:
+        return None
+    ends = statistic_interval(sums, lambda rows: 0.5 * np.log(rows[:, 0].sum() / rows[:, 1].sum()))
+    return None if ends is None else (float(np.exp(ends[0])), float(np.exp(ends[1])))
 
 
 def held_out_r2(truth: ArrayLike, predicted: ArrayLike) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.assessment.metrics import LEAST_ROWS
 from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
@@ -63,9 +64,8 @@ class HeldOut:
     @property
     def no_interval(self) -> str:
         """Why there is no interval, in words; empty where there is one."""
-        if self._values >= LEAST:
-            return ""
-        return f"no interval: {self._values} {'rows' if self.blocks is None else 'blocks'} are fewer than {LEAST}"
+        least, what = (LEAST_ROWS, "rows") if self.blocks is None else (LEAST, "blocks")
+        return "" if self._values >= least else f"no interval: {self._values} {what} are fewer than {least}"
 
     @property
     def _values(self) -> int:

@@ -42,6 +42,9 @@ def test_depth_noise_is_floor_and_square_law_and_grows_with_light():
     """At 2 m: sqrt(3^2 + (1 x 2^2)^2) = 5 mm, and exp(1e-5 x 50 000) times as much in 50 000 lx more."""
     camera = replace(PLAIN, depth_noise_floor=0.003, depth_noise=0.001, noise_growth=1e-5, noise_light=20_000.0)
     assert depth_noise(camera, 2.0, 20_000.0) == pytest.approx(0.005)
+    assert depth_noise(camera, 2.0, 0.0) == pytest.approx(0.005 * math.exp(-0.2))  # at night
+    corners = depth_bias(replace(camera, bias=0.01, bias_distance=1.0, bias_per_distance=0.02), [1.0, 3.0])
+    assert corners == pytest.approx([0.01, 0.05])
     assert depth_noise(camera, 2.0, 70_000.0) == pytest.approx(0.005 * math.exp(0.5))
     assert depth_noise(replace(camera, light=70_000.0), 2.0) == pytest.approx(0.005 * math.exp(0.5))
     assert depth_noise(camera, 2.0) == pytest.approx(0.005 * math.exp(0.8))  # a clear day, 100 000 lx
@@ -85,7 +88,7 @@ def test_what_is_reported_rises_from_the_share_where_all_is_lost_to_where_dropou
 
 def test_the_picture_ends_at_half_its_size_over_the_focal_length():
     """400 px of 500 sideways and 300 upwards: 0.8 and 0.6 m at 1 m, twice that at 2 m; behind there is nothing."""
-    inside = [[0.79, 1, 0], [-0.79, 1, 0], [0, 1, 0.59], [0, 1, -0.59], [1.59, 2, -1.19]]
+    inside = [[0.8, 1, 0.6], [0.79, 1, 0], [-0.79, 1, 0], [0, 1, 0.59], [0, 1, -0.59], [1.59, 2, -1.19]]
     outside = [[0.81, 1, 0], [-0.81, 1, 0], [0, 1, 0.61], [0, 1, -0.61], [0, -1, 0], [0, 0, 0], [1.59, 1, 0]]
     assert in_image(PLAIN, inside, ORIGIN, AHEAD).all() and not in_image(PLAIN, outside, ORIGIN, AHEAD).any()
 

@@ -50,6 +50,8 @@ def test_what_is_not_redder_than_green_is_no_fruit_whatever_otsu_says():
     assert not fruit_mask(CAMERA, picture(grey)).any()
     assert fruit_mask(CAMERA, picture(np.where(grey == 0, 1, -100))).any()
     np.testing.assert_array_equal(red_minus_green(picture(grey)), grey)
+    flat = fruit_mask(CAMERA, picture(np.full((60, 60), 7)))
+    assert flat.dtype == bool and flat.shape == (60, 60) and not flat.any()
 
 
 def test_regions_are_counted_where_they_lie():
@@ -116,10 +118,17 @@ def test_a_fruit_whose_match_would_lie_outside_the_right_picture_is_left_out():
     assert len(locate(CAMERA, picture(left), picture(right))) == 0
 
 
+def test_a_match_may_begin_with_the_right_pictures_first_column():
+    """The patch begins 3 px before the fruit, at column 61 of the left picture, and at 0 of the right one."""
+    left, right = pair(61, np.random.default_rng(4), column=64, noise=3.0)
+    found = locate(CAMERA, picture(left), picture(right))
+    assert found.positions[:, 2] == pytest.approx([513.5 * 0.12 / 61])
+
+
 def test_a_match_counts_from_the_correlation_that_the_camera_asks_for():
     left, right = pair(61, np.random.default_rng(2))
     confidence = float(locate(CAMERA, picture(left), picture(right)).confidence[0])
-    for share, count in ((confidence - 1e-6, 1), (confidence + 1e-6, 0)):
+    for share, count in ((confidence - 1e-6, 1), (confidence, 1), (confidence + 1e-6, 0)):
         assert len(locate(replace(CAMERA, least_correlation=share), picture(left), picture(right))) == count
 
 

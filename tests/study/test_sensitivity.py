@@ -4,9 +4,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
+from scipy import stats
 
 from pickenv.errors import InputError
-from pickenv.study.analysis.sensitivity import sensitivities_of, tolerance_kind
+from pickenv.study.analysis.sensitivity import _interval, sensitivities_of, tolerance_kind
 from pickenv.study.analysis.sobol import sobol_indices
 from pickenv.study.results.variance_indices import variance_indices
 
@@ -80,6 +81,39 @@ def test_too_few_arms_and_nothing_that_varies_are_said():
         sensitivities_of(rows_of({"delta_a0_mm": x}, 1 + x**2))
     with pytest.raises(InputError, match="nothing varies between the arms of setting 0"):
         sensitivities_of(rows_of({"delta_a0_mm": np.ones(50)}, np.ones(50)))
+
+
+@pytest.mark.parametrize("chance", [0.002, 0.02, 0.05])
+def test_the_ends_of_a_share_leave_two_and_a_half_percent_on_either_side(chance):
+    """Against SciPy's noncentral chi-square and Student's t; symmetric pseudo-values, so that nothing is skewed."""
+    share, pseudo = 0.06, np.repeat([0.2, 0.3], 50)
+    low, high = _interval(share, chance, pseudo)
+    step = stats.t.ppf(0.975, 99) / stats.norm.ppf(0.975) * pseudo.std(ddof=1) / 10
+    scaled, freedom = share / step**2, chance / step**2
+    for end, tail in ((low, 0.975), (high, 0.025)):
+        assert stats.ncx2.cdf(scaled, freedom, end / step**2) == pytest.approx(tail, abs=2e-3)
+    assert 0.0 < low < share - chance < high
+
+
+def test_a_share_that_chance_alone_may_give_has_an_interval_from_zero():
+    pseudo, chance = np.repeat([0.0, 1.0], 50), 0.005
+    step = stats.t.ppf(0.975, 99) / stats.norm.ppf(0.975) * pseudo.std(ddof=1) / 10
+    for level, begins_at_zero in ((0.5, True), (0.965, True), (0.985, False)):
+        share = step**2 * stats.chi2.ppf(level, chance / step**2)
+        low, high = _interval(share, chance, pseudo)
+        assert (low <= 0.0) == begins_at_zero and high > 0.0 and low <= share - chance <= high
+
+
+def test_r2_is_adjusted_for_its_terms():
+    """By its formula, with two deviations and so four terms and a constant."""
+    x, z = even(200, 2).T
+    rows = rows_of({"delta_a0_mm": x, "delta_a1_mm": z}, 4 + x + np.random.default_rng(1).normal(size=200))
+    (first, *_) = sensitivities_of(rows).to_pylist()
+    y = rows.to_table()["error_rms_mm"].to_numpy() ** 2
+    terms = np.column_stack([np.ones(200), x, z, x**2, z**2])
+    rest = y - terms @ np.linalg.lstsq(terms, y)[0]
+    assert first["r2"] == pytest.approx(1 - rest.var() / y.var(), abs=1e-6)
+    assert first["r2_adjusted"] == pytest.approx(1 - (rest @ rest / 195) / y.var(ddof=1), abs=1e-6)
 
 
 def test_kinds():

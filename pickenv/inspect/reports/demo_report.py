@@ -11,6 +11,7 @@ from pickenv.arm import noncompensable_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import EFFECTS
 from pickenv.calibration.assessment import metrics
+from pickenv.calibration.assessment.metrics import LEAST_ROWS
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
@@ -23,12 +24,12 @@ from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.gripping import gripped
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
-from pickenv.intervals import LEAST, mean_interval, share_interval
+from pickenv.intervals import mean_interval, share_interval
 
 RECORDING = "errors.rrd"
 OF_ONE = "All of it is of this one calibration of one arm: intervals are over fruit, and another calibration differs."
 
-NO_INTERVAL = f"no interval: fewer than {LEAST} reaches, or all alike"
+NO_INTERVAL = f"no interval: fewer than {LEAST_ROWS} reaches, or all alike"
 
 REQUIRED_SHARE = 0.95
 """Share of reaches within the tolerance for which a calibration counts as sufficient."""
@@ -84,7 +85,7 @@ def demo_verdict(comparison: Comparison) -> report_page.PageVerdict:
     first, last = comparison.policies[0], comparison.policies[-1]
     before, after = metrics.error_statistics(first.position_error_mm), metrics.error_statistics(last.position_error_mm)
     gain = first.position_error_mm - last.position_error_mm
-    ends = mean_interval(gain)
+    ends = mean_interval(gain, LEAST_ROWS)
     picked, total = within(comparison, last), len(last.success)
     least, most = share_interval(picked, total)
     tolerance = f"a tolerance of {comparison.tolerance_mm:g} mm"
@@ -169,7 +170,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
         cells += [_mean(attitude, 3), _share(comparison, policy)]
         cells += [_expected(held[policy.label].success[name]) for name in grippers]
         rows.append([policy.label, *cells])
-    some = "in brackets 95 % intervals over fruit" if len(comparison.fruit) >= LEAST else NO_INTERVAL
+    some = "in brackets 95 % intervals over fruit" if len(comparison.fruit) >= LEAST_ROWS else NO_INTERVAL
     caption = f"Final errors of the reaches; {some}. {OF_ONE}"
     return report_page.Section(
         "Reaches, by policy",

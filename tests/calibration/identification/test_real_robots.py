@@ -5,7 +5,7 @@ import pytest
 
 from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, complete_model, fit, identify, read_measurements
-from pickenv.calibration.model.splits import contiguous_folds
+from pickenv.calibration.model.splits import blocked_split, contiguous_folds
 from pickenv.calibration.pipeline.held_out import what_is_left
 from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.calibration.reading.read import read_observations
@@ -133,7 +133,7 @@ def test_ur5_solves_in_few_steps(tracker, ur5):
 
 @pytest.mark.slow
 def test_ur5_with_terms_and_residual(data_folder):
-    """The blocked split: 0.102 mm of geometry, 0.08 mm with terms and a residual chosen on the training rows."""
+    """Over all ten blocks: 0.119 mm of geometry, 0.08 mm with terms and a residual chosen without the block judged."""
     arm, reading = read_set(data_folder, "ur5", "ur5_jacobi2025", "ur5_wam_jacobi2025/UR5/*grid*.csv")
     found = held_out(arm, reading, "blocked", terms="auto", residual="auto")
     assert found.position[found.best_model].rms <= 0.080
@@ -141,13 +141,14 @@ def test_ur5_with_terms_and_residual(data_folder):
 
 @pytest.mark.slow
 def test_ur10_with_terms_and_residual(data_folder):
-    """Series A, blocked: 0.43 mm of geometry, about 0.3 mm with the automatic choice.
+    """Series A, blocks 3 and 7 of ten: 0.43 mm of geometry, about 0.3 mm with the automatic choice.
 
     A process fitted to 2000 drawn rows scatters from 0.19 to 0.42 mm here with the rows drawn, so this is no figure to
     two digits; extra trees alone leave 0.26 to 0.28 mm.
     """
     arm, reading = read_set(data_folder, "ur10", UR10["A"][0], f"ur10_ipa_landgraf2021/{UR10['A'][1]}")
-    found = held_out(arm, reading, "blocked", terms="auto", residual="auto")
+    parts = [reading.observations.select(rows) for rows in blocked_split(len(reading.observations.joints))]
+    found = calibrate(arm, parts[0], test=parts[1])
     assert found.position[found.best_model].rms <= 0.8 * found.position["geometric"].rms
 
 

@@ -1,4 +1,4 @@
-"""Open loop calibrated against closed loop raw: who wins at which camera noise. Part of `scripts/findings.py`."""
+"""Open loop calibrated against closed loop raw: who wins at which camera noise. Part of `findings.py`."""
 
 from __future__ import annotations
 

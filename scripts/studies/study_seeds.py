@@ -1,6 +1,6 @@
 """Does a tolerance study say the same at other seeds? Run it at several, and count the intervals that hold.
 
-    python scripts/study_seeds.py scripts/tolerance_study.toml scripts/tolerance_grades.toml --out runs/seeds
+    python scripts/studies/study_seeds.py scripts/tolerance_study.toml scripts/tolerance_grades.toml --out runs/seeds
 
 For every yield of every seed: does its interval hold the mean of the other seeds? For every two settings that differ in
 grade or number of poses alone: do two seeds ever order them differently, and if so, both with an interval of the

@@ -1,6 +1,6 @@
 """Print the tables of docs/tolerance-studies.md anew, from both example studies at six seeds.
 
-    python scripts/tolerance_docs.py --out runs/seeds
+    python scripts/studies/tolerance_docs.py --out runs/seeds
 
 The tables are of seed 0; the others say how far they may be trusted. Studies go on where they were stopped. What stands
 between the two marks in the page is replaced, and docs/images/study-grades.png is drawn again.
@@ -26,9 +26,9 @@ from pickenv.study.analysis.study_verdict import specified
 from pickenv.study.design.config import load_study
 from pickenv.study.results.study_folder import read_summary
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tolerance-studies.md"
-MARKS = ("<!-- tables: python scripts/tolerance_docs.py -->", "<!-- end of tables -->")
+MARKS = ("<!-- tables: python scripts/studies/tolerance_docs.py -->", "<!-- end of tables -->")
 STUDIES = ("tolerance_grades", "tolerance_study")
 SEEDS = tuple(range(6))
 MATTERS = 6

@@ -1,4 +1,4 @@
-"""Do other seeds agree? `python scripts/findings_seeds.py` holds every printed interval against five fresh seeds.
+"""Do other seeds agree? `python scripts/policies/findings_seeds.py` holds the intervals against five fresh seeds.
 
 The scripted policy on both plants, raw, with least squares and with a Gaussian process, on as many arms as in
 `findings.py`. Every 95 % interval (mean, median and 95th percentile over arms, success by gripper, paired differences)
@@ -15,7 +15,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2]))
 sys.path.insert(0, str(Path(__file__).parent))
 
 from findings import PLANTS, Sizes, settings_of

@@ -1,4 +1,4 @@
-"""Train, judge and ship the learned baselines: `python scripts/train_baselines.py` writes the baselines again.
+"""Train, judge and ship the learned baselines: `python scripts/policies/train_baselines.py` writes the baselines again.
 
 Five seeds each; the first is shipped. Judged on arms that no training saw, with calibrations of their own. Options:
 `--out FOLDER` for the runs, `--only NAME`, `--seeds N`, and `--cards` to judge the shipped policies as they are.
@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
@@ -130,7 +130,7 @@ def card(name: str, policy: LearnedPolicy, found: list[dict[str, Any]]) -> str:
             ),
             "No obstacles, no joint torques, one fruit at a time; a simulated arm, never a real one.",
             "",
-            "Judged by `python scripts/train_baselines.py --cards`; trained by it without that option.",
+            "Judged by `python scripts/policies/train_baselines.py --cards`; trained by it without that option.",
             "",
         ]
     )
@@ -143,7 +143,7 @@ def main() -> None:
     parser.add_argument("--only", choices=tuple(BASELINES_BY_NAME))
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--cards", action="store_true", help="Judge the shipped policies anew; train nothing.")
-    parser.add_argument("--compensations", nargs="+", default=["raw", "ls", "best"])
+    parser.add_argument("--compensations", nargs="+", default=["raw", "ls"])
     options = parser.parse_args()
     for name in [options.only] if options.only else BASELINES_BY_NAME:
         if options.cards:

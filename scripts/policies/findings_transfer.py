@@ -28,7 +28,7 @@ TRAININGS: dict[str, dict[str, Any]] = {
 COMPENSATIONS = ("raw", "ls", "best")
 
 
-def trained_policies(runs: Path, seeds: int, steps: int | None) -> tuple[str, ...]:
+def trained_policies(runs: Path, seeds: int, steps: int) -> tuple[str, ...]:
     """Folders of the trainings, one per kind of arm; what is there already is not trained again."""
     for seed in range(seeds):
         for name, given in TRAININGS.items():
