@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,11 @@ from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statis
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.identification.rows import unknowns_of
-from pickenv.calibration.model.lens import LENS_NAMES
-from pickenv.calibration.model.observations import origins_of
+from pickenv.calibration.model.lens import LENS_NAMES, Lens
+from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.pipeline.fitting import Fit, fitted_model
+from pickenv.errors import InputError
 from pickenv.intervals import Ends, mean_interval
 
 
@@ -109,3 +110,14 @@ def pixel_figures(fit: Fit, data: PixelObservations) -> PixelFigures:
 
 def _rms(errors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+
+def lens_of(fit: Fit, data: Observations) -> Lens:
+    """The lens that a fit of pictures ended at.
+
+    Raises:
+        InputError: If there are no pictures.
+    """
+    if not isinstance(data, PixelObservations):
+        raise InputError(f"{data.source} holds {data.kind}, no pictures, so there is no lens to write")
+    return replace(data.camera, values=data.lens_values(unknowns_of(fit.identification, data)))

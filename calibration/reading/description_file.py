@@ -181,7 +181,9 @@ class PosesTable:
     _: KW_ONLY
     position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
     unit: Annotated[str, _one_of(LENGTHS)]
-    rotation: RotationTable
+    rotation: Annotated[tuple[str, ...], COLUMNS, Key("rotation_columns")]
+    rotation_unit: Annotated[str, _one_of(ANGLES)] = "rad"
+    convention: Annotated[str, _one_of(CONVENTIONS)]
 
 
 @toml_table

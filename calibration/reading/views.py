@@ -130,10 +130,7 @@ def _joints(table: Table, geometry: Geometry, description: ColumnDescription) ->
                 table, geometry, i, columns[-1], description.joints[i], description.joint_units[i]
             )
         return np.stack(columns, -1)
-    if poses.rotation.convention is None:
-        raise InputError(f"{description.where}: [poses.rotation] names no convention, and none is guessed; give one")
-    unit = TO_SI[poses.rotation.unit()]
-    turned = rotations(poses.rotation.convention, table.values(poses.rotation.rotation) * unit)
+    turned = rotations(poses.convention, table.values(poses.rotation) * TO_SI[poses.rotation_unit])
     return joints_of_finished_poses(Pose(table.values(poses.position) * TO_SI[poses.unit], turned))
 
 

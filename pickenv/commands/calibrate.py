@@ -72,6 +72,9 @@ def calibrate(
         Literal["fixed", "free"] | None,
         typer.Option(help="Of pictures: take the camera's numbers as they are, or fit them.", show_default=False),
     ] = None,
+    lens_out: Annotated[
+        Path | None, typer.Option(help="Write the camera's lens as ROS camera_info (.yaml).", show_default=False)
+    ] = None,
     unit: Annotated[str | None, typer.Option(help="Serial number of the robot, kept in the calibration.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Write the fitted calibration to this file (.npz).")] = None,
@@ -85,14 +88,16 @@ def calibrate(
 
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
     """
+    from pickenv.calibration.camera.lens_files import write_lens
     from pickenv.calibration.model.measurements import Measurements
+    from pickenv.calibration.pipeline.pixel_figures import lens_of
     from pickenv.calibration.pipeline.stages import Choices
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
     from pickenv.inspect.reports.calibration_report import write_calibration_report
 
     separate(
         {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
-        {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run},
+        {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run, "--lens-out": lens_out},
     )
     choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed, frames=frames, lens=lens)
     blocked = split == "blocked" and not test
@@ -119,6 +124,7 @@ def calibrate(
     deliver(
         [
             (out, result.calibration.save),
+            (lens_out, lambda path: write_lens(lens_of(result.geometric, result.train), path)),
             (report, lambda path: write_calibration_report(path, result, seeds)),
             (run, lambda folder: write_run(folder, command, seed, result, seeds)),
             (json_file, lambda path: write_json(path, result.as_dict())),

@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from pickenv.calibration.camera.boards import load_board
+from pickenv.calibration.camera.lens_files import read_lens
 from pickenv.calibration.model.finished_poses import pose_carrier
 from pickenv.calibration.reading.description import DESCRIPTIONS
 from pickenv.calibration.reading.read import read_observations
@@ -39,7 +40,18 @@ def ical(data_folder: Path) -> Path:
 def test_a_real_camera(lens: str, rms: float, left_out: float, ical: Path, tmp_path: Path) -> None:
     """Bounds: a plain bundle adjustment of the same pictures, 2.61 and 3.28 px, 1.09 and 1.58 px."""
     file = tmp_path / "found.json"
-    said = call("calibrate", ical, "--columns", "ical_charuco", "--lens", lens, "--json", file)
+    said = call(
+        "calibrate",
+        ical,
+        "--columns",
+        "ical_charuco",
+        "--lens",
+        lens,
+        "--json",
+        file,
+        "--lens-out",
+        tmp_path / "a.yaml",
+    )
     found = json.loads(file.read_text())
     assert found["kind"] == "pixels" and found["views"] == 15 and found["corners"] == 309
     assert 0.9 * rms < found["rms_px"] <= rms
@@ -47,6 +59,7 @@ def test_a_real_camera(lens: str, rms: float, left_out: float, ical: Path, tmp_p
     assert f"{found['leave_one_out_px']:#.4g} px" in said
     assert "1 corner found; a view needs 6" in said  # the third picture
     assert (found["lens"]["k1"] != 0.0) == (lens == "free")
+    assert read_lens(tmp_path / "a.yaml").values.tolist() == list(found["lens"].values())
     by_view = np.array(found["leave_one_out_view_rms_px"])
     low, high = found["leave_one_out_mean_ci95_px"]
     assert len(by_view) == 15 and low < by_view.mean() < high
@@ -75,7 +88,7 @@ def views_folder(tmp_path: Path, ical: Path, change: tuple[str, str] | None = No
         (('dictionary = "6x6_250"', 'dictionary = "4x4_50"'), r"0\.jpg: no corner of the board was found; it shows"),
         (('picture = "images/{file}.jpg"', 'picture = "images/{file}.png"'), r"picture .*0\.png does not exist"),
         (('files = "poses/*.yaml"', 'files = "poses/*.txt"'), r"holds no file poses/\*\.txt"),
-        (('convention = "quaternion_xyzw"', ""), r"\[poses\.rotation\] names no convention"),
+        (('convention = "quaternion_xyzw"', ""), r"convention of \[poses\] is missing|'convention'"),
         (("[camera]", "[lens]"), r"\[camera\]|lens"),
         (("fx = 1352.02747\n", ""), r"\[camera\] needs file, or fx"),
     ],
@@ -125,9 +138,8 @@ def test_a_table_of_corners_is_the_pictures(ical: Path, tmp_path: Path) -> None:
         'columns = ["u", "v"]\nview = "view"\ncorner = "corner"\n',
     )
     (tmp_path / "corners.toml").write_text(text)
-    found = read_observations(
-        [tmp_path / "corners.csv"], pose_carrier().nominal, tmp_path / "corners.toml"
-    ).observations
+    table, layout = [tmp_path / "corners.csv"], tmp_path / "corners.toml"
+    found = read_observations(table, pose_carrier().nominal, layout).observations
     np.testing.assert_array_equal(found.seen, whole.seen)  # type: ignore[attr-defined]
     np.testing.assert_allclose(found.joints, whole.joints, atol=1e-12)
     np.testing.assert_allclose(found.corners[found.seen], whole.corners[whole.seen], atol=1e-9)  # type: ignore[attr-defined]
