@@ -11,6 +11,7 @@ import typer
 
 import pickenv
 from pickenv.commands import corrections, inspection, learning, plants, reports
+from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
 from pickenv.commands.guard import INTERRUPTED, guarded
@@ -96,6 +97,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Measure and correct a robot": (
         calibrate,
         corrections.plan_poses,
+        board,
         corrections.apply,
         corrections.export,
         check,

@@ -49,7 +49,7 @@ FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
 SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
     "pickenv.calibration": (
         ("model",),
-        ("identification",),
+        ("camera", "identification"),
         ("residuals", "compensation", "assessment", "planning", "reading"),
         ("pipeline",),
     ),

@@ -216,7 +216,7 @@ class Quality:
 def grade_quality(
     found: Identification,
     trained: Array,
-    before: Array,
+    before: Array | None,
     after: Array,
     coverage: Coverage | None = None,
     *,
@@ -231,7 +231,8 @@ def grade_quality(
         found: The identification.
         trained: Errors left on the rows it was fitted to, without a learnt residual, ``(N, 6)``, ``(N, 3)`` or
             ``(N, 1)``, m and rad.
-        before: Held-out errors of the nominal arm with base and tool fitted (unless known), ``(M, 6)`` or narrower.
+        before: Held-out errors of the nominal arm with base and tool fitted (unless known), ``(M, 6)`` or narrower;
+            None where nothing of an arm is calibrated (finished poses).
         after: Held-out errors of the calibrated arm.
         coverage: From `pickenv.calibration.model.coverage.pose_coverage`.
         geometric: The identification without further terms, whose parameters' condition is stated; ``found`` if there
@@ -263,9 +264,7 @@ def grade_quality(
     grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
     reason = findings[0].text
     if grade == "good":
-        reason = (
-            f"on {len(after)} held-out rows the error falls from {_rms_mm(before):#.4g} to {_rms_mm(after):#.4g} mm RMS"
-        )
+        reason = f"on {len(after)} held-out rows the error {_fall(before)} {_rms_mm(after):#.4g} mm RMS"
     return Quality(
         grade=grade,
         reason=reason,
@@ -282,14 +281,22 @@ def _rms_mm(errors: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1)))) * 1e3
 
 
-def _failures(found: Identification, before: Array, after: Array, blocks: NDArray[np.int64] | None) -> Iterator[str]:
-    was, now = _rms_mm(before), _rms_mm(after)
+def _fall(before: Array | None) -> str:
+    return "is" if before is None else f"falls from {_rms_mm(before):#.4g} to"
+
+
+def _failures(
+    found: Identification, before: Array | None, after: Array, blocks: NDArray[np.int64] | None
+) -> Iterator[str]:
     if not found.converged:
         yield "the identification did not converge, so its parameters mean nothing"
     if len(after) < ENOUGH:
         rows = "1 row was" if len(after) == 1 else f"{len(after)} rows were"
         yield f"only {rows} held out, which judges nothing; measure more, or give others with --test"
-    elif now >= was:
+    if before is None or len(after) < ENOUGH:
+        return
+    was, now = _rms_mm(before), _rms_mm(after)
+    if now >= was:
         yield (
             f"on held-out rows the calibrated arm is no better ({now:#.4g} mm RMS) than the nominal one ({was:#.4g} mm "
             "RMS); check units, conventions and the order of rows"

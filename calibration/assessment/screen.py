@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pickenv.calibration.identification.least_squares import is_angle
+from pickenv.calibration.model.lens import LENS_NAMES
 
 
 def figure(value: float | None) -> str:
@@ -66,4 +67,6 @@ def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
         return ("deg", float(np.degrees(1.0))) if is_angle(name) else ("mm", 1e3)
     if name.startswith(("reflector", "anchor", "socket")):
         return "mm", 1e3
+    if name in LENS_NAMES:
+        return ("px", 1.0) if name in LENS_NAMES[:4] else ("1", 1.0)
     return "SI", 1.0

@@ -27,6 +27,7 @@ from pickenv.calibration.model.error_model import frames_model, geometric_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.origins import named
+from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.splits import Rows, equally_spaced
 from pickenv.errors import InputError
 
@@ -40,6 +41,16 @@ FEW = 4
 """Fewer held-out rows than this are named one by one, and never taken for another set-up."""
 
 
+LEAST_CORNERS = 6
+"""A view with fewer corners says too little of where its board is."""
+
+LEAST_SPREAD = 0.05
+"""A view's corners must spread so far across their longest line, as a share of the spread along it."""
+
+LEAST_VIEWS = 4
+"""Views that a fit of camera and board needs: two frames of six numbers, with some to spare."""
+
+
 @dataclass(frozen=True)
 class LeftOut:
     """A row that does not fit the others and was left out.
@@ -51,6 +62,7 @@ class LeftOut:
         position: Size of its position error, m.
         attitude: Size of its attitude error, rad; None where only positions were measured.
         sigma: The larger of both in robust standard deviations of one coordinate.
+        why: The reason in words, where it is not the size of its error.
     """
 
     file: str
@@ -59,9 +71,12 @@ class LeftOut:
     position: float
     attitude: float | None
     sigma: float
+    why: str | None = None
 
     def text(self) -> str:
         """For people."""
+        if self.why is not None:
+            return f"{self.file}: row {self.line}: {self.why}"
         turned = "" if self.attitude is None else f", {np.degrees(self.attitude):.3g} deg"
         part = "held out" if self.held_out else "training"
         return f"{self.file}: row {self.line} ({part}): {self.position * 1e3:.3g} mm{turned}, {self.sigma:.0f} sigma"
@@ -245,3 +260,28 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
             changed[:, axes] *= scale
             rows = replace(data, **{name: rotation_matrix(changed) if name == "rotation" else changed})  # type: ignore[arg-type]
             yield f"{label} is read in {here} there and in {elsewhere} elsewhere", rows
+
+
+def telling_views(views: PixelObservations) -> tuple[PixelObservations, tuple[LeftOut, ...]]:
+    """The views that tell where their board is, and those left out: too few corners, or all near one line."""
+    left: list[LeftOut] = []
+    kept = []
+    for row, seen in enumerate(views.seen):
+        count, why = int(seen.sum()), None
+        across = (
+            np.linalg.svd(views.corners[row][seen] - views.corners[row][seen].mean(axis=0))[1] if count > 2 else None
+        )
+        if count < LEAST_CORNERS:
+            why = f"{count} {'corner' if count == 1 else 'corners'} found; a view needs {LEAST_CORNERS}"
+        elif across is not None and across[1] < LEAST_SPREAD * across[0]:
+            why = f"its {count} corners lie near one line, and do not tell how the board is turned"
+        if why is None:
+            kept.append(row)
+        else:
+            left.append(LeftOut(*origins_of(views).place(row), False, np.nan, None, np.nan, why))
+    if len(kept) < LEAST_VIEWS:
+        raise InputError(
+            f"{views.source}: {len(kept)} of {len(views.joints)} views show enough of the board, of which "
+            f"{LEAST_VIEWS} are needed; take more pictures, with the board larger in them"
+        )
+    return views.select(np.array(kept)), tuple(left)

@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import LENGTH_TOLERANCE, ErrorModel
+from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.gauge import identifiable_parameters
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability, identifiability
 from pickenv.calibration.model.measurements import Measurements, random_joints
@@ -142,7 +142,7 @@ def identify(
     begun = np.concatenate(unknowns)
     own = tuple(name for part in sets for name in part.unknowns())
     names = own + model.names
-    tolerance = np.concatenate([np.full(len(own), LENGTH_TOLERANCE), model.tolerance])
+    tolerance = np.concatenate([*(part.tolerances() for part in sets), model.tolerance])
     factors = 1.0 if row_factors is None else row_factors[:, None]
     matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors), _weighted(sets, arm, unknowns, factors)
     poses = sum(len(part.joints) for part in sets)

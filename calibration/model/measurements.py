@@ -105,10 +105,6 @@ class Measurements(OneGroup):
         """Poses and positions are stated in the instrument's frame."""
         return True
 
-    def unknowns(self) -> tuple[str, ...]:
-        """None: base and tool are parameters of the geometry."""
-        return ()
-
     def start(self, model: ArmModel) -> Array:
         """Nothing to start."""
         return np.zeros(0)

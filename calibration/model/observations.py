@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.error_model import LENGTH_TOLERANCE
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
 
@@ -44,7 +45,10 @@ class Equations(Protocol):
         """Whether the instrument has a frame, so that the arm's base pose can be seen at all."""
 
     def unknowns(self) -> tuple[str, ...]:
-        """Names of the kind's own unknowns, all lengths (m)."""
+        """Names of the kind's own unknowns."""
+
+    def tolerances(self) -> Array:
+        """Scale of each one's deviation, in its unit (lengths: m)."""
 
     def start(self, model: ArmModel) -> Array:
         """Closed-form values of the unknowns for a model."""
@@ -89,6 +93,14 @@ class OneGroup:
     """Rows that a split may part anywhere, each of which misses once."""
 
     joints: Array
+
+    def unknowns(self) -> tuple[str, ...]:
+        """None of its own."""
+        return ()
+
+    def tolerances(self) -> Array:
+        """Of lengths."""
+        return np.full(len(self.unknowns()), LENGTH_TOLERANCE)
 
     @property
     def groups(self) -> Rows:

@@ -44,6 +44,10 @@ class Prior:
         """None."""
         return ()
 
+    def tolerances(self) -> Array:
+        """Of none."""
+        return np.zeros(0)
+
     def start(self, model: ArmModel) -> Array:
         """Nothing to start."""
         return np.zeros(0)

@@ -12,14 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Geometry, forward
+from pickenv.arm import Arm, Geometry, Pose, forward
 from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
+from pickenv.calibration.identification.board_poses import board_poses
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.error_model import frames_model, geometric_model, with_terms
+from pickenv.calibration.model.error_model import ErrorModel, frames_model, geometric_model, with_terms
+from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations, ReflectorObservations, SocketObservations
+from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, QUICK_FITTERS, fit_residual
@@ -106,7 +109,7 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, t
     """
     nominal = arm.nominal if aligned is None else aligned.geometry
     start = ArmModel.of(nominal, terms)
-    found = identify_converged(with_terms(geometric_model(arm.nominal, aligned is None), start), start, [data])
+    found = identify_converged(with_terms(fitted_model(arm.name, arm.nominal, aligned), start), start, [data])
     record = {
         "source": data.source,
         "poses": len(data.joints),
@@ -122,6 +125,11 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, t
     if isinstance(data, Measurements):
         record["data_fingerprint"] = data.fingerprint()
     return Fit(Calibration(arm.name, arm.nominal, nominal, found.arm_model, None, record), found, aligned)
+
+
+def fitted_model(arm: str, nominal: Geometry, aligned: Identification | None) -> ErrorModel:
+    """What of an arm is identified: all of it, base and tool among it where unknown; of finished poses these alone."""
+    return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, aligned is None)
 
 
 def fit_remainder(
@@ -168,7 +176,14 @@ def fit_remainder(
 
 
 def _start(arm: Arm, data: Observations) -> Geometry:
-    """Where to start: the reflector seen most often gives the base; wires and sockets need none."""
+    """Where to start: boards' poses give all, the reflector seen most often the base; wires and sockets need none."""
+    if isinstance(data, PixelObservations):
+        seen = board_poses(data)
+        if data.mount == "hand":
+            back = np.swapaxes(seen.rotation, 1, 2)
+            seen = Pose(-(back @ seen.position[..., None])[..., 0], back)
+        rough = Measurements(data.joints, seen.position, seen.rotation, arm.nominal.prismatic, source=data.source)
+        return align(arm.nominal, rough, frames_model(arm.nominal), judge=False).geometry
     if not isinstance(data, ReflectorObservations):
         return arm.nominal
     which = int(np.argmax(data.seen.sum(axis=0)))

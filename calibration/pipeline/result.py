@@ -29,8 +29,11 @@ from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.coverage import Coverage, pose_coverage
 from pickenv.calibration.model.error_model import geometric_model
+from pickenv.calibration.model.finished_poses import CARRIER
+from pickenv.calibration.model.lens import LENS_NAMES
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.export import export
 from pickenv.calibration.pipeline.fitting import Fit
@@ -43,6 +46,7 @@ from pickenv.calibration.pipeline.held_out import (
     what_is_left,
     without_residual,
 )
+from pickenv.calibration.pipeline.pixel_figures import PixelFigures, pixel_figures
 from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, pose_uncertainty
 from pickenv.calibration.reading.read import NoiseFloor
 from pickenv.calibration.residuals.gate import GateReport
@@ -68,6 +72,7 @@ class Result:
         floor: What the files say about noise; None if not read from files.
         left_out: Rows far off that were left out.
         unit: Serial number of the robot, where it was named.
+        pixels: Reprojection errors; None where no pictures were taken.
     """
 
     arm: Arm
@@ -84,6 +89,7 @@ class Result:
     floor: NoiseFloor | None = None
     left_out: tuple[LeftOut, ...] = ()
     unit: str | None = None
+    pixels: PixelFigures | None = None
 
     @property
     def known_frames(self) -> bool:
@@ -177,6 +183,8 @@ class Result:
             found.append(Block("Further terms", ("terms", "RMS on blocks (mm)"), rows, note))
         if self.gate is not None:
             found.append(self._gate(self.gate))
+        if self.pixels is not None:
+            found.append(self.pixels.block())
         found.append(self._facts())
         return tuple(block for block in found if block.rows)
 
@@ -307,7 +315,7 @@ class Result:
             "verdict": self.quality.as_dict(),
             "arm": self.arm.name,
             "unit": self.unit,
-            "measurement_kind": found.kind,
+            "kind": found.kind,
             "frames": "known" if self.known_frames else "fitted",
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
@@ -321,12 +329,18 @@ class Result:
             "condition": self.quality.observability.condition,
             "converged": self.fit.identification.converged,
             "solve_seconds": found.solve_seconds,
-            "unknowns_mm": _in_mm(found.unknowns),
+            "unknowns_mm": _in_mm({name: value for name, value in found.unknowns.items() if name not in LENS_NAMES}),
             "held_out": held_out,
             "noise_floor_mm": None if self.floor is None else _in_mm(vars(self.floor)),
             "terms": None if terms is None else {"chosen": terms.chosen, "blocked_rms_mm": _in_mm(terms.blocked_rms)},
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
+            **({} if self.pixels is None else self.pixels.as_dict()),
         }
+
+
+def _pixels(fit: Fit, train: Observations) -> PixelFigures | None:
+    """Reprojection errors of the views that were fitted, where there are pictures."""
+    return pixel_figures(fit, train) if isinstance(train, PixelObservations) else None
 
 
 def _in_mm(lengths: Mapping[str, float | None]) -> dict[str, float | None]:
@@ -368,7 +382,8 @@ def assess(
     bare = next(iter(fits.values()))
     aligned = bare.aligned
     held_out = held_out or held_out_of(fits, train, test)
-    before, after = held_out.errors[NOMINAL], list(held_out.errors.values())[-1]
+    after = list(held_out.errors.values())[-1]
+    before = None if arm.name == CARRIER else held_out.errors[NOMINAL]
     if isinstance(test, Measurements) and isinstance(train, Measurements):
         if coverage is None:
             start = bare.calibration.nominal
@@ -405,4 +420,5 @@ def assess(
         terms=terms,
         gate=gate,
         left_out=left_out,
+        pixels=_pixels(bare, train),
     )

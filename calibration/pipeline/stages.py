@@ -15,21 +15,24 @@ from pathlib import Path
 import numpy as np
 
 from pickenv.arm import Arm, load_arm
-from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_misses
+from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_misses, telling_views
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.identification.rows import choose, unknowns_of
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
 from pickenv.calibration.model.error_model import geometric_model
+from pickenv.calibration.model.finished_poses import pose_carrier
 from pickenv.calibration.model.measurements import FRAMES, Frames, Measurements
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.origins import named
+from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
 from pickenv.calibration.pipeline.held_out import HeldOut, held_out_of, pooled
 from pickenv.calibration.pipeline.result import Result, assess
+from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
@@ -49,6 +52,9 @@ GEOMETRY = "geometry"
 
 SPLITS = ("random", "blocked")
 
+FEW_VIEWS = 60
+"""So many pictures are judged one by one, each by a fit to all others."""
+
 
 @dataclass(frozen=True)
 class Choices:
@@ -64,6 +70,7 @@ class Choices:
         learn_from: Poses for the named residual model, which is then used as it is, as the paper does; when None it
             learns from the training rows, if it wins there.
         settings: Settings of the network that learns from them; the paper's when None.
+        lens: "fixed" or "free", for pictures; as their description says when None.
     """
 
     terms: str = "auto"
@@ -74,6 +81,7 @@ class Choices:
     frames: Frames | None = None
     learn_from: Measurements | None = None
     settings: BpnnSettings | None = None
+    lens: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +136,7 @@ class Draft:
 
 
 def calibrate(
-    arm: Arm | str | Path,
+    arm: Arm | str | Path | None,
     data: Data,
     *,
     columns: str | Path | None = None,
@@ -147,7 +155,7 @@ def calibrate(
         result.save("ur5.npz")
 
     Args:
-        arm: The arm, its name, or its file (TOML, or URDF as ``file.urdf#tip``).
+        arm: The arm, its name, or its file (TOML, or URDF as ``file.urdf#tip``); None where files hold finished poses.
         data: Measurements, observations of any kind, or files that hold them (CSV or YAML, all of one layout).
         columns: Description of the files' columns, by name or path; our own columns when left out.
         test: Rows to judge by; some of ``data`` when left out.
@@ -167,14 +175,16 @@ def calibrate(
             does not converge.
     """
     choices = choices or Choices()
-    arm = load_arm(arm) if isinstance(arm, str | Path) else arm
+    arm = _arm(arm, columns)
     if split not in SPLITS:
         raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
     train, floor = _rows(arm, data, columns)
     rng = rng or np.random.default_rng(choices.seed)
-    if test is None and split == "blocked":
+    if isinstance(train, PixelObservations) and choices.lens is not None:
+        train = with_lens(train, choices.lens)
+    if test is None and (split == "blocked" or isinstance(train, PixelObservations)):
         if test_rows is not None:
-            raise InputError("--test-rows is for the random split; the blocked one holds every row out once")
+            raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
         result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng), progress)
         return replace(result, floor=floor, unit=unit)
     if test is None:
@@ -184,6 +194,18 @@ def calibrate(
         held_out, _ = _rows(arm, test, columns)
     draft = _through(STAGES, Draft(arm, choices, train, held_out, rng, progress))
     return replace(_assessed(draft, held_out_of(draft.fits, draft.train, draft.test)), floor=floor, unit=unit)
+
+
+def _arm(arm: Arm | str | Path | None, columns: str | Path | None) -> Arm:
+    """The arm; one that only carries poses where they are finished."""
+    finished = columns is not None and (views := load_description(columns).views) is not None and views.poses
+    if finished:
+        if arm is not None:
+            raise InputError("finished poses have no joints to calibrate; leave the arm out, or describe its [joints]")
+        return pose_carrier()
+    if arm is None:
+        raise InputError("no arm is given; name one, or its file (--arm)")
+    return load_arm(arm) if isinstance(arm, str | Path) else arm
 
 
 def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
@@ -215,9 +237,9 @@ def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None)
     """
     checked = _check(draft)
     whole = _through(STAGES[1:], checked)
-    folds = contiguous_folds(checked.train.groups, BLOCKS)
+    folds = _folds(checked.train)
     chosen = [_chosen(checked, np.sort(np.concatenate([held for _, held in folds[1 - i :: 2]]))) for i in range(2)]
-    seeds = np.random.SeedSequence(draft.choices.seed).spawn(BLOCKS)
+    seeds = np.random.SeedSequence(draft.choices.seed).spawn(len(folds))
     parts = []
     for number, ((rows, held), seed) in enumerate(zip(folds, seeds, strict=True)):
         here, there = checked.train.select(rows), checked.train.select(held)
@@ -231,12 +253,20 @@ def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None)
             elif residual is not None and isinstance(here, Measurements):
                 fold = _with_residual(fold, residual, here, None)
         except InputError as error:
-            raise InputError(f"without block {number + 1} of {BLOCKS}: {error}") from None
+            raise InputError(f"without block {number + 1} of {len(folds)}: {error}") from None
         parts.append(held_out_of(fold.fits, here, there))
         if progress is not None:
-            progress(number + 1, BLOCKS)
+            progress(number + 1, len(folds))
     judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
     return _assessed(judged, pooled(list(whole.fits), parts))
+
+
+def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
+    """Rows to fit and rows held out, block by block; of few pictures each is a block."""
+    count = len(train.joints)
+    if isinstance(train, PixelObservations) and count <= FEW_VIEWS:
+        return [(np.delete(np.arange(count), view), np.array([view])) for view in range(count)]
+    return contiguous_folds(train.groups, BLOCKS)
 
 
 def _chosen(checked: Draft, rows: Rows) -> tuple[str, str | None]:
@@ -291,6 +321,9 @@ def _check(draft: Draft) -> Draft:
         )
     if poses is None:
         _refuse_options(draft.train, choices)
+        if isinstance(draft.train, PixelObservations):
+            train_views, left_out = telling_views(draft.train)
+            return replace(draft, train=train_views, left_out=left_out)
         return draft
     train, test = poses
     if choices.frames is None and train.frames != test.frames:
@@ -307,6 +340,8 @@ def _refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
     given = {"--robust": choices.robust, "--frames known": choices.frames == "known"}
     given[f"--residual {choices.residual}"] = choices.residual not in ("auto", "none")
+    if choices.lens is not None and not isinstance(train, PixelObservations):
+        raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
     for option, wanted in given.items():
         if wanted:
             raise InputError(

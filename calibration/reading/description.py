@@ -57,6 +57,7 @@ class ColumnDescription:
         spacing: Known distance of the two sockets of a pair, m; None where it is not known.
         spacing_std: Its standard uncertainty, m.
         conditions: Recorded temperature, payload and torques.
+        views: The whole file where it is about views of a board.
     """
 
     where: str
@@ -79,6 +80,7 @@ class ColumnDescription:
     spacing: float | None = None
     spacing_std: float = 5e-5
     conditions: Mapping[str, Condition] | None = None
+    views: description_file.DescriptionFile | None = None
 
 
 def shipped_descriptions() -> list[str]:
@@ -102,19 +104,22 @@ def load_description(name: str | Path) -> ColumnDescription:
         )
     file = read(description_file.DescriptionFile, path)
     measured: dict[str, Any] = dict(vars(file.measured))
+    if file.pixels is not None:
+        measured = {"position": file.pixels.position, "position_std": None}
     stated = measured["position_std"] is not None and file.kind != "sockets"
     found = ColumnDescription(
         where=str(path),
         separator=file.separator,
         decimal=file.decimal,
         names=file.names,
-        joints=file.joints.columns,
-        joint_units=file.joints.each,
+        joints=() if file.joints is None else file.joints.columns,
+        joint_units=() if file.joints is None else file.joints.each,
         kind=file.kind,
+        views=None if file.pixels is None else file,
         **{"position_unit": "mm", **measured, "position_std": measured["position_std"] or POSITION_STD},
         std_stated=stated,
         **({} if file.rotation is None else {**vars(file.rotation), "rotation_unit": file.rotation.unit()}),
-        conditions=_conditions(file.conditions, file.joints.each),
+        conditions=_conditions(file.conditions, () if file.joints is None else file.joints.each),
     )
     _refuse_repeats(found)
     return found

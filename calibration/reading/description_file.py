@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import KW_ONLY
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
+from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.measurements import ATTITUDE_STD
+from pickenv.calibration.model.pixels import Mount
 from pickenv.calibration.reading.conventions import CONVENTIONS
 from pickenv.errors import InputError
 from pickenv.texts import shortened
-from pickenv.toml_tables import DEG, MM, NUMBER, Check, Key, Then, fault, toml_table
+from pickenv.toml_tables import DEG, MM, NUMBER, WHOLE, Check, Key, Then, Unit, fault, toml_table
 
 LENGTHS, ANGLES = ("mm", "m"), ("deg", "rad")
-KINDS = ("position", "reflectors", "distance", "sockets")
+KINDS = ("position", "reflectors", "distance", "sockets", "pixels")
 LOST = ("zeros", "empty")
+LENSES = ("fixed", "free", "prior")
+PIXELS = Unit(most=1e6).positive
 MASSES = {"kg": 1.0, "g": 1e-3}
 TORQUES = {"N*m": 1.0, "N": 1.0, "N*mm": 1e-3, "kN": 1e3}
 
@@ -34,6 +38,7 @@ COUNTS: dict[str, tuple[Callable[[int], bool], str]] = {
     "reflectors": (lambda n: n > 0 and n % 3 == 0, "three columns per reflector, x, y and z of each in turn"),
     "distance": (lambda n: n == 1, "one column, the length"),
     "sockets": (lambda n: n <= 1, "the column that numbers the sockets"),
+    "pixels": (lambda n: n in (0, 2), "two columns, across and down, where corners and not pictures are given"),
 }
 """How many columns each kind of section needs."""
 JOINT_UNIT = _one_of(LENGTHS + ANGLES)
@@ -101,6 +106,53 @@ class SocketsTable:
 
 
 @toml_table
+class PixelsTable:
+    """[pixels]: views of a board, as pictures or as a table of corners found in them."""
+
+    _: KW_ONLY
+    mount: Annotated[Mount, _one_of(get_args(Mount))]
+    picture: Annotated[str, COLUMN] | None = None
+    files: Annotated[str, COLUMN] | None = None
+    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")] = ()
+    view: Annotated[str, COLUMN] | None = None
+    corner: Annotated[str, COLUMN] | None = None
+    std_px: Annotated[float, Unit("px").positive, Key("std_px")] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.picture is None) == (not self.position):
+            raise InputError("[pixels] needs either picture, or columns, view and corner of a table of corners")
+        if self.position and (self.view is None or self.corner is None):
+            raise InputError("columns of [pixels] need view and corner: which picture, and which corner of the board")
+
+
+@toml_table
+class LensTable:
+    """[camera]: the lens, by a file or by its numbers, and whether it is to be fitted."""
+
+    _: KW_ONLY
+    file: Annotated[str, COLUMN] | None = None
+    fx: Annotated[float, PIXELS] | None = None
+    fy: Annotated[float, PIXELS] | None = None
+    cx: Annotated[float, PIXELS] | None = None
+    cy: Annotated[float, PIXELS] | None = None
+    width: Annotated[int, WHOLE.at_least(1)] | None = None
+    height: Annotated[int, WHOLE.at_least(1)] | None = None
+    distortion: Annotated[tuple[float, ...], NUMBER] = ()
+    lens: Annotated[str, _one_of(LENSES)] = "fixed"
+    prior_px: Annotated[float, PIXELS, Key("prior_px")] = 10.0
+    prior_distortion: Annotated[float, NUMBER] = 0.1
+
+    def __post_init__(self) -> None:
+        numbers = (self.fx, self.fy, self.cx, self.cy, self.width, self.height)
+        if self.file is None and any(number is None for number in numbers):
+            raise InputError("[camera] needs file, or fx, fy, cx, cy, width and height")
+        if self.file is not None and any(number is not None for number in numbers):
+            raise InputError("[camera] has a file and numbers as well; give one of them")
+        if len(self.distortion) not in (0, 4, 5):
+            raise InputError(f"distortion of [camera] has {len(self.distortion)} numbers; give k1, k2, p1, p2 and k3")
+
+
+@toml_table
 class RotationTable:
     """[rotation]; a convention that is not named stays None, and is asked for when the file is read."""
 
@@ -120,6 +172,18 @@ class RotationTable:
             given = "missing" if self.rotation_unit is None else shortened(repr(self.rotation_unit))
             raise InputError(f"unit of [rotation] is {given}; give {_one_of(ANGLES).wanted}")
         return str(self.rotation_unit)
+
+
+@toml_table
+class PosesTable:
+    """[poses]: finished poses of the flange in place of joints, as the controller reports them."""
+
+    _: KW_ONLY
+    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
+    unit: Annotated[str, _one_of(LENGTHS)]
+    rotation: Annotated[tuple[str, ...], COLUMNS, Key("rotation_columns")]
+    rotation_unit: Annotated[str, _one_of(ANGLES)] = "rad"
+    convention: Annotated[str, _one_of(CONVENTIONS)]
 
 
 @toml_table
@@ -161,7 +225,7 @@ class ConditionsTable:
 class DescriptionFile:
     """What a column description holds: exactly one of the sections of `KINDS`."""
 
-    joints: JointsTable
+    joints: JointsTable | None = None
     description: str = ""
     separator: Annotated[str, Check(_separates, "one character, such as ',' or ';' or '\\t'")] = ","
     decimal: Annotated[str, _one_of((".", ","))] = "."
@@ -170,6 +234,10 @@ class DescriptionFile:
     reflectors: ReflectorsTable | None = None
     distance: LengthsTable | None = None
     sockets: SocketsTable | None = None
+    pixels: PixelsTable | None = None
+    board: Board | None = None
+    camera: LensTable | None = None
+    poses: PosesTable | None = None
     rotation: RotationTable | None = None
     conditions: ConditionsTable = ConditionsTable()
 
@@ -181,6 +249,7 @@ class DescriptionFile:
             raise InputError(f"sections [{kinds[0]}] and [{kinds[1]}] are both given; one file holds one kind")
         if not kinds:
             raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(KINDS))
+        self._check_views()
         fits, wanted = COUNTS[kinds[0]]
         if not fits(len(self.measured.position)):
             raise InputError(f"[{kinds[0]}] needs {wanted}")
@@ -192,9 +261,20 @@ class DescriptionFile:
             if self.position is None:
                 raise InputError(f"[rotation] belongs to [position], not to [{kinds[0]}]")
             self.rotation.unit()
-        torques, n = self.conditions.torques, len(self.joints.columns)
+        torques, n = self.conditions.torques, 0 if self.joints is None else len(self.joints.columns)
         if torques is not None and (len(torques.columns), len(torques.units or torques.columns)) != (n, n):
             raise InputError("[conditions.torques] needs one column, and one unit, per joint")
+
+    def _check_views(self) -> None:
+        """Joints or finished poses; a board and a camera where there are pictures, and nowhere else."""
+        if (self.joints is None) == (self.poses is None):
+            raise InputError("[joints] is missing" if self.poses is None else "[joints] and [poses] are both given")
+        if self.poses is not None and self.pixels is None:
+            raise InputError("[poses] belongs to [pixels]; give the joints in [joints]")
+        for name, table in (("board", self.board), ("camera", self.camera)):
+            if (table is None) != (self.pixels is None):
+                fault = "is missing; [pixels] needs it" if table is None else "belongs to [pixels]"
+                raise InputError(f"[{name}] {fault}")
 
     @property
     def kind(self) -> str:
@@ -202,7 +282,7 @@ class DescriptionFile:
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
 
     @property
-    def measured(self) -> LengthsTable | SocketsTable:
+    def measured(self) -> LengthsTable | SocketsTable | PixelsTable:
         """The section of that kind."""
-        section: LengthsTable | SocketsTable = getattr(self, self.kind)
+        section: LengthsTable | SocketsTable | PixelsTable = getattr(self, self.kind)
         return section

@@ -33,6 +33,7 @@ from pickenv.calibration.reading.description import (
     load_description,
     own_description,
 )
+from pickenv.calibration.reading.views import read_views
 from pickenv.errors import InputError
 from pickenv.toml_tables import TO_SI
 
@@ -137,6 +138,8 @@ def read_observations(
         raise InputError("no measurement file was given; give at least one")
     refuse_repeated(paths)
     description = None if columns is None else load_description(columns)
+    if description is not None and description.views is not None:
+        return FileReading(read_views(paths, geometry, description), NoiseFloor(None, None))
     layout = () if description is None else (description.separator, description.decimal, description.names)
     tables = [read_table(path, *layout) for path in paths]
     given = [description or own_description(geometry, table.header, table.where) for table in tables]

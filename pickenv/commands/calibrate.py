@@ -24,9 +24,17 @@ DO_NOT_USE = 3
 
 def calibrate(
     files: Annotated[
-        list[Path], typer.Argument(help="Files of measurements (CSV or YAML), all of one layout.", show_default=False)
+        list[Path],
+        typer.Argument(
+            help="Files of measurements (CSV or YAML) of one layout, or a folder of pictures.", show_default=False
+        ),
     ],
-    arm: Annotated[str, typer.Option(help="Arm name, arm file (.toml) or URDF (file.urdf#tip).", show_default=False)],
+    arm: Annotated[
+        str | None,
+        typer.Option(
+            help="Arm name, arm file (.toml) or URDF (file.urdf#tip); not for finished poses.", show_default=False
+        ),
+    ] = None,
     columns: Annotated[str | None, typer.Option(help="Column description, by name or path; ours if left out.")] = None,
     frames: Annotated[
         Literal["known", "fitted"] | None,
@@ -60,6 +68,13 @@ def calibrate(
     robust: Annotated[
         bool, typer.Option("--robust", help="Leave rows that are far off out and list them, held out or not.")
     ] = False,
+    lens: Annotated[
+        Literal["fixed", "free"] | None,
+        typer.Option(help="Of pictures: take the camera's numbers as they are, or fit them.", show_default=False),
+    ] = None,
+    lens_out: Annotated[
+        Path | None, typer.Option(help="Write the camera's lens as ROS camera_info (.yaml).", show_default=False)
+    ] = None,
     unit: Annotated[str | None, typer.Option(help="Serial number of the robot, kept in the calibration.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Write the fitted calibration to this file (.npz).")] = None,
@@ -73,16 +88,18 @@ def calibrate(
 
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
     """
+    from pickenv.calibration.camera.lens_files import write_lens
     from pickenv.calibration.model.measurements import Measurements
+    from pickenv.calibration.pipeline.pixel_figures import lens_of
     from pickenv.calibration.pipeline.stages import Choices
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
     from pickenv.inspect.reports.calibration_report import write_calibration_report
 
     separate(
         {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
-        {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run},
+        {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run, "--lens-out": lens_out},
     )
-    choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed, frames=frames)
+    choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed, frames=frames, lens=lens)
     blocked = split == "blocked" and not test
     with progress_bars() if blocked else nullcontext() as told:
         result = calibrated(
@@ -102,11 +119,12 @@ def calibrate(
             raise InputError(f"{option} shows poses and positions, but {source} holds {kind}; leave it out")
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
     options = {"columns": columns, "frames": frames, "test_rows": test_rows, "split": split, "seed": seed}
-    options |= {"terms": terms, "residual": residual, "force": force, "robust": robust, "unit": unit}
+    options |= {"terms": terms, "residual": residual, "force": force, "robust": robust, "lens": lens, "unit": unit}
     command = command_line("pickenv", "calibrate", *files, arm=arm, test=test, **options)
     deliver(
         [
             (out, result.calibration.save),
+            (lens_out, lambda path: write_lens(lens_of(result.geometric, result.train), path)),
             (report, lambda path: write_calibration_report(path, result, seeds)),
             (run, lambda folder: write_run(folder, command, seed, result, seeds)),
             (json_file, lambda path: write_json(path, result.as_dict())),

@@ -27,6 +27,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.arm.files.arm_file import ArmFile
     from pickenv.arm.plant.plant_file import PlantFile
     from pickenv.arm.plant.tolerances import Tolerances
+    from pickenv.calibration.camera.boards import Board
     from pickenv.calibration.reading.description_file import DescriptionFile
     from pickenv.envs.harvesting.harvest_batch import Rules
     from pickenv.harvester.machine import MachineFile
@@ -46,6 +47,7 @@ def kinds() -> dict[str, Any]:
         "plant": PlantFile,
         "tolerances": Tolerances,
         "description": DescriptionFile,
+        "board": toml_table(make_dataclass("BoardFile", [("board", Board)])),
         "study": StudyConfig,
         "branch": orchard.Branch,
         "camera": CameraFile,

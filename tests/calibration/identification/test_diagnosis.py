@@ -174,7 +174,7 @@ def test_reflectors_are_calibrated_from_anywhere(qiao):
     train, test = choose(whole, 20, rng)
     found = calibrate(qiao, whole.select(train), test=whole.select(test), choices=PLAIN)
     assert found.position["nominal"].mean > 0.4 and found.position["geometric"].mean < 0.06
-    assert found.as_dict()["measurement_kind"] == "reflectors"
+    assert found.as_dict()["kind"] == "reflectors"
     wrong = replace(whole, joints=-joints)
     with pytest.raises(InputError, match="signs"):
         calibrate(qiao, wrong, test=wrong, choices=PLAIN)

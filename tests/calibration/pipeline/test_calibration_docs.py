@@ -60,7 +60,7 @@ def test_every_block_runs_in_order(tmp_path):
     assert (tmp_path / "my_arm.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 
-@pytest.mark.parametrize("name", ["poses", "reflectors", "wire", "sockets", "conditions"])
+@pytest.mark.parametrize("name", ["poses", "reflectors", "wire", "sockets", "pictures", "conditions"])
 def test_described_formats_are_read(tmp_path, name):
     texts = {given: text for kind, given, text in BLOCK.findall(FORMATS) if kind == "toml"}
     path = tmp_path / f"{name}.toml"

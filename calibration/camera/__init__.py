@@ -1,0 +1,1 @@
+"""Boards and cameras: printing a board, finding its corners in pictures, reading and writing lenses."""

@@ -1,0 +1,147 @@
+"""Corners of a board in a camera's pictures, as observations of an arm: on its hand, or watching it from outside.
+
+The instrument's frame is the board's where the camera rides on the tool, and the camera's where it watches a board on
+the tool. So base and tool of the arm are what must be found besides: where the fixed one stands, and how the other sits
+on the flange. Only the lens, if it is to be fitted, is an unknown of this kind's own. SI units; pictures in px.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model import lens
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.lens import Lens
+from pickenv.calibration.model.observations import OneGroup, point_jacobian, selected
+from pickenv.calibration.model.origins import Origins
+from pickenv.calibration.model.splits import Rows
+
+Mount = Literal["hand", "world"]
+"""Where the camera is: on the arm's tool, or fixed in the world with the board on the tool."""
+
+
+@dataclass(frozen=True, eq=False)
+class PixelObservations(OneGroup):
+    """V views of a board with K corners.
+
+    Attributes:
+        joints: ``(V, n)``, rad or m.
+        corners: Where each corner was found ``(V, K, 2)``, px; values of corners not found are ignored.
+        seen: Whether each was found ``(V, K)``.
+        board: Where the corners are on the board ``(K, 3)``, m.
+        camera: The lens, as far as it is known.
+        lens_std: Standard uncertainty of each of its numbers ``(9,)``: 0 where it is exact, infinite where it is free.
+        std: Standard uncertainty of a corner's coordinate ``(V, K)``, px.
+        mount: Where the camera is.
+        conditions: Payload, temperature and torques, where known.
+        source: Where the data come from.
+        origins: Picture or file and line of each view; None where they come from no file.
+    """
+
+    joints: Array
+    corners: Array
+    seen: NDArray[np.bool_]
+    board: Array
+    camera: Lens
+    lens_std: Array
+    std: Array
+    mount: Mount = "hand"
+    conditions: Conditions = field(default_factory=Conditions)
+    source: str = "pictures"
+    kind: str = "pixels"
+    framed: bool = True
+    origins: Origins | None = None
+
+    @property
+    def free(self) -> Rows:
+        """Which numbers of the lens are fitted."""
+        return np.flatnonzero(self.lens_std > 0.0)
+
+    @property
+    def rows_of_misses(self) -> Rows:
+        """One miss per corner found."""
+        return np.nonzero(self.seen)[0]
+
+    def select(self, rows: Rows) -> Self:
+        """The views of the given rows."""
+        return selected(self, rows, "corners", "seen", "std")
+
+    def unknowns(self) -> tuple[str, ...]:
+        """The fitted numbers of the lens."""
+        return tuple(lens.LENS_NAMES[i] for i in self.free)
+
+    def tolerances(self) -> Array:
+        """Their scales."""
+        return lens.SCALES[self.free]
+
+    def start(self, model: ArmModel) -> Array:
+        """The lens as it is known."""
+        return self.camera.values[self.free]
+
+    def lens_values(self, unknowns: Array) -> Array:
+        """All numbers of the lens ``(9,)``, the fitted ones as given."""
+        values = self.camera.values.copy()
+        values[self.free] = unknowns
+        return values
+
+    def in_camera(self, model: ArmModel) -> Array:
+        """The board's corners in the camera's frame ``(V, K, 3)``, m."""
+        tool = model.pose(self.joints, self.conditions)
+        if self.mount == "world":
+            return np.asarray(tool.position[:, None] + self.board @ np.swapaxes(tool.rotation, 1, 2))
+        return np.asarray((self.board - tool.position[:, None]) @ tool.rotation)
+
+    def predict(self, model: ArmModel, unknowns: Array) -> Array:
+        """Where the corners should be ``(V, K, 2)``, px."""
+        return lens.projected(self.lens_values(unknowns), self.in_camera(model))
+
+    def pixel_errors(self, model: ArmModel, unknowns: Array) -> Array:
+        """Found minus predicted ``(R, 2)``, px, of the corners found, view by view."""
+        return np.asarray((self.corners - self.predict(model, unknowns))[self.seen])
+
+    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+        """The same at the board's distance ``(R, 2)``, m."""
+        depth = self.in_camera(model)[self.seen][:, 2:]
+        return self.pixel_errors(model, unknowns) * depth / self.lens_values(unknowns)[:2]
+
+    def readings(self) -> Array:
+        """The corners found; in px, which only serves to tell rows apart."""
+        return np.where(self.seen[..., None], self.corners, 0.0).reshape(len(self.joints), -1)
+
+    def residual(self, model: ArmModel, unknowns: Array) -> Array:
+        """Pixel errors in standard uncertainties, then what is known of the lens, likewise."""
+        errors = self.pixel_errors(model, unknowns) / self.std[self.seen][:, None]
+        prior = (self.camera.values[self.free] - unknowns) / self.lens_std[self.free]
+        return np.concatenate([errors.ravel(), prior[np.isfinite(self.lens_std[self.free])]])
+
+    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
+        """Derivatives of `predict` by the pose, and by the lens."""
+        values = self.lens_values(unknowns)
+        tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
+        rows, _ = np.nonzero(self.seen)
+        points = self.in_camera(model)[self.seen]
+        if self.mount == "world":
+            lever = points - tool.position[rows]
+            moved = point_jacobian(pose[rows], lever)
+        else:
+            lever = np.broadcast_to(self.board, (*self.corners.shape[:2], 3))[self.seen] - tool.position[rows]
+            moved = -np.swapaxes(tool.rotation, 1, 2)[rows] @ point_jacobian(pose[rows], lever)
+        weight = 1.0 / self.std[self.seen][:, None, None]
+        by_arm = (lens.by_point(values, points) @ moved * weight).reshape(-1, pose.shape[-1])
+        by_lens = (lens.by_values(values, points)[..., self.free] * weight).reshape(len(by_arm), len(self.free))
+        known = np.isfinite(self.lens_std[self.free])
+        prior = np.diag(1.0 / self.lens_std[self.free])[known]
+        return (
+            np.concatenate([by_arm, np.zeros((len(prior), by_arm.shape[1]))]),
+            np.concatenate([by_lens, prior]),
+        )
+
+
+def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
+    """The same views with a lens that is "fixed" or "free", whatever their description says."""
+    return replace(data, lens_std=np.full(len(lens.LENS_NAMES), 0.0 if kind == "fixed" else np.inf))

@@ -1,0 +1,162 @@
+"""Pictures through the command: a real camera and board, and what is wrong with a folder, in one sentence each."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from pickenv.calibration.camera.boards import load_board
+from pickenv.calibration.camera.lens_files import read_lens
+from pickenv.calibration.model.finished_poses import pose_carrier
+from pickenv.calibration.reading.description import DESCRIPTIONS
+from pickenv.calibration.reading.read import read_observations
+from pickenv.cli import app
+from pickenv.errors import InputError
+
+
+def call(*words: object) -> str:
+    done = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+@pytest.fixture(scope="module")
+def ical(data_folder: Path) -> Path:
+    folder = data_folder / "ical_charuco"
+    if not folder.is_dir():
+        pytest.skip(f"no pictures in {folder}")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("lens", "rms", "left_out"), [("fixed", 2.62, 3.3), ("free", 1.10, 1.6)], ids=["as given", "fitted"]
+)
+def test_a_real_camera(lens: str, rms: float, left_out: float, ical: Path, tmp_path: Path) -> None:
+    """Bounds: a plain bundle adjustment of the same pictures, 2.61 and 3.28 px, 1.09 and 1.58 px."""
+    file = tmp_path / "found.json"
+    said = call(
+        "calibrate",
+        ical,
+        "--columns",
+        "ical_charuco",
+        "--lens",
+        lens,
+        "--json",
+        file,
+        "--lens-out",
+        tmp_path / "a.yaml",
+    )
+    found = json.loads(file.read_text())
+    assert found["kind"] == "pixels" and found["views"] == 15 and found["corners"] == 309
+    assert 0.9 * rms < found["rms_px"] <= rms
+    assert found["leave_one_out_px"] <= left_out
+    assert f"{found['leave_one_out_px']:#.4g} px" in said
+    assert "1 corner found; a view needs 6" in said  # the third picture
+    assert (found["lens"]["k1"] != 0.0) == (lens == "free")
+    assert read_lens(tmp_path / "a.yaml").values.tolist() == list(found["lens"].values())
+    by_view = np.array(found["leave_one_out_view_rms_px"])
+    low, high = found["leave_one_out_mean_ci95_px"]
+    assert len(by_view) == 15 and low < by_view.mean() < high
+
+
+def views_folder(tmp_path: Path, ical: Path, change: tuple[str, str] | None = None) -> tuple[Path, Path]:
+    """A few of the real views, and their description, changed."""
+    folder = tmp_path / "views"
+    for kind in ("images", "poses"):
+        (folder / kind).mkdir(parents=True)
+    for i in range(6):
+        shutil.copyfile(ical / f"images/{i}.jpg", folder / f"images/{i}.jpg")
+        shutil.copyfile(ical / f"poses/{i}.yaml", folder / f"poses/{i}.yaml")
+    text = (DESCRIPTIONS / "ical_charuco.toml").read_text(encoding="utf-8")
+    if change is not None:
+        assert change[0] in text
+        text = text.replace(*change)
+    (tmp_path / "mine.toml").write_text(text)
+    return folder, tmp_path / "mine.toml"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("width = 1600", "width = 800"), r"row 1: the picture has 1600 x 1200 px, but the lens is for 800 x 1200"),
+        (('dictionary = "6x6_250"', 'dictionary = "4x4_50"'), r"0\.jpg: no corner of the board was found; it shows"),
+        (('picture = "images/{file}.jpg"', 'picture = "images/{file}.png"'), r"picture .*0\.png does not exist"),
+        (('files = "poses/*.yaml"', 'files = "poses/*.txt"'), r"holds no file poses/\*\.txt"),
+        (('convention = "quaternion_xyzw"', ""), r"convention of \[poses\] is missing|'convention'"),
+        (("[camera]", "[lens]"), r"\[camera\]|lens"),
+        (("fx = 1352.02747\n", ""), r"\[camera\] needs file, or fx"),
+    ],
+)
+def test_what_is_wrong_with_pictures(change: tuple[str, str], words: str, ical: Path, tmp_path: Path) -> None:
+    folder, description = views_folder(tmp_path, ical, change)
+    with pytest.raises(InputError, match=words) as caught:
+        read_observations([folder], pose_carrier().nominal, description)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_mirrored_picture_is_named(ical: Path, tmp_path: Path) -> None:
+    folder, description = views_folder(tmp_path, ical)
+    picture = cv2.imread(str(folder / "images/3.jpg"))
+    cv2.imwrite(str(folder / "images/3.jpg"), picture[:, ::-1])
+    with pytest.raises(InputError, match=r"3\.jpg: no corner of the board was found; it is mirrored"):
+        read_observations([folder], pose_carrier().nominal, description)
+    (folder / "images/3.jpg").write_text("no picture")
+    with pytest.raises(InputError, match=r"3\.jpg is no picture that OpenCV can read"):
+        read_observations([folder], pose_carrier().nominal, description)
+
+
+def test_an_arm_beside_finished_poses_and_a_lens_without_pictures_are_refused(ical: Path, tmp_path: Path) -> None:
+    for words, said in (
+        (["calibrate", ical, "--columns", "ical_charuco", "--arm", "ur5"], "leave the arm out"),
+        (["calibrate", ical, "--columns", "ical_charuco", "--test-rows", "3"], "every row, or picture, is held out"),
+        (["calibrate", ical, "--columns", "ical_charuco", "--robust"], "--robust is for poses and positions"),
+        (["calibrate", tmp_path / "x.csv"], "no arm is given"),
+    ):
+        with pytest.raises(InputError, match=said):
+            call(*words)
+
+
+def test_a_table_of_corners_is_the_pictures(ical: Path, tmp_path: Path) -> None:
+    """The same corners from a table: the same views."""
+    whole = read_observations([ical], pose_carrier().nominal, "ical_charuco").observations
+    lines = ["view,corner,u,v,x,y,z,qx,qy,qz,qw"]
+    poses = [json.loads(json.dumps(_pose(ical / f"poses/{i}.yaml"))) for i in range(16)]
+    for view, (pose, seen, corners) in enumerate(zip(poses, whole.seen, whole.corners, strict=True)):  # type: ignore[attr-defined]
+        for number in np.flatnonzero(seen):
+            u, v = corners[number].tolist()
+            lines.append(",".join(map(repr, [view, int(number), u, v, *pose])))
+    (tmp_path / "corners.csv").write_text("\n".join(lines) + "\n")
+    text = (DESCRIPTIONS / "ical_charuco.toml").read_text(encoding="utf-8")
+    text = text.replace(
+        'files = "poses/*.yaml"\npicture = "images/{file}.jpg"\n',
+        'columns = ["u", "v"]\nview = "view"\ncorner = "corner"\n',
+    )
+    (tmp_path / "corners.toml").write_text(text)
+    table, layout = [tmp_path / "corners.csv"], tmp_path / "corners.toml"
+    found = read_observations(table, pose_carrier().nominal, layout).observations
+    np.testing.assert_array_equal(found.seen, whole.seen)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(found.joints, whole.joints, atol=1e-12)
+    np.testing.assert_allclose(found.corners[found.seen], whole.corners[whole.seen], atol=1e-9)  # type: ignore[attr-defined]
+    broken = (tmp_path / "corners.csv").read_text().replace("\n0,0,", "\n0,99,", 1)
+    (tmp_path / "corners.csv").write_text(broken)
+    with pytest.raises(InputError, match=r"row 2: corner 99 is none of the board's 24"):
+        read_observations(table, pose_carrier().nominal, layout)
+
+
+def _pose(path: Path) -> list[float]:
+    pairs = dict(line.split(": ") for line in path.read_text().split("\n") if line.strip())
+    return [float(pairs[name]) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+
+
+def test_the_shipped_description_is_of_its_board() -> None:
+    from pickenv.calibration.reading.description import load_description
+
+    views = load_description("ical_charuco").views
+    assert views is not None and views.board is not None
+    assert len(views.board.corners) == 24 and views.board != load_board("charuco_a4")

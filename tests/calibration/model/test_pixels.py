@@ -1,0 +1,154 @@
+"""Corners in pictures as observations: derivatives, both mounts, unknown lenses, and what a view cannot tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.arm import Geometry, Pose, forward, rotation_matrix
+from pickenv.calibration.camera.boards import Board
+from pickenv.calibration.identification.board_poses import board_poses
+from pickenv.calibration.identification.least_squares import identify
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.error_model import frames_model
+from pickenv.calibration.model.finished_poses import joints_of_finished_poses, pose_carrier
+from pickenv.calibration.model.lens import Lens, projected
+from pickenv.calibration.model.pixels import PixelObservations
+
+BOARD = Board(kind="charuco", columns=6, rows=8, square=0.03, marker=0.022, dictionary="5x5_100")
+LENS = Lens(np.array([620.0, 622.0, 323.0, 238.0, -0.08, 0.05, 0.0008, -0.0005, 0.01]), (640, 480))
+MOUNTS = ("hand", "world")
+
+
+def carried(mount: str, views: int, seed: int) -> tuple[Geometry, np.ndarray]:
+    """A free-moving arm whose tool sees the board, or is it, in front of the camera in every view."""
+    rng = np.random.default_rng(seed)
+    base = Pose(np.array([0.3, -0.2, 0.1]), rotation_matrix(np.array([0.2, -0.5, 0.4])))
+    tool = Pose(np.array([0.02, 0.05, 0.08]), rotation_matrix(np.array([-0.3, 0.2, 0.7])))
+    turn = rotation_matrix(rng.normal(0, 0.35, (views, 3)))
+    middle = np.append(np.array(BOARD.size) / 2, 0.0)
+    place = np.array([0.0, 0.0, 0.4]) + rng.normal(0, 0.03, (views, 3)) - turn @ middle  # the board before the camera
+    wanted = Pose(place, turn)
+    if mount == "hand":  # the camera before the board
+        back = np.swapaxes(turn, 1, 2)
+        wanted = Pose(-(back @ place[..., None])[..., 0], back)
+    inner = base.rotation.T @ wanted.rotation @ tool.rotation.T
+    flange = Pose((wanted.position - base.position) @ base.rotation - inner @ tool.position, inner)
+    geometry = replace(pose_carrier().nominal, base=base, tool=tool)
+    return geometry, joints_of_finished_poses(flange)
+
+
+def views_of(
+    mount: str, views: int = 12, seed: int = 0, noise: float = 0.0, lens: Lens = LENS, free: bool = False
+) -> tuple[Geometry, PixelObservations]:
+    geometry, joints = carried(mount, views, seed)
+    count = len(BOARD.corners)
+    data = PixelObservations(
+        joints=joints,
+        corners=np.zeros((views, count, 2)),
+        seen=np.random.default_rng(seed).random((views, count)) < 0.8,
+        board=BOARD.corners,
+        camera=lens,
+        lens_std=np.full(9, np.inf if free else 0.0),
+        std=np.full((views, count), max(noise, 0.1)),
+        mount=mount,  # type: ignore[arg-type]
+    )
+    found = projected(LENS.values, data.in_camera(ArmModel.of(geometry)))
+    return geometry, replace(data, corners=found + np.random.default_rng(seed).normal(0, 1.0, found.shape) * noise)
+
+
+def test_a_pose_is_the_joints_of_its_carrier() -> None:
+    rng = np.random.default_rng(0)
+    poses = Pose(rng.normal(size=(20, 3)), rotation_matrix(rng.normal(size=(20, 3))))
+    found = forward(pose_carrier().nominal, joints_of_finished_poses(poses))
+    np.testing.assert_allclose(found.position, poses.position, atol=1e-12)
+    np.testing.assert_allclose(found.rotation, poses.rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_the_right_arm_sees_the_corners_where_they_are(mount: str) -> None:
+    geometry, data = views_of(mount)
+    model = ArmModel.of(geometry)
+    assert np.abs(data.residual(model, data.start(model))).max() < 1e-9
+    assert (data.in_camera(model)[..., 2] > 0.2).all()
+    poses = board_poses(data)
+    tool = forward(geometry, data.joints)
+    if mount == "hand":
+        tool = Pose(-np.einsum("nji,nj->ni", tool.rotation, tool.position), np.swapaxes(tool.rotation, 1, 2))
+    np.testing.assert_allclose(poses.position, tool.position, atol=1e-6)
+    np.testing.assert_allclose(poses.rotation, tool.rotation, atol=1e-6)
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_jacobians_are_the_residuals_slopes(mount: str) -> None:
+    geometry, data = views_of(mount, views=3, free=True)
+    data = replace(data, lens_std=np.array([5.0, 5.0, np.inf, 0.0, 0.1, np.inf, 0.01, 0.0, np.inf]))
+    model, own = ArmModel.of(geometry), data.start(ArmModel.of(geometry))
+    by_arm, by_lens = data.jacobian(model, own)
+    h = 1e-7
+    for k in range(by_arm.shape[1]):
+        step = np.zeros(by_arm.shape[1])
+        step[k] = h
+        slope = (data.residual(model.displaced(step), own) - data.residual(model.displaced(-step), own)) / (2 * h)
+        np.testing.assert_allclose(-by_arm[:, k], slope, atol=1e-3 * max(1.0, np.abs(slope).max()))
+    for k in range(len(own)):
+        step = np.zeros(len(own))
+        step[k] = 1e-6
+        slope = (data.residual(model, own + step) - data.residual(model, own - step)) / 2e-6
+        np.testing.assert_allclose(-by_lens[:, k], slope, atol=1e-4 * max(1.0, np.abs(slope).max()))
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_frames_are_found_within_their_uncertainty(mount: str) -> None:
+    truth, data = views_of(mount, noise=0.3, seed=3)
+    start = truth.displaced(np.concatenate([np.zeros(5 * 6), [0.01, -0.02, 0.015, 0.03, -0.02, 0.02] * 2]))
+    found = identify(frames_model(truth), start, [data], max_iterations=60)
+    assert found.converged
+    assert found.chi_square / found.degrees_of_freedom == pytest.approx(1.0, abs=0.15)
+    off = found.geometry.difference(truth)[30:]
+    assert np.abs(off / found.standard_deviation).max() < 4.0
+
+
+def test_an_unknown_lens_is_found_with_the_frames() -> None:
+    guess = Lens(np.array([600.0, 600.0, 320.0, 240.0, 0, 0, 0, 0, 0]), (640, 480))
+    truth, data = views_of("hand", views=30, noise=0.2, seed=5, lens=guess, free=True)
+    found = identify(frames_model(truth), truth, [data], max_iterations=60)
+    names = list(found.unknowns)
+    assert names == list(data.unknowns())
+    own = np.array(list(found.unknowns.values()))
+    off, std = (own - LENS.values)[:4], found.standard_deviation[:4]
+    assert np.abs(off / std).max() < 4.5  # distortions that these views hardly tell apart stand in for one another
+    seen = data.in_camera(ArmModel.of(truth))[data.seen]
+    theirs, ours = (projected(values, seen) for values in (LENS.values, own))
+    assert np.sqrt(np.mean((ours - theirs - (ours - theirs).mean(axis=0)) ** 2)) < 0.3
+    assert np.sqrt(np.mean(data.pixel_errors(found.arm_model, own) ** 2)) == pytest.approx(0.2, rel=0.05)
+
+
+def test_a_prior_holds_what_views_do_not_show() -> None:
+    """One view tells hardly anything of a lens: with a prior it stays where it was believed, and is no surer."""
+    truth, data = views_of("hand", views=4, noise=0.2, seed=2)
+    data = replace(data, lens_std=np.array([2.0, 2.0, 2.0, 2.0, 0.01, 0.01, 0.001, 0.001, 0.01]))
+    found = identify(frames_model(truth), truth, [data], max_iterations=60)
+    own = np.array(list(found.unknowns.values()))
+    assert np.abs((own - data.camera.values) / data.lens_std).max() < 3.5
+
+
+def test_misses_are_metres_at_the_board() -> None:
+    geometry, data = views_of("world")
+    model = ArmModel.of(geometry)
+    pixels = data.pixel_errors(model, data.start(model))
+    assert np.abs(pixels).max() < 1e-9
+    shifted = replace(data, corners=data.corners + np.array([1.0, 0.0]))
+    depth = data.in_camera(model)[data.seen][:, 2]
+    np.testing.assert_allclose(shifted.misses(model, data.start(model))[:, 0], depth / 620.0, atol=1e-9)
+    assert len(shifted.rows_of_misses) == data.seen.sum()
+
+
+def test_views_are_chosen_whole() -> None:
+    _, data = views_of("world")
+    some = data.select(np.array([3, 1]))
+    np.testing.assert_array_equal(some.corners[0], data.corners[3])
+    np.testing.assert_array_equal(some.seen, data.seen[[3, 1]])
+    assert len(some.std) == 2 and some.origins is not None
