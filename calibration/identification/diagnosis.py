@@ -59,7 +59,7 @@ class LeftOut:
         file: Its file.
         line: Its line there, from 1.
         held_out: Whether it was among the held-out rows.
-        position: Size of its position error, m.
+        position: Size of its position error, m; None where that is not the reason.
         attitude: Size of its attitude error, rad; None where only positions were measured.
         sigma: The larger of both in robust standard deviations of one coordinate.
         why: The reason in words, where it is not the size of its error.
@@ -68,14 +68,14 @@ class LeftOut:
     file: str
     line: int
     held_out: bool
-    position: float
-    attitude: float | None
-    sigma: float
+    position: float | None = None
+    attitude: float | None = None
+    sigma: float | None = None
     why: str | None = None
 
     def text(self) -> str:
         """For people."""
-        if self.why is not None:
+        if self.position is None or self.sigma is None:
             return f"{self.file}: row {self.line}: {self.why}"
         turned = "" if self.attitude is None else f", {np.degrees(self.attitude):.3g} deg"
         part = "held out" if self.held_out else "training"
@@ -135,7 +135,7 @@ def checked_rows(
     kept = [
         data.select(np.setdiff1d(np.arange(len(data)), rows)) for data, rows in zip((train, test), far, strict=True)
     ]
-    return kept[0], kept[1], tuple(sorted(left_out, key=lambda item: -item.sigma))
+    return kept[0], kept[1], tuple(sorted(left_out, key=lambda item: -(item.sigma or 0.0)))
 
 
 def _left_out(data: Measurements, sizes: Sizes, row: int, held_out: bool) -> LeftOut:
@@ -268,20 +268,23 @@ def telling_views(views: PixelObservations) -> tuple[PixelObservations, tuple[Le
     kept = []
     for row, seen in enumerate(views.seen):
         count, why = int(seen.sum()), None
-        across = (
-            np.linalg.svd(views.corners[row][seen] - views.corners[row][seen].mean(axis=0))[1] if count > 2 else None
-        )
         if count < LEAST_CORNERS:
             why = f"{count} {'corner' if count == 1 else 'corners'} found; a view needs {LEAST_CORNERS}"
-        elif across is not None and across[1] < LEAST_SPREAD * across[0]:
+        elif _thinness(views.corners[row][seen]) < LEAST_SPREAD:
             why = f"its {count} corners lie near one line, and do not tell how the board is turned"
         if why is None:
             kept.append(row)
         else:
-            left.append(LeftOut(*origins_of(views).place(row), False, np.nan, None, np.nan, why))
+            left.append(LeftOut(*origins_of(views).place(row), held_out=False, why=why))
     if len(kept) < LEAST_VIEWS:
         raise InputError(
             f"{views.source}: {len(kept)} of {len(views.joints)} views show enough of the board, of which "
             f"{LEAST_VIEWS} are needed; take more pictures, with the board larger in them"
         )
     return views.select(np.array(kept)), tuple(left)
+
+
+def _thinness(places: Array) -> float:
+    """Spread of points ``(N, 2)`` across their longest line, as a share of that along it."""
+    along, across = np.linalg.svd(places - places.mean(axis=0))[1]
+    return float(across / along)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.screen import Block, figure
-from pickenv.calibration.identification.least_squares import identify
+from pickenv.calibration.identification.least_squares import identify_converged
 from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.lens import LENS_NAMES, Lens
 from pickenv.calibration.model.observations import Observations, origins_of
@@ -91,7 +91,7 @@ def pixel_figures(fit: Fit, data: PixelObservations) -> PixelFigures:
     pixels, metres = [], []
     for view in every:
         rest, alone = data.select(np.delete(every, view)), data.select(every[[view]])
-        without = identify(model, found.arm_model, [rest], max_iterations=60)
+        without = identify_converged(model, found.arm_model, [rest])
         values = unknowns_of(without, alone)
         pixels.append(alone.pixel_errors(without.arm_model, values))
         metres.append(alone.misses(without.arm_model, values))

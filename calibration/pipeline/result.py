@@ -176,7 +176,8 @@ class Result:
         found = [self._errors(), self._parameters(), self._dropped()]
         if self.left_out:
             places = tuple((item.text(),) for item in self.left_out)
-            found.append(Block("Rows left out", (), places, "too far off to be measurements of these poses"))
+            note = "" if self.pixels is not None else "too far off to be measurements of these poses"
+            found.append(Block("Rows left out", (), places, note))
         if self.terms is not None:
             rows = tuple((name, figure(value * 1e3)) for name, value in self.terms.blocked_rms.items())
             note = f"{self.terms.chosen}, chosen on blocks of the training rows"

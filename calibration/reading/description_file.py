@@ -271,6 +271,8 @@ class DescriptionFile:
             raise InputError("[joints] is missing" if self.poses is None else "[joints] and [poses] are both given")
         if self.poses is not None and self.pixels is None:
             raise InputError("[poses] belongs to [pixels]; give the joints in [joints]")
+        if self.pixels is not None and self.conditions != ConditionsTable():
+            raise InputError("[conditions] is not read for [pixels]; leave it out")
         for name, table in (("board", self.board), ("camera", self.camera)):
             if (table is None) != (self.pixels is None):
                 fault = "is missing; [pixels] needs it" if table is None else "belongs to [pixels]"

@@ -19,13 +19,18 @@ from pickenv.calibration.camera.corners import FoundCorners, find_corners
 from pickenv.calibration.camera.lens_files import read_lens
 from pickenv.calibration.model.finished_poses import joints_of_finished_poses
 from pickenv.calibration.model.lens import LENS_NAMES, Lens
+from pickenv.calibration.model.observations import origins_of
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.reading.conventions import rotations
 from pickenv.calibration.reading.csv_table import Table, read_table
 from pickenv.calibration.reading.description import ColumnDescription, joint_scales
 from pickenv.calibration.reading.description_file import LensTable, PixelsTable
-from pickenv.calibration.reading.row_checks import refuse_implausible_joints
+from pickenv.calibration.reading.row_checks import (
+    refuse_duplicates,
+    refuse_implausible_joints,
+    refuse_repeated_joints,
+)
 from pickenv.errors import InputError
 from pickenv.texts import parsed, read_text
 from pickenv.toml_tables import TO_SI
@@ -61,13 +66,15 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
         joints = joints[rows]
     else:
         rows, found = list(range(len(table.lines))), _found_in_pictures(table, whole.pixels, whole.board, home)
+    if whole.poses is None:
+        refuse_repeated_joints([description], joints, geometry)
     for row, view in zip(rows, found, strict=True):
         if view.size != camera.size:
             raise InputError(
                 f"{table.where}: row {table.lines[row]}: the picture has {view.size[0]} x {view.size[1]} px, but the "
                 f"lens is for {camera.size[0]} x {camera.size[1]}; give the camera's numbers at this resolution"
             )
-    return PixelObservations(
+    found_views = PixelObservations(
         joints=joints,
         corners=np.stack([view.pixels for view in found]),
         seen=np.stack([view.seen for view in found]),
@@ -83,6 +90,8 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
             (table.where,), np.zeros(len(rows), dtype=np.int64), np.array(table.lines, dtype=np.int64)[rows]
         ),
     )
+    refuse_duplicates(joints, found_views, origins_of(found_views))
+    return found_views
 
 
 def _table(path: Path, pixels: PixelsTable, description: ColumnDescription) -> tuple[Table, Path]:

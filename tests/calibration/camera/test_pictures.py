@@ -57,6 +57,9 @@ def test_a_real_camera(lens: str, rms: float, left_out: float, ical: Path, tmp_p
     assert 0.9 * rms < found["rms_px"] <= rms
     assert found["leave_one_out_px"] <= left_out
     assert f"{found['leave_one_out_px']:#.4g} px" in said
+    (gone,) = found["left_out_rows"]
+    assert gone["position"] is None and gone["line"] == 3
+    assert "NaN" not in file.read_text()
     assert "1 corner found; a view needs 6" in said  # the third picture
     assert (found["lens"]["k1"] != 0.0) == (lens == "free")
     assert read_lens(tmp_path / "a.yaml").values.tolist() == list(found["lens"].values())
@@ -89,6 +92,7 @@ def views_folder(tmp_path: Path, ical: Path, change: tuple[str, str] | None = No
         (('picture = "images/{file}.jpg"', 'picture = "images/{file}.png"'), r"picture .*0\.png does not exist"),
         (('files = "poses/*.yaml"', 'files = "poses/*.txt"'), r"holds no file poses/\*\.txt"),
         (('convention = "quaternion_xyzw"', ""), r"convention of \[poses\] is missing|'convention'"),
+        (("[camera]", "[conditions.payload]\ncolumn = 'm'\nunit = 'kg'\n\n[camera]"), r"\[conditions\] is not read"),
         (("[camera]", "[lens]"), r"\[camera\]|lens"),
         (("fx = 1352.02747\n", ""), r"\[camera\] needs file, or fx"),
     ],
@@ -108,6 +112,14 @@ def test_a_mirrored_picture_is_named(ical: Path, tmp_path: Path) -> None:
         read_observations([folder], pose_carrier().nominal, description)
     (folder / "images/3.jpg").write_text("no picture")
     with pytest.raises(InputError, match=r"3\.jpg is no picture that OpenCV can read"):
+        read_observations([folder], pose_carrier().nominal, description)
+
+
+def test_the_same_view_twice_is_refused(ical: Path, tmp_path: Path) -> None:
+    folder, description = views_folder(tmp_path, ical)
+    shutil.copyfile(folder / "images/2.jpg", folder / "images/6.jpg")
+    shutil.copyfile(folder / "poses/2.yaml", folder / "poses/6.yaml")
+    with pytest.raises(InputError, match="row 7 repeats row 3 to the last digit"):
         read_observations([folder], pose_carrier().nominal, description)
 
 
