@@ -13,6 +13,7 @@ from pickenv import toml_faults
 from pickenv.arm.files.arm_file import ARMS
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.arm.plant.tolerances import TOLERANCES
+from pickenv.calibration.camera import boards
 from pickenv.calibration.reading.description import DESCRIPTIONS
 from pickenv.cli import app
 from pickenv.commands.schema import kinds
@@ -27,6 +28,7 @@ WHOLE_FILES = {
     "arm": sorted(ARMS.glob("*.toml")),
     "plant": sorted(PLANTS.glob("*.toml")),
     "tolerances": sorted(TOLERANCES.glob("*.toml")),
+    "board": sorted(boards.SHIPPED.glob("*.toml")),
     "description": sorted(DESCRIPTIONS.glob("*.toml")),
     "study": [ROOT / "scripts" / "tolerance_study.toml", ROOT / "scripts" / "tolerance_grades.toml"],
     "machine": [machine.SHIPPED],

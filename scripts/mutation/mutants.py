@@ -194,7 +194,7 @@ ROOMS = {
         "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
         "reports/calibration_report reports/report_words",
         "tests/inspect",
-        "runs/summary_numbers figure_numbers figures page_numbers calibration_report report",
+        "runs/summary_numbers figures/figure_numbers figures/figures figures/page_numbers calibration_report report",
     ),
 }
 
