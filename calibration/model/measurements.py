@@ -21,6 +21,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.observations import OneGroup, selected
 from pickenv.calibration.model.origins import Origins
+from pickenv.calibration.model.splits import Rows
 from pickenv.files import write_whole
 
 POSITION_STD = 15e-6
@@ -122,6 +123,11 @@ class Measurements(OneGroup):
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Measured minus predicted positions."""
         return self.difference(model)[:, :3]
+
+    def equations(self) -> tuple[Rows, Rows]:
+        """Positions are one channel, attitudes another."""
+        channels = np.repeat([0, 1], 3)[: self.rows_per_pose]
+        return np.repeat(np.arange(len(self)), self.rows_per_pose), np.tile(channels, len(self))
 
     def readings(self) -> Array:
         """The measured positions."""

@@ -79,6 +79,12 @@ class Observations(Equations, Protocol):
     def rows_of_misses(self) -> Rows:
         """The row that each of `misses` belongs to ``(R,)``."""
 
+    def equations(self) -> tuple[Rows, Rows]:
+        """Row and channel of each equation of `residual` ``(E,)``; the row is -1 where it belongs to none.
+
+        A channel is what is read in one unit with one uncertainty: of poses positions and attitudes are two.
+        """
+
     def select(self, rows: Rows) -> Self:
         """The data set that holds only the given rows."""
 
@@ -111,6 +117,10 @@ class OneGroup:
     def rows_of_misses(self) -> Rows:
         """One miss per row."""
         return np.arange(len(self.joints))
+
+    def equations(self) -> tuple[Rows, Rows]:
+        """One for each row, all of one channel."""
+        return one_channel(np.arange(len(self.joints)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +163,10 @@ class ReflectorObservations(OneGroup):
     def readings(self) -> Array:
         """The points seen."""
         return np.where(self.seen[..., None], self.points, 0.0).reshape(len(self.joints), -1)
+
+    def equations(self) -> tuple[Rows, Rows]:
+        """Three for each reflector seen."""
+        return one_channel(np.repeat(self.rows_of_misses, 3))
 
     def unknowns(self) -> tuple[str, ...]:
         """Reflector positions in the tool's frame."""
@@ -293,6 +307,11 @@ class SocketObservations(OneGroup):
         """The sockets' numbers."""
         return self.socket[:, None].astype(float)
 
+    def equations(self) -> tuple[Rows, Rows]:
+        """Three for each row, then the spacings."""
+        rows = np.repeat(np.arange(len(self.joints)), 3)
+        return one_channel(np.concatenate([rows, np.full(len(self.pairs), -1)]))
+
     def unknowns(self) -> tuple[str, ...]:
         """Positions of the sockets."""
         return tuple(f"socket{i + 1}_{axis}" for i in range(int(self.socket.max()) + 1) for axis in "xyz")
@@ -322,6 +341,11 @@ class SocketObservations(OneGroup):
         signs = np.eye(len(sockets))[self.pairs[:, 0]] - np.eye(len(sockets))[self.pairs[:, 1]]
         apart = np.einsum("ms,mj->msj", signs, along).reshape(-1, unknowns.size)
         return by_geometry, np.concatenate([rest, apart])
+
+
+def one_channel(rows: Rows) -> tuple[Rows, Rows]:
+    """Equations of these rows, all of one channel."""
+    return rows, np.zeros(len(rows), dtype=np.int64)
 
 
 def selected(data: Kind, rows: ArrayLike, *names: str) -> Kind:

@@ -23,7 +23,7 @@ from pickenv.calibration.assessment.quality import Quality, grade_quality
 from pickenv.calibration.assessment.screen import Block, figure, main_parts, unit_of
 from pickenv.calibration.assessment.states import LOST, MEASURED
 from pickenv.calibration.compensation.compensator import Compensator
-from pickenv.calibration.identification.diagnosis import LeftOut
+from pickenv.calibration.identification.diagnosis import LeftOut, said_of_rows
 from pickenv.calibration.identification.least_squares import describe_absorption
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
@@ -140,7 +140,7 @@ class Result:
             "mean_mm": self.best.mean,
             "mean_ci95_mm": self.best.mean_ci95,
         }
-        record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out]
+        record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
         return replace(self.fit.calibration, record=record)
 
     @property
@@ -176,8 +176,9 @@ class Result:
         found = [self._errors(), self._parameters(), self._dropped()]
         if self.left_out:
             places = tuple((item.text(),) for item in self.left_out)
+            kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
-            found.append(Block("Rows left out", (), places, note))
+            found.append(Block("Rows far off, and kept" if kept else "Rows left out", (), places, note))
         if self.terms is not None:
             rows = tuple((name, figure(value * 1e3)) for name, value in self.terms.blocked_rms.items())
             note = f"{self.terms.chosen}, chosen on blocks of the training rows"
@@ -395,6 +396,7 @@ def assess(
     else:
         uncertainty, noise = None, "noise stated or assumed"
     base_frame = None
+    rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None:
         left = after if len(after) == len(test.joints) and after.shape[1] >= 3 else np.zeros((len(test.joints), 3))
         base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left)
@@ -415,6 +417,7 @@ def assess(
             parametric=held_out.parametric,
             blocks=held_out.blocks,
             noise=noise,
+            said=said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
         ),
         uncertainty=uncertainty,
         base_frame=base_frame,

@@ -66,8 +66,11 @@ def calibrate(
         bool, typer.Option("--force", help="Use the named residual model even if it does not win.")
     ] = False,
     robust: Annotated[
-        bool, typer.Option("--robust", help="Leave rows that are far off out and list them, held out or not.")
-    ] = False,
+        bool,
+        typer.Option(
+            "--robust/--no-robust", help="Rows far off, held out or not, are listed and left out, or listed and kept."
+        ),
+    ] = True,
     lens: Annotated[
         Literal["fixed", "free"] | None,
         typer.Option(help="Of pictures: take the camera's numbers as they are, or fit them.", show_default=False),
@@ -119,7 +122,14 @@ def calibrate(
             raise InputError(f"{option} shows poses and positions, but {source} holds {kind}; leave it out")
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
     options = {"columns": columns, "frames": frames, "test_rows": test_rows, "split": split, "seed": seed}
-    options |= {"terms": terms, "residual": residual, "force": force, "robust": robust, "lens": lens, "unit": unit}
+    options |= {
+        "terms": terms,
+        "residual": residual,
+        "force": force,
+        "no_robust": not robust,
+        "lens": lens,
+        "unit": unit,
+    }
     command = command_line("pickenv", "calibrate", *files, arm=arm, test=test, **options)
     deliver(
         [
