@@ -112,8 +112,8 @@ def base_combinations(found: Identifiability) -> dict[str, str]:
     texts = {name: name for name in found.kept_names}
     for item in found.dropped:
         for name, share in item.absorbed_by.items():
-            if abs(share) < SMALL_SHARE and is_angle(name) == is_angle(item.name):
-                continue
+            if name not in texts or (abs(share) < SMALL_SHARE and is_angle(name) == is_angle(item.name)):
+                continue  # what only the choice of a frame ties has no share of its own
             texts[name] += f" {'-' if share < 0 else '+'} {_coefficient(share, name, item.name)}{item.name}"
     return texts
 

@@ -6,6 +6,7 @@ identified together with the arm. Rows are whitened by their covariance, so any 
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self, TypeVar
 
@@ -94,11 +95,22 @@ class Observations(Equations, Protocol):
     def readings(self) -> Array:
         """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
 
+    def fingerprint(self) -> str:
+        """Hash of the numbers, which a calibration records."""
+
 
 class OneGroup:
     """Rows that a split may part anywhere, each of which misses once."""
 
     joints: Array
+
+    def fingerprint(self) -> str:
+        """Of joints and readings."""
+        return hash_of(self.joints, self.readings())
+
+    def readings(self) -> Array:
+        """What was read in each row ``(N, k)``."""
+        raise NotImplementedError
 
     def unknowns(self) -> tuple[str, ...]:
         """None of its own."""
@@ -341,6 +353,12 @@ class SocketObservations(OneGroup):
         signs = np.eye(len(sockets))[self.pairs[:, 0]] - np.eye(len(sockets))[self.pairs[:, 1]]
         apart = np.einsum("ms,mj->msj", signs, along).reshape(-1, unknowns.size)
         return by_geometry, np.concatenate([rest, apart])
+
+
+def hash_of(*parts: Array) -> str:
+    """Hash of numbers to 1e-9 m and rad; a trip through a CSV file keeps it."""
+    whole = [np.rint(part * 1e9).astype(np.int64) for part in parts]
+    return hashlib.sha256(b"".join(part.tobytes() for part in whole)).hexdigest()[:16]
 
 
 def one_channel(rows: Rows) -> tuple[Rows, Rows]:

@@ -111,6 +111,7 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, t
     record = {
         "source": data.source,
         "poses": len(data.joints),
+        "data_fingerprint": data.fingerprint(),
         "kind": data.kind,
         "frames": "known" if aligned is None else "fitted",
         "rank": found.identifiability.rank,
@@ -120,8 +121,6 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, t
     }
     if found.unknowns:
         record["unknowns"] = found.unknowns
-    if isinstance(data, Measurements):
-        record["data_fingerprint"] = data.fingerprint()
     return Fit(Calibration(arm.name, arm.nominal, nominal, found.arm_model, None, record), found, aligned)
 
 
