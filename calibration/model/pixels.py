@@ -41,6 +41,7 @@ class PixelObservations(OneGroup):
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         origins: Picture or file and line of each view; None where they come from no file.
+        remarks: Why a view shows no corner ``(V,)``, empty where it shows some; None where nobody says.
     """
 
     joints: Array
@@ -56,6 +57,7 @@ class PixelObservations(OneGroup):
     kind: str = "pixels"
     framed: bool = True
     origins: Origins | None = None
+    remarks: NDArray[np.str_] | None = None
 
     @property
     def free(self) -> Rows:
@@ -69,7 +71,7 @@ class PixelObservations(OneGroup):
 
     def select(self, rows: Rows) -> Self:
         """The views of the given rows."""
-        return selected(self, rows, "corners", "seen", "std")
+        return selected(self, rows, "corners", "seen", "std", "remarks")
 
     def unknowns(self) -> tuple[str, ...]:
         """The fitted numbers of the lens."""

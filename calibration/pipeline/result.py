@@ -342,9 +342,11 @@ class Result:
         }
 
 
-def _pixels(fit: Fit, train: Observations) -> PixelFigures | None:
-    """Reprojection errors of the views that were fitted, where there are pictures."""
-    return pixel_figures(fit, train) if isinstance(train, PixelObservations) else None
+def _pixels(fit: Fit, train: Observations, test: Observations, held_out: HeldOut) -> PixelFigures | None:
+    """Reprojection errors, where there are pictures."""
+    if isinstance(train, PixelObservations) and isinstance(test, PixelObservations):
+        return pixel_figures(fit, train, test, held_out)
+    return None
 
 
 def _in_mm(lengths: Mapping[str, float | None]) -> dict[str, float | None]:
@@ -433,5 +435,5 @@ def assess(
         terms=terms,
         gate=gate,
         left_out=left_out,
-        pixels=_pixels(bare, train),
+        pixels=_pixels(bare, train, test, held_out),
     )
