@@ -20,8 +20,10 @@ from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import ErrorModel, frames_model, geometric_model, with_terms
 from pickenv.calibration.model.finished_poses import CARRIER
+from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
+from pickenv.calibration.model.kinds.sockets import SocketObservations
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, ReflectorObservations, SocketObservations
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn

@@ -16,13 +16,11 @@ import numpy as np
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import Conditions
+from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
+from pickenv.calibration.model.kinds.sockets import SocketObservations
 from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements
-from pickenv.calibration.model.observations import (
-    DistanceObservations,
-    Observations,
-    ReflectorObservations,
-    SocketObservations,
-)
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.reading import row_checks
 from pickenv.calibration.reading.conventions import columns_of, convention_table, rotations

@@ -219,7 +219,7 @@ def test_a_model_that_does_not_converge_is_never_chosen(dynamic, monkeypatch):
 
 
 def test_a_foreign_option_is_refused(qiao, exact):
-    from pickenv.calibration.model.observations import DistanceObservations
+    from pickenv.calibration.model.kinds.distances import DistanceObservations
 
     joints = exact(qiao.nominal).joints
     wire = DistanceObservations(joints, np.ones(len(joints)), 1e-4)
