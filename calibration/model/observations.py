@@ -44,6 +44,10 @@ class Equations(Protocol):
     def framed(self) -> bool:
         """Whether the instrument has a frame, so that the arm's base pose can be seen at all."""
 
+    @property
+    def sized(self) -> bool:
+        """Whether a known length takes part, without which nobody can say how large the arm is."""
+
     def unknowns(self) -> tuple[str, ...]:
         """Names of the kind's own unknowns."""
 
@@ -82,10 +86,6 @@ class Observations(Equations, Protocol):
     @property
     def miss_unit(self) -> str:
         """What screens show `misses` in: "mm" of metres, "deg" of radians."""
-
-    @property
-    def sized(self) -> bool:
-        """Whether a known length takes part, without which nobody can say how large the arm is."""
 
     def equations(self) -> tuple[Rows, Rows]:
         """Row and channel of each equation of `residual` ``(E,)``; the row is -1 where it belongs to none.
