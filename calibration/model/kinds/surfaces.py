@@ -71,8 +71,8 @@ def unit_length(vector: Array) -> tuple[Array, Array]:
 
 def steady_solution(matrix: Array, right: Array) -> Array:
     """The solution of least absolute errors, which a few gross rows hardly pull, by re-weighted least squares."""
-    weights = np.ones(len(right))
-    found = np.zeros(matrix.shape[1])
+    weights: Array = np.ones(len(right))
+    found: Array = np.zeros(matrix.shape[1])
     for _ in range(STEPS):
         found = np.linalg.lstsq(matrix * weights[:, None], right * weights, rcond=None)[0]
         left = np.abs(right - matrix @ found)
@@ -122,7 +122,7 @@ def _centre(points: Array, readings: Array, zero: float, unknown: bool) -> tuple
 
 
 def _principal_axes(points: Array, count: int) -> Array:
-    """Axes of points ``(N, 3)``, those of most spread first ``(3, 3)``; points far from the first ``count`` left out."""
+    """Axes of points ``(N, 3)``, those of most spread first ``(3, 3)``; without points far from the first ``count``."""
     kept = np.ones(len(points), dtype=bool)
     axes = np.eye(3)
     for _ in range(STEPS):
