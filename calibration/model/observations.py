@@ -6,6 +6,7 @@ identified together with the arm. Rows are whitened by their covariance, so any 
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from typing import Any, Protocol, Self, TypeVar
 
@@ -102,6 +103,9 @@ class Observations(Equations, Protocol):
     def readings(self) -> Array:
         """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
 
+    def fingerprint(self) -> str:
+        """Hash of the numbers, which a calibration records."""
+
 
 class OneGroup:
     """Rows that a split may part anywhere, each of which misses once."""
@@ -117,6 +121,14 @@ class OneGroup:
     def sized(self) -> bool:
         """Lengths are measured."""
         return True
+
+    def fingerprint(self) -> str:
+        """Of joints and readings."""
+        return hash_of(self.joints, self.readings())
+
+    def readings(self) -> Array:
+        """What was read in each row ``(N, k)``."""
+        raise NotImplementedError
 
     def unknowns(self) -> tuple[str, ...]:
         """None of its own."""
@@ -139,6 +151,12 @@ class OneGroup:
     def equations(self) -> tuple[Rows, Rows]:
         """One for each row, all of one channel."""
         return one_channel(np.arange(len(self.joints)))
+
+
+def hash_of(*parts: Array) -> str:
+    """Hash of numbers to 1e-9 m and rad; a trip through a CSV file keeps it."""
+    whole = [np.rint(part * 1e9).astype(np.int64) for part in parts]
+    return hashlib.sha256(b"".join(part.tobytes() for part in whole)).hexdigest()[:16]
 
 
 def one_channel(rows: Rows) -> tuple[Rows, Rows]:

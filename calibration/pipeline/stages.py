@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from pickenv.arm import Arm, load_arm
-from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_misses, telling_views
+from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, telling_views
 from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.identification.rows import choose, unknowns_of
+from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
@@ -64,7 +64,7 @@ class Choices:
         terms: "auto", or names of terms joined by "+", or "none".
         residual: "auto", a residual model's name, or "none".
         force: Whether a named residual model is used even if it does not win.
-        robust: Whether gross outliers are left out (and listed) instead of refused.
+        robust: Whether rows far off are left out; they are listed all the same.
         seed: Seeds everything random.
         frames: Whether base and tool are "known" or "fitted"; as the data say when None.
         learn_from: Poses for the named residual model, which is then used as it is, as the paper does; when None it
@@ -76,7 +76,7 @@ class Choices:
     terms: str = "auto"
     residual: str = "auto"
     force: bool = False
-    robust: bool = False
+    robust: bool = True
     seed: int = 0
     frames: Frames | None = None
     learn_from: Measurements | None = None
@@ -310,7 +310,7 @@ def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
 
 
 def _check(draft: Draft) -> Draft:
-    """Refuse options that do not apply; leave rows that are far off out, or refuse them."""
+    """Refuse options that do not apply; leave out rows that are far off."""
     choices, poses = draft.choices, draft.poses
     if choices.frames is not None and choices.frames not in FRAMES:
         raise InputError(f"frames is '{choices.frames}'; give {' or '.join(FRAMES)}")
@@ -319,26 +319,27 @@ def _check(draft: Draft) -> Draft:
             f"{draft.train.source} holds {draft.train.kind}, but {draft.test.source}, to judge by, {draft.test.kind}; "
             "give rows of one kind"
         )
+    train, test, known = draft.train, draft.test, False
+    left_out: tuple[LeftOut, ...] = ()
     if poses is None:
-        _refuse_options(draft.train, choices)
-        if isinstance(draft.train, PixelObservations):
-            train_views, left_out = telling_views(draft.train)
-            return replace(draft, train=train_views, left_out=left_out)
-        return draft
-    train, test = poses
-    if choices.frames is None and train.frames != test.frames:
-        raise InputError(
-            f"{train.source} says that base and tool are {train.frames}, {test.source} that they are {test.frames}; "
-            "give --frames"
-        )
-    frames = choices.frames or train.frames
-    train, test, left_out = checked_rows(draft.arm, train, test, known=frames == "known", robust=choices.robust)
-    return replace(draft, choices=replace(choices, frames=frames), train=train, test=test, left_out=left_out)
+        _refuse_options(train, choices)
+        if isinstance(train, PixelObservations):
+            train, left_out = telling_views(train)
+    else:
+        if choices.frames is None and poses[0].frames != poses[1].frames:
+            raise InputError(
+                f"{train.source} says that base and tool are {poses[0].frames}, {test.source} that they are "
+                f"{poses[1].frames}; give --frames"
+            )
+        choices = replace(choices, frames=choices.frames or poses[0].frames)
+        known = choices.frames == "known"
+    train, test, far = checked_rows(draft.arm, train, test, known=known, robust=choices.robust)
+    return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
 
 
 def _refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
-    given = {"--robust": choices.robust, "--frames known": choices.frames == "known"}
+    given = {"--frames known": choices.frames == "known"}
     given[f"--residual {choices.residual}"] = choices.residual not in ("auto", "none")
     if choices.lens is not None and not isinstance(train, PixelObservations):
         raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
@@ -360,12 +361,9 @@ def _identify(draft: Draft) -> Draft:
 
 
 def _check_again(draft: Draft) -> Draft:
-    """Refuse poses that hide too much, and rows of other kinds that the fitted arm misses by far."""
+    """Refuse poses that hide too much."""
     _, geometric = draft.best
     if draft.poses is None:
-        found = geometric.identification
-        missed = [part.misses(found.arm_model, unknowns_of(found, draft.train)) for part in (draft.train, draft.test)]
-        refuse_misses(draft.train, draft.test, (missed[0], missed[1]))
         return draft
     start, train = geometric.calibration.nominal, draft.poses[0]
     coverage = pose_coverage(geometric_model(start, draft.aligned is None), start, train)

@@ -74,7 +74,7 @@ def steady_solution(matrix: Array, right: Array) -> Array:
     weights: Array = np.ones(len(right))
     found: Array = np.zeros(matrix.shape[1])
     for _ in range(STEPS):
-        found = np.linalg.lstsq(matrix * weights[:, None], right * weights, rcond=None)[0]
+        found = np.asarray(np.linalg.lstsq(matrix * weights[:, None], right * weights, rcond=None)[0], dtype=float)
         left = np.abs(right - matrix @ found)
         weights = 1.0 / np.sqrt(np.maximum(left, 0.1 * float(np.median(left)) + 1e-12))
     return found
