@@ -29,6 +29,7 @@ from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Kind, Observations, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.splits import Rows, equally_spaced
+from pickenv.calibration.model.stacked import Stacked
 from pickenv.errors import InputError
 
 EXPLAINED = 8.0
@@ -133,6 +134,9 @@ def checked_rows(
     listed: list[LeftOut] = []
     for data, size, rows in zip(sets, sizes, far, strict=True):
         listed += _far_rows(arm, found, data, size, rows, held_out=data is test, kept=not robust)
+    if isinstance(train, Stacked):
+        train = train.weighed(found.sizes.scales[train.first_channels()].tolist())
+        sets = (train, *sets[1:])
     if robust:
         near = [np.flatnonzero(size.sigma <= OUTLIER_SIGMA) for size in sizes]
         left = [data.select(rows) for data, rows in zip(sets, near, strict=True)]
@@ -256,6 +260,18 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
             changed[:, axes] *= scale
             rows = replace(data, **{name: rotation_matrix(changed) if name == "rotation" else changed})  # type: ignore[arg-type]
             yield f"{label} is read in {here} there and in {elsewhere} elsewhere", rows
+
+
+def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
+    """Rows of any kind; pictures, of one station or several, without the views that tell too little."""
+    if isinstance(data, PixelObservations):
+        return telling_views(data)
+    if not isinstance(data, Stacked):
+        return data, ()
+    each = [without_blind_views(part) for part in data.parts]
+    stations = zip(data.stations, each, strict=True)
+    kept = replace(data, stations=tuple(replace(station, data=part) for station, (part, _) in stations))
+    return kept, tuple(item for _, left in each for item in left)
 
 
 def telling_views(views: PixelObservations) -> tuple[PixelObservations, tuple[LeftOut, ...]]:

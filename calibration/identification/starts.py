@@ -6,6 +6,8 @@ positions of their own; wires and contacts start where the arm is said to stand.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+
 import numpy as np
 
 from pickenv.arm import Arm, Geometry, Pose
@@ -18,6 +20,7 @@ from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.stacked import InstrumentStation, Stacked
 
 
 def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
@@ -31,6 +34,10 @@ def rough_start(nominal: Geometry, data: Observations) -> Geometry:
     Raises:
         InputError: If the reflector's positions do not fit the arm.
     """
+    if isinstance(data, Stacked):
+        return rough_start(nominal, data.parts[0])
+    if isinstance(data, Measurements):
+        return align(nominal, data, frames_model(nominal), judge=False).geometry
     if isinstance(data, PixelObservations):
         seen = board_poses(data)
         if data.mount == "hand":
@@ -58,3 +65,23 @@ def robust_frames(arm: Arm, data: Observations) -> Geometry:
     if isinstance(data, Measurements):
         return robust_align(arm.nominal, data, frames, np.random.default_rng(0)).geometry
     return robust_identify(frames, rough_start(arm.nominal, data), data).geometry
+
+
+def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) -> Stacked:
+    """Data sets as stations of one arm, those with an instrument's frame first.
+
+    Args:
+        arm: The arm.
+        data: The data sets.
+        own: Which of "base" and "tool" each but the first has of its own; a set without a frame sees no base.
+
+    Raises:
+        InputError: If a set does not fit the arm.
+    """
+    first, *others = sorted(data, key=lambda part: not part.framed)
+    stations = [InstrumentStation(first)]
+    for number, part in enumerate(others, start=2):
+        start = robust_frames(arm, part) if part.framed else arm.nominal
+        base = start.base if "base" in own and part.framed else None
+        stations.append(InstrumentStation(part, number, base, start.tool if "tool" in own else None))
+    return Stacked(tuple(stations))

@@ -397,10 +397,11 @@ def assess(
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None:
-        left = after if len(after) == len(test.joints) and after.shape[1] >= 3 else np.zeros((len(test.joints), 3))
-        base_frame = base_frame_error(
-            arm.nominal, bare.calibration.nominal, test.joints, left, isinstance(test, Measurements)
-        )
+        left, tracked = after, isinstance(test, Measurements)
+        if not tracked:  # then the misses are not one per row: any may go with any pose
+            drawn = np.random.default_rng(0).integers(0, len(after), len(test.joints))
+            left = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[drawn]
+        base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left, tracked)
     return Result(
         arm=arm,
         fit=fit,

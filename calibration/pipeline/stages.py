@@ -14,26 +14,23 @@ from pathlib import Path
 
 import numpy as np
 
-from pickenv.arm import Arm, load_arm
-from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, telling_views
+from pickenv.arm import Arm
+from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
 from pickenv.calibration.model.error_model import geometric_model
-from pickenv.calibration.model.finished_poses import pose_carrier
 from pickenv.calibration.model.measurements import FRAMES, Frames, Measurements
-from pickenv.calibration.model.observations import Observations, origins_of
-from pickenv.calibration.model.origins import named
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
+from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows
 from pickenv.calibration.pipeline.held_out import HeldOut, held_out_of, pooled
 from pickenv.calibration.pipeline.result import Result, assess
-from pickenv.calibration.reading.description import load_description
-from pickenv.calibration.reading.read import NoiseFloor, read_observations
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
 from pickenv.calibration.residuals.residual_models import FITTERS, QUICK_FITTERS
@@ -44,9 +41,6 @@ GATE_ROWS = 3000
 
 ENOUGH_FOR_BLOCKS = 40
 """Fewer training rows than this are not enough to hold blocks out of."""
-
-Data = Observations | str | Path | Sequence[str | Path]
-"""Rows: measurements, observations of any kind, or the files that hold them."""
 
 GEOMETRY = "geometry"
 
@@ -139,7 +133,8 @@ def calibrate(
     arm: Arm | str | Path | None,
     data: Data,
     *,
-    columns: str | Path | None = None,
+    columns: Columns = None,
+    stations: str | None = None,
     test: Data | None = None,
     split: str = "random",
     test_rows: int | None = None,
@@ -156,8 +151,11 @@ def calibrate(
 
     Args:
         arm: The arm, its name, or its file (TOML, or URDF as ``file.urdf#tip``); None where files hold finished poses.
-        data: Measurements, observations of any kind, or files that hold them (CSV or YAML, all of one layout).
-        columns: Description of the files' columns, by name or path; our own columns when left out.
+        data: Measurements, observations of any kind or several of them, or files that hold them (CSV or YAML).
+        columns: Description of the files' columns, by name or path; our own columns when left out. Several: one for
+            each file.
+        stations: What each file, or data set, has of its own: "base", "tool", "base,tool" or "none". When left out,
+            files of one layout are one set-up, and those of several layouts have both of their own.
         test: Rows to judge by; some of ``data`` when left out.
         split: How those are held out: "random", and the calibration is fitted to the others; or "blocked", all ten
             contiguous tenths in turn, each judged by a model fitted and chosen without it, while the calibration itself
@@ -175,10 +173,10 @@ def calibrate(
             does not converge.
     """
     choices = choices or Choices()
-    arm = _arm(arm, columns)
+    arm = given_arm(arm, columns)
     if split not in SPLITS:
         raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
-    train, floor = _rows(arm, data, columns)
+    train, floor = given_rows(arm, data, columns, stations)
     rng = rng or np.random.default_rng(choices.seed)
     if isinstance(train, PixelObservations) and choices.lens is not None:
         train = with_lens(train, choices.lens)
@@ -191,21 +189,9 @@ def calibrate(
         rows = choose(train, test_rows, np.random.default_rng(choices.seed))
         train, held_out = (train.select(np.sort(part)) for part in rows)
     else:
-        held_out, _ = _rows(arm, test, columns)
+        held_out, _ = given_rows(arm, test, columns, stations)
     draft = _through(STAGES, Draft(arm, choices, train, held_out, rng, progress))
     return replace(_assessed(draft, held_out_of(draft.fits, draft.train, draft.test)), floor=floor, unit=unit)
-
-
-def _arm(arm: Arm | str | Path | None, columns: str | Path | None) -> Arm:
-    """The arm; one that only carries poses where they are finished."""
-    finished = columns is not None and (views := load_description(columns).views) is not None and views.poses
-    if finished:
-        if arm is not None:
-            raise InputError("finished poses have no joints to calibrate; leave the arm out, or describe its [joints]")
-        return pose_carrier()
-    if arm is None:
-        raise InputError("no arm is given; name one, or its file (--arm)")
-    return load_arm(arm) if isinstance(arm, str | Path) else arm
 
 
 def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
@@ -283,32 +269,6 @@ def _chosen(checked: Draft, rows: Rows) -> tuple[str, str | None]:
     return terms, None if calibration.learnt is None else calibration.learnt.kind
 
 
-def _rows(arm: Arm, data: Data, columns: str | Path | None) -> tuple[Observations, NoiseFloor | None]:
-    """Rows, and what their files say about noise."""
-    if isinstance(data, str | Path):
-        data = [data]
-    if isinstance(data, Sequence):
-        reading = read_observations(data, arm.nominal, columns)
-        return reading.observations, reading.floor
-    _refuse_no_numbers(arm, data)
-    return data, None
-
-
-def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
-    """Refuse arrays that no file could have held."""
-    if not hasattr(data, "joints"):
-        raise InputError(f"{type(data).__name__} are no measurements; give files, Measurements or other observations")
-    shape, wanted = data.joints.shape, arm.nominal.joints
-    if shape != (len(data.joints), wanted):
-        raise InputError(f"{data.source}: joints have shape {shape}, but arm '{arm.name}' has {wanted} joints")
-    for name in ("joints", "position", "rotation", "length"):
-        values = getattr(data, name, None)
-        if values is not None and not np.isfinite(values).all():
-            rows = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1)).tolist()
-            places = named([origins_of(data).place(row) for row in rows])
-            raise InputError(f"{places}: {name} is no finite number; correct or remove it")
-
-
 def _check(draft: Draft) -> Draft:
     """Refuse options that do not apply; leave out rows that are far off."""
     choices, poses = draft.choices, draft.poses
@@ -323,8 +283,7 @@ def _check(draft: Draft) -> Draft:
     left_out: tuple[LeftOut, ...] = ()
     if poses is None:
         _refuse_options(train, choices)
-        if isinstance(train, PixelObservations):
-            train, left_out = telling_views(train)
+        train, left_out = without_blind_views(train)
     else:
         if choices.frames is None and poses[0].frames != poses[1].frames:
             raise InputError(

@@ -34,7 +34,17 @@ def calibrate(
             help="Arm name, arm file (.toml) or URDF (file.urdf#tip); not for finished poses.", show_default=False
         ),
     ] = None,
-    columns: Annotated[str | None, typer.Option(help="Column description, by name or path; ours if left out.")] = None,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(help="Column description, by name or path; ours if left out. Repeat it, for one per file."),
+    ] = None,
+    stations: Annotated[
+        Literal["none", "base", "tool", "base,tool"] | None,
+        typer.Option(
+            help="Each file is a station with these frames of its own; both, if left out, where descriptions differ.",
+            show_default=False,
+        ),
+    ] = None,
     frames: Annotated[
         Literal["known", "fitted"] | None,
         typer.Option(
@@ -107,6 +117,7 @@ def calibrate(
             arm,
             files,
             columns=columns,
+            stations=stations,
             test=test or None,
             split=split,
             test_rows=test_rows,
@@ -115,7 +126,14 @@ def calibrate(
             progress=None if told is None else partial(told, "judging blocks"),
         )
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
-    options = {"columns": columns, "frames": frames, "test_rows": test_rows, "split": split, "seed": seed}
+    options: dict[str, Any] = {
+        "columns": columns,
+        "stations": stations,
+        "frames": frames,
+        "test_rows": test_rows,
+        "split": split,
+        "seed": seed,
+    }
     options |= {
         "terms": terms,
         "residual": residual,
