@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, forward
+from pickenv.calibration.assessment.screen import MISS_UNITS
 from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.identification.rows import unknowns_of
@@ -176,10 +177,13 @@ def _refuse_misfit(found: Identification, data: Observations) -> None:
     span = float(np.linalg.norm(tool.std(axis=0)))
     if isinstance(data, SocketObservations):
         span = float(np.linalg.norm(tool - tool.mean(axis=0), axis=1).max())
+    if data.miss_unit == "deg":
+        span = 1.0
     if rms > MISFIT * max(span, 0.1):
+        missed = f"{rms * MISS_UNITS[data.miss_unit]:.0f} {data.miss_unit}"
         raise InputError(
-            f"{data.source}: after fitting the frames the arm still misses by {rms * 1e3:.0f} mm RMS; check "
-            "the arm, the units, the joint order and signs, and which row belongs to what"
+            f"{data.source}: after fitting the frames the arm still misses by {missed} RMS; check the arm, the units, "
+            "the joint order and signs, and which row belongs to what"
         )
 
 

@@ -67,21 +67,24 @@ class PoseUncertainty:
         }
 
 
-def pose_uncertainty(found: Identification, errors: Array) -> PoseUncertainty:
+def pose_uncertainty(found: Identification, errors: Array, unit: str = "mm") -> PoseUncertainty:
     """Uncertainty from an identification and the errors that it leaves.
 
     Args:
         found: The identification.
         errors: Measured minus predicted poses, best held-out ones, ``(N, 6)`` or positions ``(N, 3)``, m and rad; their
             RMS per coordinate is taken as u_repeat, so it includes the instrument's noise and errs on the large side.
+        unit: "deg" where the errors are misses of directions ``(N, k)``, rad: of positions no more is known then than
+            what the parameters say.
     """
+    positions, attitudes = (np.zeros(1), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
     own = set(found.arm_model.parameter_names)
     places = [i for i, name in enumerate(found.identifiability.kept_names) if name in own]
     return PoseUncertainty(
         names=tuple(found.identifiability.kept_names[i] for i in places),
         covariance=found.covariance[np.ix_(places, places)],
-        position_repeat=float(np.sqrt(np.mean(errors[:, :3] ** 2))),
-        attitude_repeat=float(np.sqrt(np.mean(errors[:, 3:] ** 2))) if errors.shape[1] == 6 else None,
+        position_repeat=float(np.sqrt(np.mean(positions**2))),
+        attitude_repeat=float(np.sqrt(np.mean(attitudes**2))) if attitudes.size else None,
     )
 
 

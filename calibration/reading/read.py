@@ -48,6 +48,10 @@ class NoiseFloor:
     repeat: float | None
     digits: float | None
 
+    def as_dict(self) -> dict[str, float | None]:
+        """For JSON, in mm."""
+        return {name: None if value is None else value * 1e3 for name, value in vars(self).items()}
+
     def text(self) -> str:
         """For people, in mm."""
         parts = [] if self.repeat is None else [f"repeatability {self.repeat * 1e3:.4f} mm"]
