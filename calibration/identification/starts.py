@@ -56,9 +56,9 @@ def rough_start(nominal: Geometry, data: Observations) -> Geometry:
     refuse_another_arm(aligned, one, f"after fitting base and reflector {which + 1}", nominal)
     if data.places is None or len(data.places) < 3:
         return aligned
-    seen = data.seen_from(ArmModel.of(aligned))  # known places turn and shift the tool to where they are seen
-    middle, centre = data.places.mean(axis=0), seen.mean(axis=0)
-    turn = nearest_rotation((seen - centre).T @ (data.places - middle))
+    local = data.seen_from(ArmModel.of(aligned))  # known places turn and shift the tool to where they are seen
+    middle, centre = data.places.mean(axis=0), local.mean(axis=0)
+    turn = nearest_rotation((local - centre).T @ (data.places - middle))
     tool, shift = aligned.tool, centre - turn @ middle
     return replace(aligned, tool=Pose(tool.position + tool.rotation @ shift, tool.rotation @ turn))
 
