@@ -61,7 +61,12 @@ def said_of_instruments(
                 f"{value * 1e3:.4g} ± {std * 1e3:.2g} mm, and the links have taken up the difference; say zero = "
                 '"fitted" in [wire]',
             )
-    if not data.sized:
+    if data.miss_unit == "deg":
+        yield (
+            "caution",
+            "directions tell no length: all lengths of the arm are nominal; add an instrument that sees some",
+        )
+    elif not data.sized:
         yield (
             "caution",
             "no known length takes part, so the arm's size is that of its nominal longest link; add a known spacing, "

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import replace
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,6 +63,14 @@ class Equations(Protocol):
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Whitened derivatives by the model ``(rows, 5n + 12 + k)`` and by the unknowns ``(rows, own)``."""
+
+
+@runtime_checkable
+class Imaginable(Equations, Protocol):
+    """Equations that can be asked at other poses before anything is measured there."""
+
+    def imagined(self, joints: Array) -> Equations:
+        """What such an instrument would be asked at other joints ``(M, n)``; only kind and uncertainties are real."""
 
 
 class Observations(Equations, Protocol):
@@ -171,6 +179,13 @@ def selected(data: Kind, rows: ArrayLike, *names: str) -> Kind:
     changed = {name: None if value is None else value[rows] for name, value in values.items()}
     changed |= {"conditions": data.conditions.select(rows), "origins": origins_of(data).select(rows)}
     return replace(data, **changed)  # type: ignore[type-var]
+
+
+def repeated_at(data: Kind, joints: Array, *names: str) -> Kind:
+    """A data set at other joints ``(M, n)``, whose readings of these names are those it has, over and over."""
+    rows = np.resize(np.arange(len(data.joints)), len(joints))
+    changed: dict[str, Any] = {name: getattr(data, name)[rows] for name in names}
+    return replace(data, joints=joints, conditions=Conditions(), origins=None, **changed)  # type: ignore[type-var]
 
 
 def origins_of(data: Observations) -> Origins:

@@ -408,7 +408,9 @@ def assess(
         left, tracked = after, isinstance(test, Measurements)
         if not tracked:  # then the misses are not one per row: any may go with any pose
             drawn = np.random.default_rng(0).integers(0, len(after), len(test.joints))
-            left = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[drawn] * (train.miss_unit == "mm")
+            left = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[drawn]
+        if train.miss_unit != "mm":
+            left = np.full_like(left, np.nan)
         base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left, tracked)
     model = fitted_model(arm.name, bare.calibration.nominal, aligned is None)
     return Result(

@@ -18,7 +18,7 @@ from pickenv.calibration.model.error_model import LENGTH_TOLERANCE
 from pickenv.calibration.model.kinds.stated import Stated
 from pickenv.calibration.model.kinds.surfaces import SURFACES, Surface, SurfaceName
 from pickenv.calibration.model.kinds.tool_point import ORIGIN, TIP, Tip, tool_points, tool_points_jacobian
-from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, one_channel, selected
+from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, one_channel, repeated_at, selected
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
 
@@ -89,6 +89,10 @@ class DistanceObservations(OneGroup):
         """The surface's numbers, the fitted ones of the instrument, and all of these."""
         own = unknowns[len(self._place.names) :]
         return unknowns[: len(self._place.names)], own, self._stated.whole(own)
+
+    def imagined(self, joints: Array) -> Self:
+        """What it would be asked at other joints ``(M, n)``."""
+        return repeated_at(self, joints, "length")
 
     def select(self, rows: Rows) -> Self:
         """The data set that holds only the given rows."""

@@ -15,7 +15,7 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import LENGTH_TOLERANCE
 from pickenv.calibration.model.kinds.stated import Stated
 from pickenv.calibration.model.kinds.tool_point import ORIGIN, TIP, Tip, tool_points, tool_points_jacobian
-from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, one_channel, selected
+from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, one_channel, repeated_at, selected
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
 
@@ -79,6 +79,10 @@ class SocketObservations(OneGroup):
     def groups(self) -> Rows:
         """Each socket's rows are a group, so that each is trained on."""
         return self.socket
+
+    def imagined(self, joints: Array) -> Self:
+        """What it would be asked at other joints ``(M, n)``."""
+        return repeated_at(self, joints, "socket")
 
     def select(self, rows: Rows) -> Self:
         """The data set that holds only the given rows."""

@@ -17,7 +17,7 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import ANGLE_TOLERANCE
 from pickenv.calibration.model.kinds.stated import Stated
 from pickenv.calibration.model.kinds.surfaces import direction, steady_solution, unit_length
-from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, one_channel, selected
+from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, one_channel, repeated_at, selected
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
 
@@ -77,6 +77,10 @@ class TiltObservations(OneGroup):
             np.repeat([self.axes_std, self.down_std], [3 * count, 3]),
             np.full(3 * count + 3, ANGLE_TOLERANCE),
         )
+
+    def imagined(self, joints: Array) -> Self:
+        """What it would be asked at other joints ``(M, n)``."""
+        return repeated_at(self, joints, "components", "std")
 
     def select(self, rows: Rows) -> Self:
         """The data set that holds only the given rows."""
