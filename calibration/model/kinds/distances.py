@@ -110,7 +110,7 @@ class DistanceObservations(OneGroup):
 
     def equations(self) -> tuple[Rows, Rows]:
         """One for each row, then what is known of the instrument, and what the surface's numbers leave open."""
-        extra = len(self._stated.residual(self._stated.start()))
+        extra = len(self._stated.jacobian())
         extra += len(self._place.gauge(np.ones(len(self._place.names)))[0])
         return one_channel(np.concatenate([np.arange(len(self.joints)), np.full(extra, -1)]))
 

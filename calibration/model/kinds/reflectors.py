@@ -65,7 +65,7 @@ class ReflectorObservations(OneGroup):
 
     def equations(self) -> tuple[Rows, Rows]:
         """Three for each reflector seen, then what is known of their places."""
-        known = np.full(len(self._stated.residual(self._stated.start())), -1)
+        known = np.full(len(self._stated.jacobian()), -1)
         return one_channel(np.concatenate([np.repeat(self.rows_of_misses, 3), known]))
 
     @cached_property

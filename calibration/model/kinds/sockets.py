@@ -102,7 +102,7 @@ class SocketObservations(OneGroup):
     def equations(self) -> tuple[Rows, Rows]:
         """Three for each row, then the spacings, and what is known of the tool point."""
         rows = np.repeat(np.arange(len(self.joints)), 3)
-        extra = len(self.pairs) + len(self._stated.residual(self._stated.start()))
+        extra = len(self.pairs) + len(self._stated.jacobian())
         return one_channel(np.concatenate([rows, np.full(extra, -1)]))
 
     def unknowns(self) -> tuple[str, ...]:

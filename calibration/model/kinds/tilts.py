@@ -131,7 +131,7 @@ class TiltObservations(OneGroup):
 
     def equations(self) -> tuple[Rows, Rows]:
         """One for each component, then what is known of the directions, and their lengths."""
-        extra = len(self._stated.residual(self._stated.start())) + len(self._lengths(self._stated.start())[0])
+        extra = len(self._stated.jacobian()) + len(self._lengths(self._stated.start())[0])
         rows = np.repeat(np.arange(len(self.joints)), self.components.shape[1])
         return one_channel(np.concatenate([rows, np.full(extra, -1)]))
 
