@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
@@ -121,8 +122,8 @@ def _centre(points: Array, readings: Array, zero: float, unknown: bool) -> tuple
     return middle + at, begin
 
 
-def _principal_axes(points: Array, count: int) -> Array:
-    """Axes of points ``(N, 3)``, those of most spread first ``(3, 3)``; without points far from the first ``count``."""
+def _principal_axes(points: Array, count: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Axes of points ``(N, 3)``, those of most spread first ``(3, 3)``, and which lie near the first ``count``."""
     kept = np.ones(len(points), dtype=bool)
     axes = np.eye(3)
     for _ in range(STEPS):
@@ -132,7 +133,7 @@ def _principal_axes(points: Array, count: int) -> Array:
         used, kept = kept, off <= FAR * max(float(np.median(off)), 1e-9)
         if kept.sum() < 4 or np.array_equal(used, kept):
             break
-    return axes
+    return axes, kept
 
 
 def _point_start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
@@ -141,17 +142,17 @@ def _point_start(points: Array, readings: Array, zero: float, unknown: bool) -> 
 
 def _line_start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
     """The longest axis of the points, and across it the centre of a circle."""
-    axes = _principal_axes(points, 1)
-    across, found = _centre(points @ axes[1:].T, readings, zero, unknown)
+    axes, near = _principal_axes(points, 1)
+    across, found = _centre(points[near] @ axes[1:].T, readings[near], zero, unknown)
     return np.concatenate([across @ axes[1:], axes[0]]), found
 
 
 def _plane_start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
     """The shortest axis of the points, or the direction along which the readings grow, whichever explains more."""
-    shortest = _principal_axes(points, 2)[2]
+    shortest = _principal_axes(points, 2)[0][2]
     matrix = np.column_stack([points - points.mean(axis=0), np.ones(len(points))])
     slope = steady_solution(matrix, readings)[:3]
-    candidates = [shortest, -shortest, *([slope / np.linalg.norm(slope)] if np.linalg.norm(slope) > 1e-9 else [])]
+    candidates = [shortest, *([slope / np.linalg.norm(slope)] if np.linalg.norm(slope) > 1e-9 else [])]
 
     def left(normal: Array) -> float:
         offsets = points @ normal - readings

@@ -19,9 +19,10 @@ from pickenv.calibration import (
     identify,
     random_joints,
 )
-from pickenv.calibration.assessment.instrument import with_zeros_fitted
+from pickenv.calibration.assessment.instrument import said_of_instruments, with_zeros_fitted
 from pickenv.calibration.identification.starts import stations_of
 from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.error_model import frames_model
 from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import (
     ANGLE_STD,
@@ -81,6 +82,7 @@ def test_an_inclinometer_says_nothing_of_positions(arm: Arm, tmp_path: Path) -> 
     result = calibrate(arm, data, choices=PLAIN)
     assert result.base_frame is not None and result.as_dict()["base_frame"]["mean_ci95_mm"] is None
     assert "nor where its tool is" in str(result)
+    assert result.uncertainty.position_repeat == 0.0
     assert result.uncertainty.attitude_repeat == pytest.approx(np.sqrt(np.mean(result.errors["geometric"] ** 2)))
     page = result.write_page(tmp_path / "tilt.html").read_text(encoding="utf-8")
     assert "mean angular error" in page and "mean position error" not in page
@@ -175,6 +177,34 @@ def test_a_wrong_zero_is_found_in_one_of_two_instruments(arm: Arm) -> None:
     assert name == "zero_2"
     result = calibrate(arm, [point, length], choices=PLAIN)
     assert result.quality.grade == "do not use" and "the wire's zero is taken as 0 mm" in result.quality.reason
+
+
+@pytest.mark.parametrize(("rows", "off", "alarmed"), [(300, 12.0, True), (60, 3.0, False), (2000, 7.0, False)])
+def test_an_alarm_needs_a_zero_that_is_surely_off_and_matters(arm: Arm, rows: int, off: float, alarmed: bool) -> None:
+    """So many standard deviations off: surely, and 18 % of what is left; not surely; surely, but 1 % of it."""
+    data = replace(wire(arm.nominal, rows, np.random.default_rng(15), 1.0), scale_std=0.0, tip=HERE, tip_std=0.0)
+    data = replace(data, length=data.length / 1.002)
+    model = frames_model(arm.nominal)
+    freed = identify(model, arm.nominal, [data])
+    std = freed.standard_deviation[freed.identifiability.names.index("zero")]
+    stated = replace(data, zero=freed.unknowns["zero"] - off * std, zero_std=0.0)
+    said = said_of_instruments(model, identify(model, arm.nominal, [stated]), stated)
+    assert any(weight == "fail" for weight, _ in said) == alarmed
+
+
+def test_a_zero_beside_a_fitted_scale_is_not_tried() -> None:
+    data = DistanceObservations(np.zeros((3, 6)), np.array([1.0, 2.0, 3.0]), STD, scale_std=1e-3)
+    assert not list(with_zeros_fitted(data))
+    assert list(with_zeros_fitted(replace(data, scale_std=0.0)))
+
+
+def test_directions_of_another_arm_are_refused_in_degrees(arm: Arm) -> None:
+    """Readings in the wrong order belong to no pose."""
+    data = KINDS["tilt of two"](arm.nominal, 60, np.random.default_rng(16), 1.0)
+    assert isinstance(data, TiltObservations)
+    mixed = replace(data, components=np.roll(data.components, 7, axis=0))
+    with pytest.raises(InputError, match=r"after fitting the frames the arm still misses by \d+ deg RMS"):
+        calibrate(arm, mixed, choices=PLAIN)
 
 
 @pytest.mark.parametrize(("surface", "known"), [("plane", 0.0), ("point", np.inf)])
