@@ -223,8 +223,8 @@ def _mm(value: float) -> str:
 def _refuse_no_contact(files: Files, section: ContactTable) -> None:
     """Rows whose contact column is empty or zero."""
     for table in files.tables if section.contact is not None else ():
-        blank = table.fill_blanks(str(section.contact))
-        for row in np.flatnonzero(blank | (table.column(str(section.contact)) == 0.0))[:1]:
+        table.fill_blanks(str(section.contact))
+        for row in np.flatnonzero(table.column(str(section.contact)) == 0.0)[:1]:
             raise InputError(
                 f"{table.where}: row {table.lines[row]}, column '{section.contact}' says that nothing was touched; "
                 "remove the row"
@@ -244,13 +244,13 @@ def _refuse_other_unit(files: Files, data: DistanceObservations) -> None:
     """Lengths that an anchor explains in another unit only."""
 
     def left(factor: float) -> float:
-        read = replace(data, length=data.length * factor, zero_std=np.inf, scale_std=0.0, tip_std=0.0)
+        read = replace(data, length=data.length * factor, scale_std=0.0, tip_std=0.0)
         model = ArmModel.of(files.geometry)
         misses = read.misses(model, read.start(model))[:, 0]
         spread = np.median(np.abs(read.length - np.median(read.length)))
         return float(np.median(np.abs(misses)) / max(float(spread), 1e-12))
 
-    if len(data.joints) < 8 or left(1.0) < UNEXPLAINED:
+    if left(1.0) < UNEXPLAINED:
         return
     here = files.first.position_unit
     other, factor = ("m", 1e3) if here == "mm" else ("mm", 1e-3)

@@ -173,6 +173,11 @@ BAD: dict[str, tuple[str, dict[str, Any], str]] = {
         {"x": [0.0] * 30, "y": [0.6] * 30, "z": [*[0.8] * 9, 0.9, *[0.8] * 20]},
         r"row 11: the components of down have length 1\.082, not 1; divide them by gravity",
     ),
+    "an accelerometer in motion": (
+        'tilt = { columns = ["x", "y", "z"], unit = "g" }',
+        {"x": [0.0] * 30, "y": [0.6] * 30, "z": [*[0.8] * 9, 0.7, *[0.8] * 20]},
+        r"row 11: the components of down have length 0\.922, not 1",
+    ),
     "m/s^2 for g": (
         'tilt = { columns = ["x", "y"], unit = "g" }',
         {"x": [3.0] * 30, "y": [2.0] * 30},
@@ -223,3 +228,19 @@ def test_touches_in_one_pose_are_refused(read: Reader, ur5: Geometry, table: str
         joints = joints[:15]
     with pytest.raises(InputError, match=r"all 15 rows of one place are in one pose, to a degree; turn the tool"):
         read(table, joints=joints, **columns)
+
+
+def test_touches_in_poses_near_each_other_are_read(read: Reader, ur5: Geometry) -> None:
+    joints = random_joints(ur5, 1, np.random.default_rng(0)) + np.radians(np.linspace(0.0, 3.0, 15))[:, None]
+    assert len(read("touches = {}", joints=joints).joints) == 15
+
+
+def test_lengths_that_fit_no_anchor_in_any_unit_are_not_blamed_on_it(read: Reader) -> None:
+    noise = np.random.default_rng(1).uniform(500.0, 1500.0, 30)
+    assert len(read('wire = { columns = ["L"], unit = "mm" }', L=noise).joints) == 30
+
+
+@pytest.mark.parametrize("count", [1, 3, 6])
+def test_a_few_lengths_say_nothing_of_their_unit(read: Reader, ur5: Geometry, lengths: np.ndarray, count: int) -> None:
+    joints = random_joints(ur5, 30, np.random.default_rng(0))[:count]
+    assert len(read('wire = { columns = ["L"], unit = "mm" }', joints=joints, L=lengths[:count] * 1e3).joints) == count
