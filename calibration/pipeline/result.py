@@ -35,6 +35,7 @@ from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.export import export
 from pickenv.calibration.pipeline.fitting import Fit
@@ -194,7 +195,8 @@ class Result:
             found.append(self._gate(self.gate))
         if self.pixels is not None:
             found.append(self.pixels.block())
-        found.append(self._facts())
+        sure = self.uncertainty.block(self.fit.calibration.model, self.test.joints, self.test.conditions)
+        found += [sure, self._facts()]
         return tuple(block for block in found if block.rows)
 
     def __str__(self) -> str:
@@ -329,6 +331,7 @@ class Result:
             "unit": self.unit,
             "kind": found.kind,
             "frames": "known" if self.known_frames else "fitted",
+            "within95": self.uncertainty.within95_record(),
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
             "left_out_rows": [vars(item) for item in self.left_out],
@@ -349,11 +352,6 @@ class Result:
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
             **({} if self.pixels is None else self.pixels.as_dict()),
         }
-
-
-def _pixels(fit: Fit, train: Observations) -> PixelFigures | None:
-    """Reprojection errors of the views that were fitted, where there are pictures."""
-    return pixel_figures(fit, train) if isinstance(train, PixelObservations) else None
 
 
 def assess(
@@ -401,7 +399,11 @@ def assess(
         noise = f"{said} of {train.position_std * 1e3:.4g} mm"
     else:
         noise = "noise stated or assumed"
-    uncertainty = pose_uncertainty(fit.identification, after, train.miss_unit)
+    joints, conditions = None, None
+    if not isinstance(test, Stacked):  # whose rows stand by station, and errors by block
+        rows_of = test.rows_of_misses
+        joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
+    uncertainty = pose_uncertainty(fit.identification, after, joints, held_out.blocks, conditions, train.miss_unit)
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None:
@@ -441,5 +443,5 @@ def assess(
         terms=terms,
         gate=gate,
         left_out=left_out,
-        pixels=_pixels(bare, train),
+        pixels=pixel_figures(bare, train) if isinstance(train, PixelObservations) else None,
     )
