@@ -97,7 +97,7 @@ def test_the_interval_is_one_between_blocks_and_every_screen_says_so(plain, data
     kept = plain.calibration.record["held_out"]
     assert kept == {"how": told["how"], "mean_mm": plain.best.mean, "mean_ci95_mm": plain.best.mean_ci95}
     page = calibration_page(plain)
-    assert how in page and "each judged without its tenth of the rows" in page and "between blocks" in page
+    assert how in page and "each judged without its block of the rows" in page and "between blocks" in page
 
 
 def test_progress_counts_the_blocks(dynamic, data):
