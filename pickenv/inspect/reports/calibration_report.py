@@ -107,9 +107,12 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
     seen = (
         "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the block that it is judged on"
     )
+    rows, stood = (
+        ("measured poses", "the tool stood") if isinstance(test, Measurements) else ("rows", "what was read lay")
+    )
     sentence = (
-        f"On {len(test.joints)} rows {seen}, what was measured lay {figure(final.mean)} {r.miss_unit} (mean; "
-        f"{interval}) from where the calibrated model says."
+        f"On {len(test.joints)} {rows} {seen}, {stood} {figure(final.mean)} {r.miss_unit} (mean; {interval}) from "
+        f"where the calibrated model says{' it stands' * isinstance(test, Measurements)}."
     )
     if r.arm.name != CARRIER:
         sentence += f" With the nominal model it is {figure(r.position[NOMINAL].mean)} {r.miss_unit}."
