@@ -35,7 +35,7 @@ def test_every_block_is_run_or_written_to_a_named_file():
     assert kinds == {("sh", False), ("python", False), ("toml", True), ("csv", True)}
     lines = [line for kind, _, text in BLOCK.findall(PAGE) if kind == "sh" for line in text.splitlines()]
     assert {shlex.split(line)[0] for line in lines} == {"pickenv"}
-    assert {shlex.split(line)[1] for line in lines} == {"demo", "plan-poses", "calibrate", "apply", "export"}
+    assert {shlex.split(line)[1] for line in lines} == {"demo", "plan-poses", "calibrate", "verify", "apply", "export"}
 
 
 def test_files_linked_exist():
