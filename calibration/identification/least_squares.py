@@ -69,6 +69,11 @@ class Identification:
         return self.arm_model.geometry
 
     @property
+    def scatter(self) -> float:
+        """What remains, in claimed standard uncertainties."""
+        return float(np.sqrt(self.chi_square / max(self.degrees_of_freedom, 1)))
+
+    @property
     def standard_deviation(self) -> Array:
         """Of every parameter, m or rad; NaN for dropped ones."""
         return self.identifiability.of_all(np.sqrt(np.diag(self.covariance)))

@@ -22,7 +22,7 @@ from pickenv.calibration.identification.term_choice import TermChoice, choose_te
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
 from pickenv.calibration.model.error_model import geometric_model
-from pickenv.calibration.model.finished_poses import pose_carrier
+from pickenv.calibration.model.finished_poses import CARRIER, pose_carrier
 from pickenv.calibration.model.measurements import FRAMES, Frames, Measurements
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.origins import named
@@ -232,8 +232,8 @@ def _assessed(draft: Draft, held_out: HeldOut) -> Result:
 def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None) -> Result:
     """The calibration of all rows, judged on each block by what the same stages make of the other blocks.
 
-    Terms and residual model of a block are chosen on every other block, that one never among them, for to choose among
-    residual models anew for every block takes ten times as long.
+    Terms are chosen anew without each block. The residual model of a block is chosen on every other block, that one
+    never among them, for to choose among residual models anew for every block takes ten times as long.
     """
     checked = _check(draft)
     whole = _through(STAGES[1:], checked)
@@ -243,14 +243,12 @@ def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None)
     parts = []
     for number, ((rows, held), seed) in enumerate(zip(folds, seeds, strict=True)):
         here, there = checked.train.select(rows), checked.train.select(held)
-        terms, residual = chosen[number % 2]
-        choices = replace(checked.choices, terms=terms)
-        fold = replace(checked, choices=choices, train=here, test=there, rng=np.random.default_rng(seed))
+        fold = replace(checked, train=here, test=there, rng=np.random.default_rng(seed))
         try:
             fold = _through((_align, _identify, _check_again, _add_terms), fold)
-            if choices.learn_from is not None:
+            if fold.choices.learn_from is not None:
                 fold = _learn(fold)
-            elif residual is not None and isinstance(here, Measurements):
+            elif (residual := chosen[number % 2]) is not None and isinstance(here, Measurements):
                 fold = _with_residual(fold, residual, here, None)
         except InputError as error:
             raise InputError(f"without block {number + 1} of {len(folds)}: {error}") from None
@@ -269,18 +267,17 @@ def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
     return contiguous_folds(train.groups, BLOCKS)
 
 
-def _chosen(checked: Draft, rows: Rows) -> tuple[str, str | None]:
-    """Names of the terms and of the residual model that the stages choose on these rows."""
+def _chosen(checked: Draft, rows: Rows) -> str | None:
+    """Name of the residual model that the stages choose on these rows."""
     choices, train = checked.choices, checked.train.select(rows)
-    if choices.terms != "auto" and (choices.residual == "none" or choices.learn_from is not None):
-        return choices.terms, None
+    if choices.residual == "none" or choices.learn_from is not None:
+        return None
     try:
         found = _through(STAGES[1:], replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
     except InputError:
-        return "none", None
-    calibration = found.best[1].calibration
-    terms = "+".join(calibration.record.get("terms", [])) or "none"
-    return terms, None if calibration.learnt is None else calibration.learnt.kind
+        return None
+    learnt = found.best[1].calibration.learnt
+    return None if learnt is None else learnt.kind
 
 
 def _rows(arm: Arm, data: Data, columns: str | Path | None) -> tuple[Observations, NoiseFloor | None]:
@@ -375,23 +372,23 @@ def _check_again(draft: Draft) -> Draft:
 
 def _add_terms(draft: Draft) -> Draft:
     """As many of the wanted terms, in their order, as converge; "auto" chooses them within the training rows."""
-    (name, geometric), wanted, choice = draft.best, draft.choices.terms, None
-    known = draft.aligned is None
-    if wanted == "auto":
-        wanted = "none"
-        if len(draft.train.joints) >= ENOUGH_FOR_BLOCKS:
-            choice = choose_terms(draft.arm, geometric.calibration.nominal, draft.train, known)
-            wanted = choice.chosen
-    names = wanted.split("+")
-    while terms := terms_of("+".join(names) or "none", draft.arm, draft.train):
-        found = identify_terms(terms, geometric.identification, draft.train, known)
+    (name, geometric), choice = draft.best, None
+    bare, known = geometric.identification, draft.aligned is None
+    if draft.choices.terms != "auto":
+        terms = terms_of(draft.choices.terms, draft.arm, bare, draft.train)
+    else:
+        if len(draft.train.joints) >= ENOUGH_FOR_BLOCKS and draft.arm.name != CARRIER:
+            choice = choose_terms(draft.arm, bare, draft.train)
+        terms = () if choice is None else choice.terms
+    while terms:
+        found = identify_terms(terms, bare, draft.train, known)
         if found.converged:
-            kinds = sorted({kind_of_term(term) for term in terms})
-            record = {**geometric.calibration.record, "terms": kinds}
+            kinds = [kind_of_term(term) for term in terms]
+            record = {**geometric.calibration.record, "terms": sorted(kinds)}
             calibration = replace(geometric.calibration, model=found.arm_model, record=record)
-            draft = draft.with_fit(f"{name}+{'+'.join(names)}", Fit(calibration, found, geometric.aligned))
+            draft = draft.with_fit(f"{name}+{'+'.join(kinds)}", Fit(calibration, found, geometric.aligned))
             break
-        names.pop()
+        terms = terms[:-1]
     return replace(draft, terms=terms, term_choice=choice)
 
 
