@@ -149,8 +149,9 @@ class PeriodicTerm:
         return tuple(f"periodic{i + 1}_{order:.5g}_{part}" for i, order in pairs for part in ("sin", "cos"))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """1 mm or 1 mrad."""
-        return np.full(2 * len(self.orders), 1e-3)
+        """1 mm, or 1 mrad at one cycle per turn and less for higher orders: equally steep."""
+        steep = [1.0 if geometry.prismatic[i] else order for i, order in zip(self.joints, self.orders, strict=True)]
+        return 1e-3 / np.repeat(steep, 2)
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """The joint Jacobian's columns times sine and cosine."""
