@@ -8,7 +8,6 @@ then the orders, found on a grid, are refined by Gauss-Newton together with all 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -126,9 +125,7 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
     return chosen
 
 
-def chosen_orders(
-    equations: BlockEquations, base: Places, candidates: Places
-) -> tuple[list[Places], Places]:
+def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -> tuple[list[Places], Places]:
     """Places of the harmonics worth taking: on all blocks but each, and on all; empty where none is.
 
     Each block in turn is judged by what is pursued on the others, one harmonic after the other; the fewest are taken

@@ -183,9 +183,7 @@ class _Trial:
             taken = np.intersect1d(self.places(names)[1], first[::2])
             numbers = (taken - first[0]) // 2
             if len(numbers):
-                on_grid = PeriodicTerm(
-                    tuple(wave.joints[i] for i in numbers), tuple(wave.orders[i] for i in numbers)
-                )
+                on_grid = PeriodicTerm(tuple(wave.joints[i] for i in numbers), tuple(wave.orders[i] for i in numbers))
                 found["periodic"] = refined(on_grid, tuple(found.values()), self.bare, self.data)
         return tuple(found[name] for name in names if name in found)
 

@@ -66,7 +66,11 @@ def calibrate(
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     test: Annotated[list[Path] | None, typer.Option(help="Held-out rows from other files instead.")] = None,
     terms: Annotated[
-        str, typer.Option(help="Parametric terms: auto, none, or gravity, periodic, thermal joined by +.")
+        str,
+        typer.Option(
+            help="Parametric terms: auto, none, or gravity (the arm's own weight), periodic (harmonics of the "
+            "drives, of the orders that the data show), thermal joined by +."
+        ),
     ] = "auto",
     residual: Annotated[
         Literal["auto", "none", "bpnn", "rbf", "gp", "trees", "blend"], typer.Option(help="Residual model.")

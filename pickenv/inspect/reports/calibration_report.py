@@ -35,7 +35,14 @@ VERDICTS = {
     "with care": "With care",
     "do not use": "Do not use this calibration",
 }
-FURTHER = ("Pictures", "Rows left out", "Rows far off, and kept", "Further terms", "Learnt residual models")
+FURTHER = (
+    "Pictures",
+    "Rows left out",
+    "Rows far off, and kept",
+    "Further terms",
+    "Harmonics of the drives",
+    "Learnt residual models",
+)
 MAP_POSES = 6000
 """Poses drawn for the map of predicted uncertainty."""
 
