@@ -79,7 +79,9 @@ class Linearised:
     def misses(self, data: Observations, solution: Array) -> Array:
         """What remains of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
         change = dict(zip(self.names, solution * self.scale, strict=True))
-        arm = self.arm.displaced(np.array([change.get(name, 0.0) for name in self.arm.parameter_names]))
+        terms = tuple(term for i, term in enumerate(self.arm.terms) if solution[self.coefficients_of(i)].any())
+        arm = ArmModel.of(self.arm.geometry, terms)
+        arm = arm.displaced(np.array([change.get(name, 0.0) for name in arm.parameter_names]))
         return data.misses(arm, np.array([self.unknowns[name] + change.get(name, 0.0) for name in data.unknowns()]))
 
 

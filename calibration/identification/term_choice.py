@@ -78,7 +78,8 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
 
     def wins(wider: tuple[str, ...], than: tuple[str, ...]) -> bool:
         for names in (wider, than):
-            scores.setdefault(_joined(names), trial.score(names))
+            if _joined(names) not in scores:
+                scores[_joined(names)] = trial.score(names)
         return scores[_joined(wider)] < (1.0 - MARGIN) * scores[_joined(than)]
 
     temperature = observations.conditions.temperature
