@@ -30,7 +30,8 @@ from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equ
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
 from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows
-from pickenv.calibration.pipeline.held_out import HeldOut, held_out_of, pooled
+from pickenv.calibration.pipeline.held_out import HeldOut, held_out_elsewhere, held_out_of, pooled
+from pickenv.calibration.pipeline.restation import REFIT_ROWS, near_rows
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
@@ -66,6 +67,8 @@ class Choices:
             learns from the training rows, if it wins there.
         settings: Settings of the network that learns from them; the paper's when None.
         lens: "fixed" or "free", for pictures; as their description says when None.
+        refit: Which of "base" and "tool" the rows to judge by have of their own, as rows of another station do.
+        refit_rows: So many of them are used to find those.
     """
 
     terms: str = "auto"
@@ -77,6 +80,8 @@ class Choices:
     learn_from: Measurements | None = None
     settings: BpnnSettings | None = None
     lens: str | None = None
+    refit: tuple[str, ...] = ()
+    refit_rows: int = REFIT_ROWS
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +186,8 @@ def calibrate(
     rng = rng or np.random.default_rng(choices.seed)
     if isinstance(train, PixelObservations) and choices.lens is not None:
         train = with_lens(train, choices.lens)
+    if choices.refit and test is None:
+        raise InputError("--refit is for rows of another station; give them with --test")
     if test is None and (split == "blocked" or isinstance(train, PixelObservations)):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
@@ -191,6 +198,9 @@ def calibrate(
         train, held_out = (train.select(np.sort(part)) for part in rows)
     else:
         held_out, _ = given_rows(arm, test, columns, stations)
+    if choices.refit:
+        draft = _through(STAGES, Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
+        return replace(_judged_elsewhere(draft, held_out), floor=floor, unit=unit)
     draft = _through(STAGES, Draft(arm, choices, train, held_out, rng, progress))
     return replace(_assessed(draft, held_out_of(draft.fits, draft.train, draft.test)), floor=floor, unit=unit)
 
@@ -244,6 +254,17 @@ def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None)
             progress(number + 1, len(folds))
     judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
     return _assessed(judged, pooled(list(whole.fits), parts))
+
+
+def _judged_elsewhere(draft: Draft, test: Observations) -> Result:
+    """The calibration judged on another station, whose own frames are found from a few of its rows."""
+    if not isinstance(test, Measurements):
+        raise InputError(f"--refit is for poses and positions, but {test.source} holds {test.kind}; leave it out")
+    choices = draft.choices
+    near, left_out = near_rows(draft.best[1].calibration, test, choices.refit, choices.refit_rows)
+    held_out, rest = held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
+    judged = replace(draft, test=near.select(rest), left_out=(*draft.left_out, *left_out))
+    return _assessed(judged, held_out)
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:

@@ -65,6 +65,11 @@ def calibrate(
     ] = "random",
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     test: Annotated[list[Path] | None, typer.Option(help="Held-out rows from other files instead.")] = None,
+    refit: Annotated[
+        str | None,
+        typer.Option(help="--test is another station: find its base, tool or base,tool from a few rows of it."),
+    ] = None,
+    refit_rows: Annotated[int, typer.Option(help="Rows to find them from.", min=3)] = 6,
     terms: Annotated[
         str,
         typer.Option(
@@ -106,6 +111,7 @@ def calibrate(
     """
     from pickenv.calibration.camera.lens_files import write_lens
     from pickenv.calibration.pipeline.pixel_figures import lens_of
+    from pickenv.calibration.pipeline.restation import frames_of
     from pickenv.calibration.pipeline.stages import Choices
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
     from pickenv.inspect.reports.calibration_report import write_calibration_report
@@ -114,7 +120,17 @@ def calibrate(
         {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
         {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run, "--lens-out": lens_out},
     )
-    choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed, frames=frames, lens=lens)
+    choices = Choices(
+        terms=terms,
+        residual=residual,
+        force=force,
+        robust=robust,
+        seed=seed,
+        frames=frames,
+        lens=lens,
+        refit=frames_of(refit) if refit else (),
+        refit_rows=refit_rows,
+    )
     blocked = split == "blocked" and not test
     with progress_bars() if blocked else nullcontext() as told:
         result = calibrated(
@@ -145,6 +161,8 @@ def calibrate(
         "no_robust": not robust,
         "lens": lens,
         "unit": unit,
+        "refit": refit,
+        "refit_rows": refit_rows if refit else None,
     }
     command = command_line("pickenv", "calibrate", *files, arm=arm, test=test, **options)
     deliver(
