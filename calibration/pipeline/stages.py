@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -34,8 +35,8 @@ from pickenv.calibration.pipeline.held_out import HeldOut, held_out_elsewhere, h
 from pickenv.calibration.pipeline.restation import REFIT_ROWS, near_rows
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
-from pickenv.calibration.residuals.residual_models import FITTERS, QUICK_FITTERS
+from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals, position_rms
+from pickenv.calibration.residuals.residual_models import FITTERS, TRIAL_FITTERS
 from pickenv.errors import InputError
 
 GATE_ROWS = 3000
@@ -94,7 +95,7 @@ class Draft:
         train: Rows to fit, in the order measured.
         test: Rows to judge by.
         rng: Draws for the residual model that will be used.
-        progress: Called with (epochs done, epochs in all) while the paper's network trains.
+        progress: Called with (what is done, how many are done, how many there are).
         left_out: Rows far off that were left out.
         aligned: Evidence of the base and tool fit; None where they are known.
         coverage: What the poses hide; None for measurements of other kinds.
@@ -109,7 +110,7 @@ class Draft:
     train: Observations
     test: Observations
     rng: np.random.Generator
-    progress: Callable[[int, int], None] | None = None
+    progress: Callable[[str, int, int], None] | None = None
     left_out: tuple[LeftOut, ...] = ()
     aligned: Identification | None = None
     coverage: Coverage | None = None
@@ -147,7 +148,7 @@ def calibrate(
     choices: Choices | None = None,
     unit: str | None = None,
     rng: np.random.Generator | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> Result:
     """Calibrate an arm from measurements of any kind, and judge the result on rows that it never saw.
 
@@ -170,7 +171,8 @@ def calibrate(
         choices: Terms, residual model, frames, robustness and seed; the defaults choose by the data.
         unit: Serial number of the robot, kept in the calibration.
         rng: Draws for the residual model; from the seed when left out.
-        progress: Called with (done, in all): blocks judged, or epochs while the paper's network trains.
+        progress: Called with (what is done, how many are done, how many there are): residual models or blocks judged,
+            epochs of the network that learns from poses of its own.
 
     Raises:
         InputError: Names the file, row, column, unit or joint at fault: if a file cannot be read, rows are not numbers
@@ -191,7 +193,7 @@ def calibrate(
     if test is None and (split == "blocked" or isinstance(train, PixelObservations)):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
-        result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng), progress)
+        result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
         return replace(result, floor=floor, unit=unit)
     if test is None:
         rows = choose(train, test_rows, np.random.default_rng(choices.seed))
@@ -226,7 +228,7 @@ def _assessed(draft: Draft, held_out: HeldOut) -> Result:
     )
 
 
-def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None) -> Result:
+def _judged_by_blocks(draft: Draft) -> Result:
     """The calibration of all rows, judged on each block by what the same stages make of the other blocks.
 
     Terms are chosen anew without each block. The residual model of a block is chosen on every other block, that one
@@ -240,7 +242,7 @@ def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None)
     parts = []
     for number, ((rows, held), seed) in enumerate(zip(folds, seeds, strict=True)):
         here, there = checked.train.select(rows), checked.train.select(held)
-        fold = replace(checked, train=here, test=there, rng=np.random.default_rng(seed))
+        fold = replace(checked, train=here, test=there, rng=np.random.default_rng(seed), progress=None)
         try:
             fold = _through((_align, _identify, _check_again, _add_terms), fold)
             if fold.choices.learn_from is not None:
@@ -250,8 +252,8 @@ def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None)
         except InputError as error:
             raise InputError(f"without block {number + 1} of {len(folds)}: {error}") from None
         parts.append(held_out_of(fold.fits, here, there))
-        if progress is not None:
-            progress(number + 1, len(folds))
+        if draft.progress is not None:
+            draft.progress("judging blocks", number + 1, len(folds))
     judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
     return _assessed(judged, pooled(list(whole.fits), parts))
 
@@ -394,7 +396,8 @@ def _learn(draft: Draft) -> Draft:
 
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
     name, best = draft.best
-    return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, draft.progress))
+    told = None if draft.progress is None else partial(draft.progress, "training the network")
+    return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, told))
 
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
@@ -408,8 +411,13 @@ def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> Gate
             return bare.arm_model
         return identify_terms(draft.terms, bare, rows, known).arm_model
 
+    told = None
+    if draft.progress is not None:
+        name, best = draft.best
+        rms = 1e3 * position_rms(draft.train.misses(best.identification.arm_model, np.zeros(0)))
+        told = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
-    return gate_residuals(data, refit, rng, models=names, fitters=QUICK_FITTERS, rank=_error_on_both)
+    return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, rank=_error_on_both, progress=told)
 
 
 def _error_on_both(verdict: GateVerdict) -> float:
