@@ -2,7 +2,8 @@
 
 Orthogonal matching pursuit (Pati 1993) on the normal equations with the geometry projected out: of all joints and
 orders the one that explains most of what is left, again and again. How many are taken is decided on blocks held out;
-then the orders, found on a grid, are refined by Gauss-Newton together with all other parameters.
+then again among finer orders around those taken, of which fewer are needed. At last the orders are refined
+by Gauss-Newton together with all other parameters.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from pickenv.calibration.model.terms import PeriodicTerm
 
 STEP, HIGHEST = 0.5, 30.0
 """Orders are sought from 1 to the highest, in such steps, cycles per turn."""
+
+FINE = 0.1
+"""Steps of the finer grid that those chosen are chosen from again."""
 
 MOST = 40
 """So many harmonics are taken at most."""
@@ -82,6 +86,18 @@ def every_order(geometry: Geometry) -> PeriodicTerm:
     """All harmonics that may be chosen, of all revolute joints."""
     orders = np.arange(1.0, HIGHEST + STEP / 2, STEP).tolist()
     pairs = [(i, order) for i in range(geometry.joints) if not geometry.prismatic[i] for order in orders]
+    return PeriodicTerm(tuple(i for i, _ in pairs), tuple(order for _, order in pairs))
+
+
+def nearby(wave: PeriodicTerm) -> PeriodicTerm:
+    """Harmonics on a finer grid around these, each once."""
+    pairs = sorted(
+        {
+            (joint, round(order + FINE * k, 6))
+            for joint, order in zip(wave.joints, wave.orders, strict=True)
+            for k in range(-2, 3)
+        }
+    )
     return PeriodicTerm(tuple(i for i, _ in pairs), tuple(order for _, order in pairs))
 
 
@@ -200,7 +216,7 @@ def refined(
         matrix, right = columns.T @ columns + np.diag(linear.ridge), columns.T @ left
         solution = solved(matrix, right, np.arange(len(matrix)))
         places = linear.coefficients_of(len(others) + 1)
-        orders = np.clip(orders + solution[places] * STEP / 2, grid - 0.48 * STEP, grid + 0.48 * STEP)
+        orders = np.clip(orders + solution[places] * STEP / 2, grid - 0.48 * FINE, grid + 0.48 * FINE)
         remains = left - columns @ solution
         spare = max(len(left) - len(matrix), 1)
         scale = np.sqrt(np.diag(matrix))

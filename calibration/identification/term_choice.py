@@ -12,7 +12,7 @@ import numpy as np
 
 from pickenv.arm import Arm
 from pickenv.calibration.identification.block_equations import BlockEquations, Linearised, Places, solved
-from pickenv.calibration.identification.harmonics import chosen_orders, every_order, refined
+from pickenv.calibration.identification.harmonics import chosen_orders, every_order, nearby, refined
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import geometric_model, with_terms
@@ -180,12 +180,18 @@ class _Trial:
         if "periodic" in names:
             wave = found.pop("periodic")
             assert isinstance(wave, PeriodicTerm)
-            first = self.equations.model.coefficients_of(self.names.index("periodic"))
-            taken = np.intersect1d(self.places(names)[1], first[::2])
-            numbers = (taken - first[0]) // 2
-            if len(numbers):
-                on_grid = PeriodicTerm(tuple(wave.joints[i] for i in numbers), tuple(wave.orders[i] for i in numbers))
-                found["periodic"] = refined(on_grid, tuple(found.values()), self.bare, self.data)
+            others, first = tuple(found.values()), self.equations.model.coefficients_of(self.names.index("periodic"))[0]
+            wave = wave.some((np.setdiff1d(self.places(names)[1], np.arange(first))[::2] - first) // 2)
+            if wave.orders:
+                near = nearby(wave)
+                model = Linearised.of(self.bare, (*others, near))
+                fine = BlockEquations.of(model, self.equations.blocks)
+                places = model.coefficients_of(len(others))
+                base = np.arange(places[0])
+                _, whole = chosen_orders(fine, base, places.reshape(-1, 2))
+                wave = near.some(np.sort(whole[::2] - places[0]) // 2)
+                if wave.orders:
+                    found["periodic"] = refined(wave, others, self.bare, self.data)
         return tuple(found[name] for name in names if name in found)
 
 

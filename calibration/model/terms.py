@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pickenv.arm import Geometry, forward, joint_jacobian, parameter_jacobian
 from pickenv.arm.effects.structure import Load, gravity_torques
@@ -143,15 +144,19 @@ class PeriodicTerm:
     orders: tuple[float, ...]
     order_std: tuple[float, ...] = ()
 
+    def some(self, numbers: NDArray[np.int64]) -> PeriodicTerm:
+        """Some of the harmonics, counted from 0."""
+        return PeriodicTerm(tuple(self.joints[i] for i in numbers), tuple(self.orders[i] for i in numbers))
+
     def names(self, geometry: Geometry) -> tuple[str, ...]:
         """Joint, order and part: periodic1_13.5_sin."""
         pairs = zip(self.joints, self.orders, strict=True)
         return tuple(f"periodic{i + 1}_{order:.5g}_{part}" for i, order in pairs for part in ("sin", "cos"))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """1 mm, or 1 mrad at one cycle per turn and less for higher orders: equally steep."""
-        steep = [1.0 if geometry.prismatic[i] else order for i, order in zip(self.joints, self.orders, strict=True)]
-        return 1e-3 / np.repeat(steep, 2)
+        """1 mm, or 3 mrad at one cycle per turn and less for higher orders: equally steep."""
+        pairs = zip(self.joints, self.orders, strict=True)
+        return 1e-3 * np.repeat([1.0 if geometry.prismatic[i] else 3.0 / order for i, order in pairs], 2)
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """The joint Jacobian's columns times sine and cosine."""

@@ -251,4 +251,4 @@ def test_a_coefficients_tolerance_falls_with_the_order_of_a_revolute_joint_only(
     geometry = plant.arm.nominal
     turning, sliding = geometry.prismatic.index(False), geometry.prismatic.index(True)
     found = PeriodicTerm((turning, turning, sliding), (1.0, 20.0, 700.0)).tolerances(geometry)
-    np.testing.assert_allclose(found, np.repeat([1e-3, 5e-5, 1e-3], 2))
+    np.testing.assert_allclose(found, np.repeat([3e-3, 1.5e-4, 1e-3], 2))
