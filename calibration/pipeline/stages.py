@@ -396,7 +396,7 @@ def _learn(draft: Draft) -> Draft:
 
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
     name, best = draft.best
-    told = None if draft.progress is None else partial(draft.progress, "training the network")
+    told = None if draft.progress is None else partial(draft.progress, "training network")
     return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, told))
 
 

@@ -199,7 +199,7 @@ FITTERS: Mapping[str, Fitter] = MappingProxyType({name: fitter for name, (fitter
 QUICK_FITTERS: Mapping[str, Fitter] = MappingProxyType({"bpnn": _fit_some_bpnn})
 """The slow residual models, trained on rows taken evenly where there are too many."""
 
-TRIAL_FITTERS: Mapping[str, Fitter] = MappingProxyType(QUICK_FITTERS | {"gp": _fit_trial_process})
+TRIAL_FITTERS: Mapping[str, Fitter] = MappingProxyType({**QUICK_FITTERS, "gp": _fit_trial_process})
 """How models are fitted that are only to be compared, on split after split, in a time that does not grow with rows."""
 
 PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType({"blend": ("gp", "trees")})
