@@ -217,3 +217,34 @@ def test_a_measured_ur5_gains_a_quarter_on_blocks(measured_ur5: tuple[Geometry, 
     by_name = {verdict.model: verdict for verdict in gate.verdicts}
     assert by_name["trees"].blocked_rms <= 0.080e-3
     assert by_name["gp"].blocked_rms <= 0.080e-3
+
+
+def test_a_model_that_is_the_mean_of_others_is_judged_by_their_predictions(qiao):
+    """Each part is fitted once per split, and progress counts models."""
+    joints = random_joints(qiao.nominal, 60, np.random.default_rng(3))
+    data, fitted, told = displaced(joints, 1e-3 * np.sin(joints)), [], []
+
+    def fitter(name, value):
+        class Constant:
+            def predict(self, inputs):
+                return np.full((*np.shape(inputs)[:-1], 6), value)
+
+        return lambda *_: fitted.append(name) or Constant()
+
+    fitters = {"gp": fitter("gp", 1e-4), "trees": fitter("trees", 5e-4)}
+    gate = gate_residuals(
+        data,
+        lambda _: qiao.nominal,
+        np.random.default_rng(0),
+        models=("gp", "trees", "blend"),
+        fitters=fitters,
+        progress=lambda *step: told.append(step),
+    )
+    assert sorted(fitted) == ["gp"] * fitted.count("gp") + ["trees"] * fitted.count("trees")
+    assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    (_, held), left = blocked_split(60, 12), data.difference(qiao.nominal)
+    rms = {v.model: v.blocked_rms for v in gate.verdicts}
+    for name, value in (("gp", 1e-4), ("trees", 5e-4), ("blend", 3e-4)):
+        assert rms[name] == pytest.approx(np.sqrt(np.mean(np.sum((left[held, :3] - value) ** 2, axis=1))))
+    accepted = {v.model for v in gate.verdicts if v.inner_rms is not None}
+    assert fitted.count("gp") == 2 + 5 * bool(accepted & {"gp", "blend"})
