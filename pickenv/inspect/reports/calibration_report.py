@@ -37,6 +37,7 @@ VERDICTS = {
 }
 FURTHER = (
     "Pictures",
+    "How far errors go",
     "Rows left out",
     "Rows far off, and kept",
     "Further terms",
@@ -223,7 +224,7 @@ def _uncertainty(r: Result) -> Drawing | None:
     if not np.isfinite(known.covariance).all() or model.terms:
         return None
     joints = random_joints(geometry, MAP_POSES, np.random.default_rng(0))
-    spread, _ = replace(known, position_repeat=0.0, attitude_repeat=None).standard(model, joints)
+    spread, _ = replace(known, position_repeat=0.0, attitude_repeat=None, position_local=None).standard(model, joints)
     x, y, height = ((model.pose(joints).position - geometry.base.position) * 1e3).T
     return Drawing(
         "uncertainty_map",
