@@ -40,7 +40,7 @@ ROUNDS = 3
 
 
 @dataclass(frozen=True)
-class Harmonic:
+class FoundHarmonic:
     """One harmonic of one joint's drive, identified; with standard uncertainties.
 
     Attributes:
@@ -58,7 +58,7 @@ class Harmonic:
     amplitude_std: float
 
 
-def harmonics_of(found: Identification) -> tuple[Harmonic, ...]:
+def harmonics_of(found: Identification) -> tuple[FoundHarmonic, ...]:
     """The identified harmonics, the largest first."""
     model, kept = found.arm_model, found.identifiability.kept_names
     place = {name: i for i, name in enumerate(kept)}
@@ -78,7 +78,7 @@ def harmonics_of(found: Identification) -> tuple[Harmonic, ...]:
             rows = [place[pair[k]] for k in known]
             slope = wave[known] / max(amplitude, 1e-300)
             variance = float(slope @ found.covariance[np.ix_(rows, rows)] @ slope)
-            harmonics.append(Harmonic(joint, order, std, amplitude, float(np.sqrt(variance))))
+            harmonics.append(FoundHarmonic(joint, order, std, amplitude, float(np.sqrt(variance))))
     return tuple(sorted(harmonics, key=lambda item: -item.amplitude))
 
 
