@@ -29,11 +29,12 @@ from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
+from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
 from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows
 from pickenv.calibration.pipeline.held_out import HeldOut, held_out_elsewhere, held_out_of, pooled
 from pickenv.calibration.pipeline.restation import REFIT_ROWS, near_rows
-from pickenv.calibration.pipeline.result import Result, assess
+from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals, position_rms
 from pickenv.calibration.residuals.residual_models import FITTERS, TRIAL_FITTERS

@@ -18,7 +18,7 @@ from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.calibration import Calibration, Measurements, fit, random_joints, read_measurements, simulated_tracker
 from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from pickenv.calibration.identification.rows import choose
-from pickenv.calibration.pipeline.result import assess
+from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.cli import app
 from pickenv.errors import InputError
@@ -223,7 +223,7 @@ def test_a_model_that_does_not_converge_is_never_chosen(dynamic, monkeypatch):
 
 
 def test_a_foreign_option_is_refused(qiao, exact):
-    from pickenv.calibration.model.observations import DistanceObservations
+    from pickenv.calibration.model.kinds.distances import DistanceObservations
 
     joints = exact(qiao.nominal).joints
     wire = DistanceObservations(joints, np.ones(len(joints)), 1e-4)
