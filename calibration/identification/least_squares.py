@@ -74,6 +74,11 @@ class Identification:
         return self.arm_model.geometry
 
     @property
+    def scatter(self) -> float:
+        """What remains, in claimed standard uncertainties."""
+        return float(np.sqrt(self.chi_square / max(self.degrees_of_freedom, 1)))
+
+    @property
     def standard_deviation(self) -> Array:
         """Of every parameter, m or rad; NaN for dropped ones."""
         return self.identifiability.of_all(np.sqrt(np.diag(self.covariance)))
@@ -169,13 +174,14 @@ def identify(
         # A shortened step proves nothing: what counts is what the whole one would still explain.
         progress = judged_step(whole, matrix[:, kept] @ whole, weighted, history[-1], rms)
         if not progress.better:
-            if progress.negligible:  # worse by rounding alone: this is the minimum
+            # Worse by rounding alone is the minimum. Terms move with the geometry, which the Jacobian leaves out, so
+            # that near it even short steps may make it worse: then what is left counts.
+            if progress.negligible or (damping and progress.offset < (30 * OFFSET) ** 2):
                 converged = True
                 break
             # Levenberg: a step that makes it worse is shortened until it helps.
             damping = max(damping * 10.0, 1e-3)
-            if damping > 1e9:  # terms move with the geometry, which the Jacobian leaves out: judge by what is left
-                converged = bool(progress.offset < (30 * OFFSET) ** 2)
+            if damping > 1e9:
                 break
             continue
         arm, unknowns, weighted = moved, moved_unknowns, moved_weighted

@@ -18,6 +18,7 @@ import numpy as np
 from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.base_frame import BaseFrameError
+from pickenv.calibration.assessment.harmonic_table import OWN, harmonic_block, harmonic_rows
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import Quality
 from pickenv.calibration.assessment.screen import MISS_UNITS, Block, figure, main_parts, unit_of, unknowns_in
@@ -137,8 +138,15 @@ class Result:
             f"mean_{self.miss_unit}": self.best.mean,
             f"mean_ci95_{self.miss_unit}": self.best.mean_ci95,
         }
+        if self.harmonics:
+            record["harmonics"] = {"note": OWN, "found": self.harmonics}
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
         return replace(self.fit.calibration, record=record)
+
+    @cached_property
+    def harmonics(self) -> list[dict[str, Any]]:
+        """The drives' harmonics in it, the largest first, in screens' units; empty where there are none."""
+        return harmonic_rows(self.fit.identification)
 
     @property
     def own_mean_ci95(self) -> Ends | None:
@@ -181,6 +189,7 @@ class Result:
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
             note = f"{self.terms.chosen}, chosen on blocks of the training rows"
             found.append(Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note))
+        found.append(harmonic_block(self.harmonics))
         if self.gate is not None:
             found.append(self._gate(self.gate))
         if self.pixels is not None:
@@ -256,7 +265,7 @@ class Result:
         rows = [
             (row["name"], figure(row["change"]), figure(row["std"]), row["unit"])
             for row in self.parameters()
-            if row["state"] == MEASURED
+            if row["state"] == MEASURED and not row["name"].startswith("periodic")
         ]
         return Block(
             "Parameters", ("parameter", "change", "± 1 sigma", "unit"), tuple(rows), self.quality.states.text()
@@ -339,6 +348,7 @@ class Result:
             "held_out": held_out,
             "noise_floor_mm": None if self.floor is None else self.floor.as_dict(),
             "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
+            "harmonics": {"note": OWN, "found": self.harmonics} if self.harmonics else None,
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
             **({} if self.pixels is None else self.pixels.as_dict()),
         }

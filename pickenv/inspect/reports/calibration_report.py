@@ -41,6 +41,7 @@ FURTHER = (
     "Rows left out",
     "Rows far off, and kept",
     "Further terms",
+    "Harmonics of the drives",
     "Learnt residual models",
 )
 MAP_POSES = 6000
