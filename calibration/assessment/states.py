@@ -10,7 +10,7 @@ import numpy as np
 
 from pickenv.calibration.identification.least_squares import Identification, is_angle
 from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
-from pickenv.calibration.model.prior import EXPECTED
+from pickenv.calibration.model.prior import expected_sizes
 
 MEASURED, HELD, LOST = "measured", "held by its prior", "lost in others"
 
@@ -62,7 +62,7 @@ def parameter_states(found: Identification, bare: Identification) -> States:
     """
     model = found.arm_model
     count = len(model.geometry.parameter_names)
-    prior = model.term_tolerances * EXPECTED * found.scatter / max(bare.scatter, 1e-300)
+    prior = model.term_tolerances * expected_sizes(model) * found.scatter / max(bare.scatter, 1e-300)
     expected = dict(zip(model.parameter_names[count:], prior, strict=True))
     geometry: dict[str, str] = {}
     terms: dict[str, str] = {}

@@ -23,6 +23,7 @@ from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statis
 from pickenv.calibration.assessment.quality import Quality
 from pickenv.calibration.assessment.screen import MISS_UNITS, Block, figure, main_parts, unit_of, unknowns_in
 from pickenv.calibration.assessment.states import LOST, MEASURED
+from pickenv.calibration.assessment.stiffness_table import stiffness_block, stiffness_rows
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.least_squares import describe_absorption
@@ -140,6 +141,8 @@ class Result:
         }
         if self.harmonics:
             record["harmonics"] = {"note": OWN, "found": self.harmonics}
+        if self.stiffnesses:
+            record["stiffnesses"] = self.stiffnesses
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
         return replace(self.fit.calibration, record=record)
 
@@ -147,6 +150,11 @@ class Result:
     def harmonics(self) -> list[dict[str, Any]]:
         """The drives' harmonics in it, the largest first, in screens' units; empty where there are none."""
         return harmonic_rows(self.fit.identification)
+
+    @cached_property
+    def stiffnesses(self) -> list[dict[str, Any]]:
+        """The joints' stiffnesses, where torques were measured and compliance takes part; else empty."""
+        return stiffness_rows(self.fit.identification, self.train)
 
     @property
     def own_mean_ci95(self) -> Ends | None:
@@ -189,7 +197,7 @@ class Result:
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
             note = f"{self.terms.chosen}, chosen on blocks of the training rows"
             found.append(Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note))
-        found.append(harmonic_block(self.harmonics))
+        found += [stiffness_block(self.stiffnesses), harmonic_block(self.harmonics)]
         if self.gate is not None:
             found.append(self._gate(self.gate))
         if self.pixels is not None:
@@ -265,7 +273,7 @@ class Result:
         rows = [
             (row["name"], figure(row["change"]), figure(row["std"]), row["unit"])
             for row in self.parameters()
-            if row["state"] == MEASURED and not row["name"].startswith("periodic")
+            if row["state"] == MEASURED and not row["name"].startswith(("periodic", "compliance"))
         ]
         return Block(
             "Parameters", ("parameter", "change", "± 1 sigma", "unit"), tuple(rows), self.quality.states.text()
@@ -349,6 +357,7 @@ class Result:
             "noise_floor_mm": None if self.floor is None else self.floor.as_dict(),
             "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
             "harmonics": {"note": OWN, "found": self.harmonics} if self.harmonics else None,
+            "stiffnesses": self.stiffnesses or None,
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
             **({} if self.pixels is None else self.pixels.as_dict()),
         }

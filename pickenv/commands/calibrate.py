@@ -73,8 +73,8 @@ def calibrate(
     terms: Annotated[
         str,
         typer.Option(
-            help="Parametric terms: auto, none, or gravity (the arm's own weight), periodic (harmonics of the "
-            "drives, of the orders that the data show), thermal joined by +."
+            help="Parametric terms: auto, none, or compliance (of joints whose torques were measured), gravity (the "
+            "arm's own weight), periodic (drives' harmonics, of orders that the data show), thermal joined by +."
         ),
     ] = "auto",
     residual: Annotated[
