@@ -117,11 +117,11 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
                 "[conditions.torques], or give --terms gravity"
             )
     if "periodic" not in wanted:
-        return tuple(_plain_term(name, arm, observations) for name in wanted)
+        return tuple(plain_term(name, arm, observations) for name in wanted)
     return _Trial.of(arm, bare, observations, tuple(wanted)).terms(tuple(wanted))
 
 
-def _plain_term(name: str, arm: Arm, observations: Observations) -> Term:
+def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
     """Weight or compliance, of an arm mounted upright as its nominal base says, or warmth, or every harmonic."""
     geometry = arm.nominal
     if name == "periodic":
@@ -160,7 +160,7 @@ class _Trial:
         if names is None:
             missing = {"compliance": data.conditions.torque is None, "thermal": data.conditions.temperature is None}
             names = tuple(name for name in NAMES if not missing.get(name))
-        model = Linearised.of(bare, tuple(_plain_term(name, arm, data) for name in names))
+        model = Linearised.of(bare, tuple(plain_term(name, arm, data) for name in names))
         blocks = [data.select(held) for _, held in contiguous_folds(data.groups, FOLDS)]
         return _Trial(bare, data, names, BlockEquations.of(model, blocks))
 

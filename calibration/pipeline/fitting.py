@@ -15,6 +15,7 @@ import numpy as np
 from pickenv.arm import Arm, forward
 from pickenv.calibration.assessment.screen import MISS_UNITS
 from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
+from pickenv.calibration.identification.ladder import FULL, Rung
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.identification.starts import fitted_model, rough_start
@@ -23,6 +24,7 @@ from pickenv.calibration.model.error_model import frames_model, with_terms
 from pickenv.calibration.model.kinds.sockets import SocketObservations
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, QUICK_FITTERS, fit_residual
@@ -101,15 +103,27 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
     return found
 
 
-def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, terms: tuple[Term, ...] = ()) -> Fit:
-    """Geometry and terms by least squares, from where `fit_frames` left base and tool.
+def fit_geometry(
+    arm: Arm,
+    data: Observations,
+    aligned: Identification | None,
+    terms: tuple[Term, ...] = (),
+    rung: Rung | None = None,
+) -> Fit:
+    """Geometry and terms by least squares, from where `fit_frames` left base and tool; or what a rung has of them.
 
     Raises:
         InputError: If there are too few rows, or the identification does not converge.
     """
     nominal = arm.nominal if aligned is None else aligned.geometry
-    start = ArmModel.of(nominal, terms)
-    found = identify_converged(with_terms(fitted_model(arm.name, arm.nominal, aligned is None), start), start, [data])
+    if rung is None:
+        start = ArmModel.of(nominal, terms)
+        model = with_terms(fitted_model(arm.name, arm.nominal, aligned is None), start)
+        found = identify_converged(model, start, [data])
+    else:
+        found = rung.identify(data)
+        if not found.converged:
+            raise InputError(f"{data.source}: the identification did not converge; measure more varied poses")
     record = {
         "source": data.source,
         "poses": len(data.joints),
@@ -118,9 +132,12 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, t
         "frames": "known" if aligned is None else "fitted",
         "rank": found.identifiability.rank,
         "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
+        "fit": FULL if rung is None else rung.name,
         "residual": None,
         "versions": versions("scipy"),
     }
+    if rung is not None:
+        record["terms"] = sorted(kind_of_term(term) for term in rung.start.terms)
     if found.unknowns:
         record["unknowns"] = found.unknowns
     return Fit(Calibration(arm.name, arm.nominal, nominal, found.arm_model, None, record), found, aligned)

@@ -26,6 +26,7 @@ from pickenv.calibration.assessment.states import LOST, MEASURED
 from pickenv.calibration.assessment.stiffness_table import stiffness_block, stiffness_rows
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.diagnosis import LeftOut
+from pickenv.calibration.identification.ladder import LadderChoice
 from pickenv.calibration.identification.least_squares import describe_absorption
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
@@ -62,6 +63,7 @@ class Result:
         uncertainty: Of predicted poses.
         base_frame: The error in the robot's own base frame; None where base and tool were known.
         terms: How terms were chosen; None where they were not.
+        ladder: How what is fitted of the geometry was chosen; None where all of it was, unasked.
         gate: The residual models' verdicts; None where none was judged.
         floor: What the files say about noise; None if not read from files.
         left_out: Rows far off that were left out.
@@ -79,6 +81,7 @@ class Result:
     uncertainty: PoseUncertainty
     base_frame: BaseFrameError | None
     terms: TermChoice | None = None
+    ladder: LadderChoice | None = None
     gate: GateReport | None = None
     floor: NoiseFloor | None = None
     left_out: tuple[LeftOut, ...] = ()
@@ -192,6 +195,10 @@ class Result:
             kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
             found.append(Block("Rows far off, and kept" if kept else "Rows left out", (), places, note))
+        if self.ladder is not None:
+            tried = {name: figure(rms * MISS_UNITS[self.miss_unit]) for name, rms in self.ladder.blocked_rms.items()}
+            header = ("fit", f"RMS on blocks ({self.miss_unit})") if tried else ()
+            found.insert(1, Block("Fitted", header, tuple(tried.items()) or (("",),), self.ladder.text()))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
@@ -358,6 +365,7 @@ class Result:
             "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
             "harmonics": {"note": OWN, "found": self.harmonics} if self.harmonics else None,
             "stiffnesses": self.stiffnesses or None,
+            "fit": None if self.ladder is None else self.ladder.as_dict(unit, MISS_UNITS[unit]),
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
             **({} if self.pixels is None else self.pixels.as_dict()),
         }

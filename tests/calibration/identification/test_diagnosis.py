@@ -11,7 +11,8 @@ from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
 from pickenv.calibration.model.splits import contiguous_folds
-from pickenv.calibration.pipeline.stages import Choices, calibrate
+from pickenv.calibration.pipeline.choices import Choices
+from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.errors import InputError
 
 PLAIN = Choices(terms="none", residual="none")

@@ -138,14 +138,14 @@ def test_options_of_poses_are_refused_for_other_kinds_and_defaults_are_not(dynam
     class Wires:
         source, kind = "wires.csv", "distance"
 
-    stages._refuse_options(Wires(), Choices())
-    stages._refuse_options(Wires(), Choices(residual="none", frames="fitted"))
+    stages.refuse_options(Wires(), Choices())
+    stages.refuse_options(Wires(), Choices(residual="none", frames="fitted"))
     for choices, option in (
         (Choices(frames="known"), "--frames known is"),
         (Choices(residual="gp"), "--residual gp is"),
     ):
         with pytest.raises(InputError, match=f"^{option} for poses and positions, but wires.csv holds distance"):
-            stages._refuse_options(Wires(), choices)
+            stages.refuse_options(Wires(), choices)
 
 
 def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monkeypatch):

@@ -13,9 +13,10 @@ from typer.testing import CliRunner
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix, rotation_vector
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.pipeline.choices import Choices
 from pickenv.calibration.pipeline.restation import frames_of, restationed
 from pickenv.calibration.pipeline.result import Result
-from pickenv.calibration.pipeline.stages import Choices, calibrate
+from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.calibration.pipeline.verification import verify
 from pickenv.cli import app
 from pickenv.errors import InputError
