@@ -31,6 +31,7 @@ from pickenv.calibration.model.prior import Prior, expected_sizes
 from pickenv.calibration.model.splits import contiguous_folds
 from pickenv.errors import InputError
 
+NOTHING = "nominal"
 FULL = "full"
 RUNGS = ("offsets", "compliance", "reduced", FULL)
 """The rungs, from the lowest."""
@@ -48,6 +49,9 @@ ZERO_CLASS = 5.0
 
 PART_CLASS = 1.0
 """Other parameters within so many (1 mm, 1 mrad): parts are made to them."""
+
+WORTH = 0.1
+"""What is fitted must leave so much less on blocks than the nominal arm: by chance alone a few per cent are usual."""
 
 PASSES = 3
 """Fits of a rung: each weighs its priors by what the one before left."""
@@ -137,7 +141,7 @@ def rung_of(name: str, arm: Arm, geometry: Geometry, data: Observations, known: 
 
 
 def climb(arm: Arm, geometry: Geometry, data: Observations, known: bool) -> LadderChoice:
-    """The highest rung that helps: that leaves less of blocks left out, by `MARGIN`, than every rung below it.
+    """The highest rung that helps: that leaves less of blocks left out than every rung below it, by `MARGIN`.
 
     Args:
         arm: The arm.
@@ -146,24 +150,24 @@ def climb(arm: Arm, geometry: Geometry, data: Observations, known: bool) -> Ladd
         known: Whether base and tool are known.
 
     Raises:
-        InputError: If none leaves less than the nominal arm.
+        InputError: If none leaves less than the nominal arm, by `WORTH`.
     """
     folds = [(data.select(rows), data.select(held)) for rows, held in contiguous_folds(data.groups, FOLDS)]
 
     def nominal(rows: Observations) -> Identification | None:
         return None if known else identify(frames_model(geometry), geometry, [rows], max_iterations=60)
 
-    scores = {"nominal": _blocked(nominal, geometry, folds)}
-    chosen = "nominal"
+    scores = {NOTHING: _blocked(nominal, geometry, folds)}
+    chosen = NOTHING
     for name in RUNGS:
         rung = rung_of(name, arm, geometry, data, known)
         try:
             scores[name] = _blocked(rung.identify, geometry, folds)
         except InputError:
             continue
-        if scores[name] < (1.0 - MARGIN) * scores[chosen]:
+        if scores[name] < (1.0 - (WORTH if chosen == NOTHING else MARGIN)) * scores[chosen]:
             chosen = name
-    if chosen == "nominal":
+    if chosen == NOTHING:
         raise InputError(
             f"{data.source}: on blocks of these rows nothing that can be fitted ({', '.join(RUNGS)}) is better than "
             "the nominal arm; measure more rows, and poses that move every joint"
