@@ -197,8 +197,9 @@ class Result:
             found.append(Block("Rows far off, and kept" if kept else "Rows left out", (), places, note))
         if self.ladder is not None:
             tried = {name: figure(rms * MISS_UNITS[self.miss_unit]) for name, rms in self.ladder.blocked_rms.items()}
+            asked = (("asked for", f"--fit {self.ladder.chosen}"),)
             header = ("fit", f"RMS on blocks ({self.miss_unit})") if tried else ()
-            found.insert(1, Block("Fitted", header, tuple(tried.items()) or (("",),), self.ladder.text()))
+            found.insert(1, Block("Fitted", header, tuple(tried.items()) or asked, self.ladder.text()))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())

@@ -31,6 +31,7 @@ SIDE = 0.3
 
 MIDDLE = forward(ARM.nominal, np.array([0.2, -1.2, 1.6, -1.9, -1.5, 0.3]))
 PLAIN = Choices(residual="none")
+OUTPUTS = {"out": "cal.npz", "json": "cal.json", "report": "cal.html"}
 
 
 def true_arm(rng, size=1.0):
@@ -177,11 +178,13 @@ def test_what_does_not_go_with_a_rung_is_refused_in_a_sentence(box):
 def test_the_command_takes_the_rung_and_its_file_is_applied(box, tmp_path):
     files = [part.write_csv(tmp_path / f"{name}.csv") for name, part in zip(("train", "test"), box, strict=True)]
     options = ["--arm", "ur10", "--test", str(files[1]), "--residual", "none", "--fit", "compliance"]
-    options += ["--out", str(tmp_path / "cal.npz"), "--json", str(tmp_path / "cal.json")]
+    outputs = {f"--{key}": str(tmp_path / name) for key, name in OUTPUTS.items()}
+    options += [text for pair in outputs.items() for text in pair]
     ran = CliRunner().invoke(app, ["calibrate", str(files[0]), *options])
     assert ran.exit_code == 0, ran.output
     assert "Fitted: joint offsets and compliance (--fit compliance), as asked for" in ran.output
     assert json.loads((tmp_path / "cal.json").read_text())["fit"]["chosen"] == "compliance"
+    assert "offsets and compliance (--fit compliance), as asked for" in (tmp_path / "cal.html").read_text()
     again = Calibration.load(tmp_path / "cal.npz", ARM)
     wanted = forward(again.nominal, box[1].joints).position
     assert rms(again.predict(again.compensate(box[1].joints)).position - wanted) < 1e-2

@@ -151,9 +151,10 @@ def test_the_command_reads_torques_and_prints_stiffnesses(data, tmp_path):
         f'std_mm = {1e3 * NOISE}\n[conditions.torques]\ncolumns = {quoted[2]}\nunit = "N*mm"\n'
     )
     options = ["--terms", "compliance", "--residual", "none", "--columns", str(tmp_path / "columns.toml")]
-    options += ["--json", str(tmp_path / "figures.json")]
+    options += ["--json", str(tmp_path / "figures.json"), "--report", str(tmp_path / "page.html")]
     ran = CliRunner().invoke(app, ["calibrate", str(table), "--arm", "ur10", *options])
     assert ran.exit_code == 0, ran.output
     (row,) = [row for row in json.loads((tmp_path / "figures.json").read_text())["stiffnesses"] if row["joint"] == 2]
     assert row["stiffness"] == pytest.approx(STIFFNESS[1], rel=0.1)
-    assert "Stiffnesses of the joints" in ran.output and "N*m/rad" in ran.output
+    for text in (ran.output, (tmp_path / "page.html").read_text()):
+        assert "Stiffnesses of the joints" in text and "N*m/rad" in text
