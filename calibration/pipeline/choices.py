@@ -18,8 +18,6 @@ class Choices:
     """What to do beyond geometry.
 
     Attributes:
-        fit: One of `pickenv.calibration.identification.ladder.RUNGS`, or "auto": all of the geometry where the poses
-            show enough of it, else the highest rung that helps.
         terms: "auto", or names of terms joined by "+", or "none".
         residual: "auto", a residual model's name, or "none".
         force: Whether a named residual model is used even if it does not win.
@@ -32,9 +30,10 @@ class Choices:
         lens: "fixed" or "free", for pictures; as their description says when None.
         refit: Which of "base" and "tool" the rows to judge by have of their own, as rows of another station do.
         refit_rows: So many of them are used to find those.
+        fit: One of `pickenv.calibration.identification.ladder.RUNGS`, or "auto": all of the geometry where the poses
+            show enough of it, else the highest rung that helps.
     """
 
-    fit: str = "auto"
     terms: str = "auto"
     residual: str = "auto"
     force: bool = False
@@ -46,6 +45,7 @@ class Choices:
     lens: str | None = None
     refit: tuple[str, ...] = ()
     refit_rows: int = REFIT_ROWS
+    fit: str = "auto"
 
 
 def refuse_options(train: Observations, choices: Choices) -> None:

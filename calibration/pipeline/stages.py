@@ -1,6 +1,6 @@
 """The one way from rows to a result, for every kind of measurement and whoever asks.
 
-`STAGES` has its steps in order: check, align, identify, check again, add terms, learn what remains; reading comes
+`STAGES` has its steps in order: check, align, identify, add terms, learn what remains; reading comes
 before, judgement after. Nominal means after base and tool were fitted: an uncalibrated arm is not blamed for where the
 instrument stood. Terms and residual model are chosen within the training rows, so that the held-out figures are those
 of rows never looked at.
@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pickenv.arm import Arm, Geometry
+from pickenv.arm import Arm
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
-from pickenv.calibration.identification.ladder import FULL, MEANING, RUNGS, LadderChoice, Rung, climb, rung_of
+from pickenv.calibration.identification.ladder import FULL, MEANING, RUNGS, LadderChoice, Rung
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
+from pickenv.calibration.model.coverage import Coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import FRAMES, Measurements
@@ -32,7 +32,7 @@ from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equ
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.choices import Choices, refuse_options
-from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
+from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_remainder, fit_shown
 from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows
 from pickenv.calibration.pipeline.held_out import HeldOut, held_out_elsewhere, held_out_of, pooled
 from pickenv.calibration.pipeline.restation import near_rows
@@ -47,9 +47,6 @@ GATE_ROWS = 3000
 
 ENOUGH_FOR_BLOCKS = 40
 """Fewer training rows than this are not enough to hold blocks out of."""
-
-ENOUGH_FOR_LADDER = 20
-"""Fewer training rows than this choose no rung."""
 
 GEOMETRY = "geometry"
 
@@ -103,11 +100,6 @@ class Draft:
         if isinstance(self.train, Measurements) and isinstance(self.test, Measurements):
             return self.train, self.test
         return None
-
-    @property
-    def start(self) -> Geometry:
-        """The nominal geometry, with base and tool as fitted."""
-        return self.arm.nominal if self.aligned is None else self.aligned.geometry
 
     @property
     def best(self) -> tuple[str, Fit]:
@@ -229,7 +221,7 @@ def _judged_by_blocks(draft: Draft) -> Result:
         here, there = checked.train.select(rows), checked.train.select(held)
         fold = replace(checked, train=here, test=there, rng=np.random.default_rng(seed), progress=None)
         try:
-            fold = _through((_align, _cover, _identify, _add_terms), fold)
+            fold = _through((_align, _identify, _add_terms), fold)
             if fold.choices.learn_from is not None:
                 fold = _learn(fold)
             elif (residual := chosen[number % 2]) is not None and isinstance(here, Measurements):
@@ -309,26 +301,11 @@ def _align(draft: Draft) -> Draft:
     return replace(draft, aligned=fit_frames(draft.arm, draft.train, draft.choices.frames == "known"))
 
 
-def _cover(draft: Draft) -> Draft:
-    """What the poses hide."""
-    if draft.poses is None:
-        return draft
-    model = geometric_model(draft.start, draft.aligned is None)
-    return replace(draft, coverage=pose_coverage(model, draft.start, draft.poses[0]))
-
-
 def _identify(draft: Draft) -> Draft:
     """The geometry by least squares, or as much of it as was asked for or as helps where the poses hide too much."""
-    arm, start, train, known = draft.arm, draft.start, draft.train, draft.aligned is None
-    little = draft.coverage is not None and draft.coverage.little
-    choice = None if draft.choices.fit == "auto" else LadderChoice(draft.choices.fit, {})
-    if choice is None and little and len(train.joints) >= ENOUGH_FOR_LADDER:
-        choice = climb(arm, start, train, known)
-    rung = None if choice is None or choice.chosen == FULL else rung_of(choice.chosen, arm, start, train, known)
-    found = fit_geometry(arm, train, draft.aligned, rung=rung)
-    if choice is None and draft.coverage is not None and draft.poses is not None:
-        refuse_lost(draft.coverage, start, draft.poses[0])
-    return replace(draft, rung=rung, ladder=choice).with_fit(GEOMETRY, found)
+    shown = fit_shown(draft.arm, draft.train, draft.aligned, draft.choices.fit)
+    draft = replace(draft, coverage=shown.coverage, rung=shown.rung, ladder=shown.ladder)
+    return draft.with_fit(GEOMETRY, shown.fit)
 
 
 def _add_terms(draft: Draft) -> Draft:
@@ -418,5 +395,5 @@ def _error_on_both(verdict: GateVerdict) -> float:
     return verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms
 
 
-STAGES: tuple[Callable[[Draft], Draft], ...] = (_check, _align, _cover, _identify, _add_terms, _learn)
+STAGES: tuple[Callable[[Draft], Draft], ...] = (_check, _align, _identify, _add_terms, _learn)
 """The stages between reading and judgement, in order."""

@@ -13,7 +13,8 @@ from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
 from pickenv.calibration.model.splits import contiguous_folds
 from pickenv.calibration.pipeline.choices import Choices
-from pickenv.calibration.pipeline.stages import ENOUGH_FOR_LADDER, calibrate
+from pickenv.calibration.pipeline.fitting import ENOUGH_FOR_LADDER
+from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.errors import InputError
 
 PLAIN = Choices(terms="none", residual="none")
