@@ -1,9 +1,10 @@
 """From a wanted nominal pose to corrected joints: Qiao 2026 eqs (13)-(16) and Fig. 3 through the rank-aware inverse.
 
 q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints, J+ truncated to the
-task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. One pose runs on Python floats, many on
-NumPy in blocks: a compensator stands in a control loop and in vector environments. The residual's network is most of
-the cost, so it is evaluated once, at the joints that geometry alone corrects.
+task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. Near joint limits and singular poses such
+steps can lead away: of the target and its corrections the one that the model expects nearest is commanded. One pose
+runs on Python floats, many on NumPy in blocks: a compensator stands in a control loop and in vector environments. The
+residual's network is most of the cost, so it is evaluated once, at the joints that geometry alone corrects.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from types import ModuleType
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +31,12 @@ from pickenv.errors import InputError
 
 BLOCK = 2048
 """Poses worked on together: what a core's first caches hold."""
+
+NEGLIGIBLE = 1e-6
+"""What a correction may be expected to lose, m or rad, as roundings make it lose where there is nothing to gain."""
+
+CLEARLY = 0.1
+"""Of a pose error, what a correction may leave at most where it costs position to put the attitude right."""
 
 
 class ResidualModel(Protocol):
@@ -129,7 +136,7 @@ def corrected(
     """
     believed, identified = chains
     limits = list(zip(nominal.lower.tolist(), nominal.upper.tolist(), strict=True))
-    command, wanted, learnt, solve = target, tool_frame(m, believed, target), None, None
+    command, wanted, learnt, solve, best = target, tool_frame(m, believed, target), None, None, None
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
@@ -139,9 +146,47 @@ def corrected(
         if residual is not None:
             if learnt is None:
                 learnt = residual(_moved(m, command, solve(error, columns), limits))
-            error = [left - expected for left, expected in zip(error, learnt, strict=True)]
+            error = _less(error, learnt)
+        best = _nearer(m, best, _expected(m, command, error))
         command = _moved(m, command, solve(error, columns), limits)
-    return command
+    if best is None:
+        return target
+    error = frame_error(m, tool_frame(m, identified, command), wanted)
+    return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt))).joints
+
+
+class _Expected(NamedTuple):
+    """Joints, and how far off the tool is expected there: in position (m), and with the attitude (a radian as 1 m)."""
+
+    joints: Sequence[Scalar]
+    position: Scalar
+    pose: Scalar
+
+
+def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> _Expected:
+    """What the model expects at joints, from its pose error there."""
+    x, y, z, u, v, w = error
+    position = m.sqrt(x * x + y * y + z * z)
+    return _Expected(joints, position, position + m.sqrt(u * u + v * v + w * w))
+
+
+def _nearer(m: ModuleType, one: _Expected | None, other: _Expected) -> _Expected:
+    """The other, but for poses where it is farther off than the one, in position or in both together."""
+    if one is None:
+        return other
+    closer = (other.position < one.position + NEGLIGIBLE) | (other.pose < CLEARLY * one.pose)
+    better = closer & (other.pose < one.pose + NEGLIGIBLE)
+    if m is math:
+        return other if better else one
+    if m is np and better.all():
+        return other
+    joints = [m.where(better, after, before) for after, before in zip(other.joints, one.joints, strict=True)]
+    return _Expected(joints, m.where(better, other.position, one.position), m.where(better, other.pose, one.pose))
+
+
+def _less(error: Sequence[Scalar], learnt: Sequence[Scalar]) -> list[Scalar]:
+    """What is left of a pose error when the residual is expected beside it."""
+    return [left - expected for left, expected in zip(error, learnt, strict=True)]
 
 
 def _moved(

@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pickenv.arm import forward, load_arm, noncompensable_error, pose_error
+from pickenv.arm import forward, joint_jacobian, load_arm, noncompensable_error, pose_error
+from pickenv.arm.kinematics.forward import chain_of
 from pickenv.calibration import Compensator, random_joints
+from pickenv.calibration.compensation.compensator import CLEARLY, NEGLIGIBLE, corrected
 from pickenv.errors import InputError
 
 
@@ -62,6 +65,77 @@ def test_joint_limits_are_kept(qiao, seed, scale):
 def test_corrections_are_small_where_the_literal_inverse_commands_metres(qiao):
     joints = random_joints(qiao.nominal, 2000, np.random.default_rng(0))
     assert np.abs(Compensator(qiao.nominal, qiao.true)(joints) - joints).max() < 0.02
+
+
+def expected_off(compensator, joints, commands):
+    """How far off the model expects the tool at commands: position, m, and position and attitude, a radian as 1 m."""
+    error = pose_error(compensator.predict(commands), forward(compensator.nominal, joints))
+    position, attitude = (np.linalg.norm(part, axis=-1) for part in (error[..., :3], error[..., 3:]))
+    return np.stack([position, position + attitude])
+
+
+def on_torch(compensator, joints):
+    """What the study's batches command."""
+    chains = chain_of(compensator.nominal), chain_of(compensator.identified)
+    rows = list(torch.from_numpy(joints.T.copy()))
+    return torch.stack(corrected(torch, compensator.nominal, chains, rows, compensator.iterations), -1).numpy()
+
+
+@given(
+    arm=st.sampled_from(["qiao2026", "ur5", "wam"]),
+    size=st.sampled_from([1e-3, 1e-2, 1e-1, 1.0]),
+    iterations=st.integers(1, 3),
+    seed=st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=40, deadline=None)
+def test_the_model_never_expects_the_command_farther_off_than_the_target(arm, size, iterations, seed):
+    """However wrong the model, at singular poses and at joint limits, on every executor."""
+    nominal, rng = load_arm(arm).nominal, np.random.default_rng(seed)
+    identified = nominal.displaced(size * rng.standard_normal(nominal.difference(nominal).shape))
+    joints = random_joints(nominal, 200, rng)
+    joints[:50] = np.where(rng.random((50, nominal.joints)) < 0.5, nominal.lower, nominal.upper)
+    plain, drifting = (Compensator(nominal, identified, residual, iterations) for residual in (None, Drift()))
+    for compensator, command in (
+        (plain, plain),
+        (drifting, drifting),
+        (plain, lambda q: np.array([plain(row) for row in q])),
+        (plain, lambda q: on_torch(plain, q)),
+    ):
+        (position, pose), (was, whole) = (expected_off(compensator, joints, q) for q in (command(joints), joints))
+        allowed = iterations * NEGLIGIBLE + 1e-9
+        assert (pose < whole + allowed).all()
+        assert ((position < was + allowed) | (pose < CLEARLY * whole + allowed)).all()
+
+
+def test_corrections_that_lead_away_are_not_commanded():
+    """Near singular poses one in ten of these had been led decimetres away."""
+    nominal, rng = load_arm("ur5").nominal, np.random.default_rng(0)
+    identified = nominal.displaced(3e-3 * rng.standard_normal(nominal.difference(nominal).shape))
+    joints = random_joints(nominal, 2000, rng)
+    compensator = Compensator(nominal, identified)
+    before, after = (expected_off(compensator, joints, q)[0] for q in (joints, compensator(joints)))
+    assert after.max() <= before.max() and np.median(after) < 0.05 * np.median(before)
+
+
+@pytest.mark.parametrize("iterations", [1, 2])
+@pytest.mark.parametrize("twist", [1e-3, 3e-2])
+def test_where_only_the_attitude_is_wrong_it_is_put_right(twist, iterations):
+    """The position has nothing to gain then, and may lose what the step's curvature costs."""
+    nominal = load_arm("ur5").nominal
+    delta = np.zeros(nominal.difference(nominal).shape)
+    delta[-3:] = twist * np.array([0.6, -0.64, 0.48])
+    joints = interior(nominal, 300)
+    strengths = np.linalg.svd(joint_jacobian(nominal, joints), compute_uv=False)
+    joints = joints[strengths[:, -1] > 0.1 * strengths[:, 0]]
+    assert len(joints) > 20
+    compensator = Compensator(nominal, nominal.displaced(delta), iterations=iterations)
+    _, left = expected_off(compensator, joints, compensator(joints))
+    assert left.max() < 0.2 * twist
+
+
+def test_no_iterations_correct_nothing(qiao):
+    joints = interior(qiao.nominal, 5)
+    assert np.array_equal(Compensator(qiao.nominal, qiao.true, iterations=0)(joints), joints)
 
 
 @pytest.mark.parametrize("arm", ["qiao2026", "ur5", "wam"])
