@@ -33,10 +33,7 @@ BLOCK = 2048
 """Poses worked on together: what a core's first caches hold."""
 
 NEGLIGIBLE = 1e-6
-"""What a correction may be expected to lose, m or rad, as roundings make it lose where there is nothing to gain."""
-
-CLEARLY = 0.1
-"""Of a pose error, what a correction may leave at most where it costs position to put the attitude right."""
+"""What a correction may be expected to lose, m or rad: roundings of single precision, where there is nothing to gain."""
 
 
 class ResidualModel(Protocol):
@@ -156,32 +153,28 @@ def corrected(
 
 
 class _Expected(NamedTuple):
-    """Joints, and how far off the tool is expected there: in position (m), and with the attitude (a radian as 1 m)."""
+    """Joints, and the size of the pose error expected there, with a radian as a metre, as the inverse weighs them."""
 
     joints: Sequence[Scalar]
-    position: Scalar
-    pose: Scalar
+    error: Scalar
 
 
 def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> _Expected:
-    """What the model expects at joints, from its pose error there."""
-    x, y, z, u, v, w = error
-    position = m.sqrt(x * x + y * y + z * z)
-    return _Expected(joints, position, position + m.sqrt(u * u + v * v + w * w))
+    """What the model expects at joints, from the six components of its pose error there."""
+    return _Expected(joints, m.sqrt(sum((part * part for part in error[1:]), error[0] * error[0])))
 
 
 def _nearer(m: ModuleType, one: _Expected | None, other: _Expected) -> _Expected:
-    """The other, but for poses where it is farther off than the one, in position or in both together."""
+    """The other, but for poses where it is expected farther off than the one."""
     if one is None:
         return other
-    closer = (other.position < one.position + NEGLIGIBLE) | (other.pose < CLEARLY * one.pose)
-    better = closer & (other.pose < one.pose + NEGLIGIBLE)
+    nearer = other.error < one.error + NEGLIGIBLE
     if m is math:
-        return other if better else one
-    if m is np and better.all():
+        return other if nearer else one
+    if m is np and nearer.all():
         return other
-    joints = [m.where(better, after, before) for after, before in zip(other.joints, one.joints, strict=True)]
-    return _Expected(joints, m.where(better, other.position, one.position), m.where(better, other.pose, one.pose))
+    joints = [m.where(nearer, after, before) for after, before in zip(other.joints, one.joints, strict=True)]
+    return _Expected(joints, m.where(nearer, other.error, one.error))
 
 
 def _less(error: Sequence[Scalar], learnt: Sequence[Scalar]) -> list[Scalar]:
