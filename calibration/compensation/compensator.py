@@ -33,7 +33,7 @@ BLOCK = 2048
 """Poses worked on together: what a core's first caches hold."""
 
 NEGLIGIBLE = 1e-6
-"""What a correction may be expected to lose, m or rad: roundings of single precision, where there is nothing to gain."""
+"""What a correction may be expected to lose, m or rad: what single precision rounds where nothing is to be gained."""
 
 
 class ResidualModel(Protocol):
