@@ -39,8 +39,8 @@ ROOMS = {
         "pickenv/arm/kinematics",
         "forward jacobians pose_error",
         "tests/arm",
-        "kinematics/kinematics kinematics/jacobians kinematics/geometry kinematics/executors kinematics/random_chains "
-        "plant/gravity_referee",
+        "kinematics/pose_error kinematics/kinematics kinematics/jacobians kinematics/geometry kinematics/executors "
+        "kinematics/random_chains plant/gravity_referee kinematics/mimic",
         most=CORE,
     ),
     "plant": room(
@@ -71,7 +71,7 @@ ROOMS = {
         "pickenv/envs/shared",
         "simulation task",
         "tests/envs",
-        "reach compensation_wrapper registered vector",
+        "reach_by_hand reach compensation_wrapper registered vector",
         most=CORE,
     ),
     "picking": room(
