@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, pose_error, rotation_matrix, rotation_vector
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.apply import apply_calibration
+from pickenv.calibration.pipeline.apply import _carried, apply_calibration
 from pickenv.calibration.pipeline.result import assess
 from pickenv.calibration.pipeline.uncertainty import held_out_errors
 from pickenv.calibration.reading.targets import Targets, joints_of, read_targets
@@ -129,6 +129,16 @@ def test_frames_of_controller_and_instrument_are_one_and_the_same_pose(elsewhere
     np.testing.assert_allclose(seen[0], seen[1], atol=1e-5)
     as_joints = apply_calibration(elsewhere, dynamic.arm, joint_targets(joints))
     np.testing.assert_allclose(forward(elsewhere.identified, as_joints.joints).position, seen[0], atol=1e-5)
+
+
+def test_a_pose_is_carried_to_where_the_same_joints_bring_it_with_another_base_and_tool(qiao):
+    """Also where the believed tool and base stand off, as on an arm with a gripper."""
+    rng = np.random.default_rng(0)
+    believed, fitted = (qiao.nominal.displaced(np.r_[np.zeros(30), rng.normal(size=12)]) for _ in range(2))
+    joints = inner_joints(qiao.nominal, 20, 1)
+    found, expected = _carried(forward(believed, joints), believed, fitted), forward(fitted, joints)
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
+    np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-12)
 
 
 def test_a_learnt_residual_takes_part(dynamic):
