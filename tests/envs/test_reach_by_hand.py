@@ -1,4 +1,4 @@
-"""Parts of the reach task written out: a move's bounds, the turn that no joint makes, goals as seen and their reward."""
+"""Parts of the reach task written out: the bounds of a move, the turn no joint makes, goals as seen, their rewards."""
 
 import math
 from dataclasses import replace

@@ -84,7 +84,7 @@ def test_commands_of_one_pose_and_of_a_grid_are_those_of_their_rows(machine, tru
 def test_the_local_inverse_of_a_slave_undoes_its_forward_kinematics(machine):
     """Also where its lengths are not nothing, as on an arm of another design."""
     nominal = machine.slave
-    slave = replace(nominal, a=nominal.a + [0.03, -0.05, 0.0])
+    slave = replace(nominal, a=np.add(nominal.a, [0.03, -0.05, 0.0]))
     q = np.random.default_rng(7).uniform(nominal.lower, nominal.upper, (50, 3))
     found = _local_inverse(slave, forward(slave, q).position)
     np.testing.assert_allclose(forward(slave, found).position, forward(slave, q).position, atol=1e-12)

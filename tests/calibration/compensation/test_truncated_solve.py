@@ -93,3 +93,15 @@ def test_plain_numbers_among_the_components_are_what_they_say():
     found = np.stack(TruncatedSolver(columns).solve(list(error.T)), axis=-1)
     expected = np.einsum("kij,kj->ki", truncated_inverse(jacobian), error)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_what_is_cut_off_is_judged_against_the_largest_of_all_columns():
+    """Whichever of them it is, and however much shorter the others are."""
+    rng = np.random.default_rng(0)
+    jacobian = rng.normal(size=(400, 6, 6)) * 10.0 ** rng.uniform(-4, 0, (400, 1, 6))
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    clear = (np.abs(np.log(values / values[:, :1] / 5e-3)) > 0.05).all(axis=1)
+    jacobian, error = jacobian[clear], rng.normal(size=(clear.sum(), 6))
+    expected = np.einsum("kij,kj->ki", truncated_inverse(jacobian), error)
+    found = solved(jacobian, error)[1]
+    assert (np.linalg.norm(found - expected, axis=1) < 1e-4 * np.linalg.norm(expected, axis=1)).all()
