@@ -18,6 +18,7 @@ from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
 from pickenv.commands.showing import print_table, progress_bars
 from pickenv.commands.studies import study
+from pickenv.commands.verify import verify
 from pickenv.locks import locked
 
 app = typer.Typer(
@@ -96,6 +97,7 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Measure and correct a robot": (
         calibrate,
+        verify,
         corrections.plan_poses,
         board,
         corrections.apply,

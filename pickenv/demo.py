@@ -195,7 +195,6 @@ def _comparison(
 ) -> Comparison:
     """The error field on a regular grid of upright tool poses, and the reaches, for pictures."""
     grid = field_grid(plant.arm.nominal, settings.grid_step, settings.seed)
-    assert result.uncertainty is not None
     policies = []
     for key, compensator in compensators.items():
         run, field = reaches[key], _errors(plant, grid.joints, compensator)

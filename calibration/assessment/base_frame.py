@@ -38,11 +38,13 @@ class BaseFrameError:
         high: Upper end, m.
         moved: Mean distance, over the same poses, between the nominal tool with the fitted base and tool and with the
             controller's own, m. Small where the instrument was registered to the base; then it is the error itself.
+        tracked: Whether the instrument states positions in its own frame, which may be the base's.
     """
 
     low: float
     high: float
     moved: float
+    tracked: bool
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON and a calibration's record."""
@@ -61,7 +63,7 @@ class BaseFrameError:
             f"base and tool lie {SCALES[0]:g} to {SCALES[1]:g} mm and mrad, one standard deviation per axis, from "
             "where the controller has them)"
         )
-        if self.moved < NEAR:
+        if self.tracked and self.moved < NEAR:
             text += (
                 f"; the fitted frames move the tool by {self.moved * 1e3:#.3g} mm: if the instrument is registered to "
                 "the base and sees the controller's own tool, calibrate with --frames known"
@@ -69,7 +71,9 @@ class BaseFrameError:
         return text
 
 
-def base_frame_error(nominal: Geometry, fitted: Geometry, joints: ArrayLike, left: Array) -> BaseFrameError:
+def base_frame_error(
+    nominal: Geometry, fitted: Geometry, joints: ArrayLike, left: Array, tracked: bool = True
+) -> BaseFrameError:
     """The interval of the mean error in the robot's own base frame; the same every time.
 
     Args:
@@ -77,6 +81,7 @@ def base_frame_error(nominal: Geometry, fitted: Geometry, joints: ArrayLike, lef
         fitted: The same with the fitted base and tool.
         joints: Poses ``(N, n)``.
         left: What the calibration leaves at them in the instrument's frame ``(N, 3 or more)``, m.
+        tracked: Whether the instrument states positions in its own frame.
     """
     joints = np.asarray(joints, dtype=float)
     model = frames_model(nominal)
@@ -87,4 +92,4 @@ def base_frame_error(nominal: Geometry, fitted: Geometry, joints: ArrayLike, lef
     missed = np.einsum("nip,dp->dni", jacobian, draws) + left[:, :3]
     low, high = np.percentile(np.linalg.norm(missed, axis=2).mean(axis=1), [2.5, 97.5])
     moved = np.linalg.norm(forward(nominal, joints).position - forward(fitted, joints).position, axis=1).mean()
-    return BaseFrameError(float(low), float(high), float(moved))
+    return BaseFrameError(float(low), float(high), float(moved), tracked)

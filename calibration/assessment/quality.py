@@ -116,8 +116,8 @@ def base_combinations(found: Identifiability) -> dict[str, str]:
     texts = {name: name for name in found.kept_names}
     for item in found.dropped:
         for name, share in item.absorbed_by.items():
-            if abs(share) < SMALL_SHARE and is_angle(name) == is_angle(item.name):
-                continue
+            if name not in texts or (abs(share) < SMALL_SHARE and is_angle(name) == is_angle(item.name)):
+                continue  # what only the choice of a frame ties has no share of its own
             texts[name] += f" {'-' if share < 0 else '+'} {_coefficient(share, name, item.name)}{item.name}"
     return texts
 
@@ -228,6 +228,7 @@ def grade_quality(
     parametric: Array | None = None,
     noise: str = "stated noise",
     blocks: NDArray[np.int64] | None = None,
+    said: Iterable[tuple[Weight, str]] = (),
 ) -> Quality:
     """Grade a calibration.
 
@@ -245,6 +246,7 @@ def grade_quality(
             none.
         noise: What the instrument's noise is called.
         blocks: The block of each held-out error ``(M,)``, where errors of one block are alike.
+        said: What else a reader must know, by weight.
     """
     bare = geometric or found
     seen = observability_of(bare.identifiability, bare.poses)
@@ -258,12 +260,14 @@ def grade_quality(
             f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f}): read them together, the predicted pose is not "
             "affected"
         )
-    texts: dict[Weight, Iterable[str]] = {
-        "fail": _failures(found, before, after, blocks),
-        "caution": _cautions(found, trained, unlearnt, seen, coverage),
+    texts: dict[Weight, list[str]] = {
+        "fail": [*_failures(found, before, after, blocks)],
+        "caution": [*_cautions(found, trained, unlearnt, seen, coverage)],
         "note": notes,
     }
-    findings = [Finding(weight, text) for weight, said in texts.items() for text in said]
+    for weight, text in said:
+        texts[weight].append(text)
+    findings = [Finding(weight, text) for weight, each in texts.items() for text in each]
     weights = {finding.weight for finding in findings}
     grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
     reason = findings[0].text

@@ -63,7 +63,7 @@ def main_parts(absorbed: Mapping[str, float]) -> dict[str, float]:
 
 def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
     """Unit of a parameter on screens, and the factor from SI; coefficients of effects stay in SI."""
-    if name in geometric:
+    if name in geometric or name.startswith(("base", "tool")):
         return ("deg", float(np.degrees(1.0))) if is_angle(name) else ("mm", 1e3)
     if name.startswith(("reflector", "anchor", "socket")):
         return "mm", 1e3

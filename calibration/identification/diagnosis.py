@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +20,16 @@ from pickenv.calibration.identification.robust import (
     OUTLIER_SIGMA,
     RobustIdentification,
     Sizes,
-    robust_align,
     robust_identify,
     sizes_of,
 )
-from pickenv.calibration.model.error_model import frames_model, geometric_model
+from pickenv.calibration.identification.starts import fitted_model, robust_frames
+from pickenv.calibration.model.error_model import frames_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, origins_of
-from pickenv.calibration.model.origins import named
+from pickenv.calibration.model.observations import Kind, Observations, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.splits import Rows, equally_spaced
+from pickenv.calibration.model.stacked import Stacked
 from pickenv.errors import InputError
 
 EXPLAINED = 8.0
@@ -36,6 +37,9 @@ EXPLAINED = 8.0
 
 ROBUST_ROWS = 2000
 """The robust fit is made on so many rows at most, taken evenly; all rows are judged by it."""
+
+MANY_FAR = 0.05
+"""More rows far off than this share are a caution."""
 
 FEW = 4
 """Fewer held-out rows than this are named one by one, and never taken for another set-up."""
@@ -53,16 +57,17 @@ LEAST_VIEWS = 4
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A row that does not fit the others and was left out.
+    """A row that does not fit the others and was left out, or was asked to be kept.
 
     Attributes:
         file: Its file.
         line: Its line there, from 1.
         held_out: Whether it was among the held-out rows.
-        position: Size of its position error, m; None where that is not the reason.
-        attitude: Size of its attitude error, rad; None where only positions were measured.
-        sigma: The larger of both in robust standard deviations of one coordinate.
-        why: The reason in words, where it is not the size of its error.
+        position: Size of its largest miss, m; None where that is not the reason.
+        attitude: Size of its attitude error, rad; None where no attitudes were measured.
+        sigma: Size of its error in robust standard deviations of one coordinate.
+        why: The reason in words, where one is known.
+        kept: Whether it was kept all the same.
     """
 
     file: str
@@ -72,129 +77,149 @@ class LeftOut:
     attitude: float | None = None
     sigma: float | None = None
     why: str | None = None
+    kept: bool = False
 
     def text(self) -> str:
         """For people."""
         if self.position is None or self.sigma is None:
             return f"{self.file}: row {self.line}: {self.why}"
         turned = "" if self.attitude is None else f", {np.degrees(self.attitude):.3g} deg"
-        part = "held out" if self.held_out else "training"
-        return f"{self.file}: row {self.line} ({part}): {self.position * 1e3:.3g} mm{turned}, {self.sigma:.0f} sigma"
+        part = ("held out" if self.held_out else "training") + (", kept" if self.kept else "")
+        why = "" if self.why is None else f"; fits only if {self.why}"
+        return (
+            f"{self.file}: row {self.line} ({part}): {self.position * 1e3:.3g} mm{turned}, {self.sigma:.0f} sigma{why}"
+        )
 
 
-def _robust_fit(arm: Arm, measurements: Measurements, known: bool = False) -> RobustIdentification:
-    """Geometry from the poses that agree with each other, with base and tool unless known; the same every time.
+def _robust_fit(arm: Arm, data: Observations, known: bool = False) -> RobustIdentification:
+    """Geometry from the rows that agree with each other, with base and tool unless known; the same every time.
 
     Raises:
-        InputError: If there are too few poses, or no majority agrees.
+        InputError: If there are too few rows, or no majority agrees.
     """
-    data = measurements.select(equally_spaced(len(measurements), ROBUST_ROWS))
-    model = geometric_model(arm.nominal, known)
-    start = arm.nominal
-    if not known:
-        start = robust_align(arm.nominal, data, frames_model(arm.nominal), np.random.default_rng(0)).geometry
-    return robust_identify(model, start, data)
+    data = data.select(equally_spaced(len(data.joints), ROBUST_ROWS))
+    start = arm.nominal if known else robust_frames(arm, data)
+    return robust_identify(fitted_model(arm.name, arm.nominal, known), start, data)
 
 
 def checked_rows(
-    arm: Arm, train: Measurements, test: Measurements, *, known: bool, robust: bool
-) -> tuple[Measurements, Measurements, tuple[LeftOut, ...]]:
+    arm: Arm, train: Kind, test: Kind, *, known: bool, robust: bool
+) -> tuple[Kind, Kind, tuple[LeftOut, ...]]:
     """Training and held-out rows without those that are far off.
 
     Args:
         arm: The arm.
         train: Rows to fit; the robust fit to them is the measure for both.
-        test: Rows to judge by.
+        test: Rows to judge by; there may be none.
         known: Whether base and tool are known.
-        robust: Whether rows far off are left out; else they are refused.
+        robust: Whether rows far off are left out; else they are only listed.
 
     Returns:
-        Both sets, and what was left out.
+        Both sets, and the rows far off, the farthest first.
 
     Raises:
-        InputError: Names file and line of rows that are far off and the column and unit if one explains them; or says
-            that the held-out rows come from another set-up.
+        InputError: If the held-out rows come from another set-up.
     """
     try:
         found = _robust_fit(arm, train, known)
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
-    sizes = (found.sizes_of(train), found.sizes_of(test))
-    far = tuple(np.flatnonzero(~(size.sigma <= OUTLIER_SIGMA)) for size in sizes)
-    if 2 * len(far[0]) >= len(train):
+    sets = (train, test) if len(test.joints) else (train,)
+    sizes = [found.sizes_of(data) for data in sets]
+    far = [np.flatnonzero(~(size.sigma <= OUTLIER_SIGMA)) for size in sizes]
+    if 2 * len(far[0]) >= len(train.joints):
         return train, test, ()
-    if len(test) >= FEW and 2 * len(far[1]) > len(test):
-        raise InputError(_other_set_up(arm, found, test, sizes[1]))
-    if not robust:
-        _refuse(arm, found, (train, test), sizes, far)
-    left_out = [
-        _left_out(data, size, int(row), data is test)
-        for data, size, rows in zip((train, test), sizes, far, strict=True)
-        for row in rows
-    ]
-    kept = [
-        data.select(np.setdiff1d(np.arange(len(data)), rows)) for data, rows in zip((train, test), far, strict=True)
-    ]
-    return kept[0], kept[1], tuple(sorted(left_out, key=lambda item: -(item.sigma or 0.0)))
+    if len(test.joints) >= FEW and 2 * len(far[1]) > len(test.joints):
+        raise InputError(_other_set_up(arm, found, train, test))
+    listed: list[LeftOut] = []
+    for data, size, rows in zip(sets, sizes, far, strict=True):
+        listed += _far_rows(arm, found, data, size, rows, held_out=data is test, kept=not robust)
+    if isinstance(train, Stacked):
+        train = train.weighed(found.sizes.scales[train.first_channels()].tolist())
+        sets = (train, *sets[1:])
+    if robust:
+        near = [np.flatnonzero(size.sigma <= OUTLIER_SIGMA) for size in sizes]
+        left = [data.select(rows) for data, rows in zip(sets, near, strict=True)]
+        train, test = left[0], left[1] if len(sets) > 1 else test
+    return train, test, tuple(sorted(listed, key=lambda item: -(item.sigma or 0.0)))
 
 
-def _left_out(data: Measurements, sizes: Sizes, row: int, held_out: bool) -> LeftOut:
-    file, line = origins_of(data).place(row)
-    attitude = None if sizes.attitude is None else float(sizes.attitude[row])
-    return LeftOut(file, line, held_out, float(sizes.position[row]), attitude, float(sizes.sigma[row]))
-
-
-def _refuse(
-    arm: Arm,
-    found: RobustIdentification,
-    sets: tuple[Measurements, Measurements],
-    sizes: tuple[Sizes, Sizes],
-    far: Sequence[Rows],
-) -> None:
-    """Refuse rows that are far off, and say what they have in common."""
-    places = [origins_of(data).place(int(row)) for data, rows in zip(sets, far, strict=True) for row in rows]
-    if not places:
-        return
-    one = len(places) == 1
-    for data, rows in zip(sets, far, strict=True):
-        unit = mixed_unit(arm, found, data, rows) if len(rows) else None
-        if unit is not None:
-            raise InputError(
-                f"{named(places)} {'fits' if one else 'fit'} only if {unit}: units are mixed in one column; write all "
-                "its rows in one unit"
-            )
-    them = "it" if one else "them"
-    worst = max(float(size.position[rows].max(initial=0.0)) for size, rows in zip(sizes, far, strict=True))
-    raise InputError(
-        f"{named(places)} {'is' if one else 'are'} off by {'' if one else 'up to '}{worst * 1e3:.3g} mm where the "
-        f"others agree within {3 * found.sizes.position_scale * 1e3:.2g} mm; remove {them}, or fit with --robust, "
-        f"which leaves {them} out"
-    )
-
-
-def _other_set_up(arm: Arm, found: RobustIdentification, test: Measurements, sizes: Sizes) -> str:
-    """Why most held-out rows miss: another unit, another place of base or tool, or something else."""
-    files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test))))
-    unit = mixed_unit(arm, found, test, np.arange(len(test)))
-    if unit is not None:
-        return f"{files}: the held-out rows fit the training rows only if {unit}; write both in one unit"
-    away = f"{np.median(sizes.position) * 1e3:.3g} mm"
-    geometry = found.geometry
-    try:
-        moved = align(geometry, test, frames_model(geometry)).geometry
-    except InputError:
-        moved = geometry
-    there = sizes_of(replace(found.identification.arm_model, geometry=moved), test, found.sizes)
-    if float(np.median(there.sigma)) <= OUTLIER_SIGMA / 2:
-        base, tool = _apart(geometry.base, moved.base), _apart(geometry.tool, moved.tool)
-        return (
-            f"{files}: the held-out rows were measured in another set-up (they miss by {away}, median): with the base "
-            f"moved by {base} and the tool by {tool} they fit; hold out rows of the training rows' own set-up, or "
-            "calibrate this file by itself"
+def _far_rows(
+    arm: Arm, found: RobustIdentification, data: Observations, sizes: Sizes, rows: Rows, *, held_out: bool, kept: bool
+) -> list[LeftOut]:
+    """The rows far off, with what they have in common."""
+    if not len(rows):
+        return []
+    missed, attitude, why = found.misses_of(data), None, None
+    if isinstance(data, Measurements):
+        why = mixed_unit(arm, found, data, rows)
+        if data.rotation is not None:
+            attitude = np.linalg.norm(data.difference(found.identification.arm_model)[:, 3:], axis=1)
+    return [
+        LeftOut(
+            *origins_of(data).place(row),
+            held_out,
+            float(missed[row]),
+            None if attitude is None else float(attitude[row]),
+            float(sizes.sigma[row]),
+            why,
+            kept,
         )
+        for row in rows.tolist()
+    ]
+
+
+def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal["caution", "note"], str]]:
+    """What a verdict says of rows far off: a caution where they are kept, many, or of one cause, else a note.
+
+    Args:
+        listed: The rows.
+        rows: How many there were in all.
+    """
+    far = [item for item in listed if item.sigma is not None]
+    if not far:
+        return
+    one = len(far) == 1
+    many = len(far) > MANY_FAR * rows
+    causes = dict.fromkeys(item.why for item in far if item.why is not None)
+    them = f"{len(far)} of {rows} rows {'is' if one else 'are'} far off, by up to {figure_mm(far)} mm"
+    if any(item.kept for item in far):
+        yield "caution", f"{them}, and {'was' if one else 'were'} kept all the same; leave --no-robust out"
+    elif causes:
+        yield "caution", f"{them}, and left out: they fit only if {'; '.join(causes)}; write all rows in one unit"
+    else:
+        yield "caution" if many else "note", f"{them}, and {'was' if one else 'were'} left out"
+
+
+def figure_mm(listed: Sequence[LeftOut]) -> str:
+    """The largest miss, mm."""
+    return f"{max(item.position or 0.0 for item in listed) * 1e3:.3g}"
+
+
+def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, test: Observations) -> str:
+    """Why most held-out rows miss: another unit, another place of base or tool, or something else."""
+    files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
+    away = f"{np.median(found.misses_of(test)) * 1e3:.3g} mm"
+    if isinstance(test, Measurements):
+        unit = mixed_unit(arm, found, test, np.arange(len(test)))
+        if unit is not None:
+            return f"{files}: the held-out rows fit the training rows only if {unit}; write both in one unit"
+        geometry = found.geometry
+        try:
+            moved = align(geometry, test, frames_model(geometry)).geometry
+        except InputError:
+            moved = geometry
+        there = sizes_of(replace(found.identification.arm_model, geometry=moved), np.zeros(0), test, found.sizes)
+        if float(np.median(there.sigma)) <= OUTLIER_SIGMA / 2:
+            base, tool = _apart(geometry.base, moved.base), _apart(geometry.tool, moved.tool)
+            return (
+                f"{files}: the held-out rows were measured in another set-up (they miss by {away}, median): with the "
+                f"base moved by {base} and the tool by {tool} they fit; hold out rows of the training rows' own "
+                "set-up, or calibrate this file by itself"
+            )
     return (
-        f"{files}: most held-out rows miss by {away} (median), where the training rows agree within "
-        f"{3 * found.sizes.position_scale * 1e3:.2g} mm, and no other place of base or tool explains it; check that "
+        f"{files}: most held-out rows miss by {away} (median), where half of the training rows miss by less than "
+        f"{np.median(found.misses_of(train)) * 1e3:.2g} mm, and no other place of base or tool explains it; check that "
         "they are of this arm, with the same units, joint signs and order of rows"
     )
 
@@ -202,31 +227,6 @@ def _other_set_up(arm: Arm, found: RobustIdentification, test: Measurements, siz
 def _apart(one: Pose, other: Pose) -> str:
     angle = np.degrees(np.arccos(np.clip((np.trace(one.rotation.T @ other.rotation) - 1) / 2, -1, 1)))
     return f"{np.linalg.norm(one.position - other.position) * 1e3:.3g} mm and {angle:.3g} deg"
-
-
-def refuse_misses(train: Observations, test: Observations, misses: tuple[Array, Array]) -> None:
-    """Refuse rows of reflectors, wires or sockets that miss by far more than the median training row.
-
-    Args:
-        train: Rows fitted.
-        test: Held-out rows.
-        misses: What the fitted model misses each by (`pickenv.calibration.identification.rows.misses`), m.
-
-    Raises:
-        InputError: Names file and line.
-    """
-    sizes = [np.linalg.norm(part, axis=1) for part in misses]
-    limit = 2.0 * OUTLIER_SIGMA * float(np.median(sizes[0]))
-    places, worst = [], 0.0
-    for data, size in zip((train, test), sizes, strict=True):
-        far = size > limit
-        worst = max(worst, float(size[far].max(initial=0.0)))
-        places += [origins_of(data).place(int(row)) for row in np.unique(data.rows_of_misses[far])]
-    if places:
-        raise InputError(
-            f"{named(places)} {'misses' if len(places) == 1 else 'miss'} by up to {worst * 1e3:.3g} mm where half of "
-            f"the training rows miss by less than {limit / 2 / OUTLIER_SIGMA * 1e3:.2g} mm; check and remove"
-        )
 
 
 def mixed_unit(
@@ -260,6 +260,18 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
             changed[:, axes] *= scale
             rows = replace(data, **{name: rotation_matrix(changed) if name == "rotation" else changed})  # type: ignore[arg-type]
             yield f"{label} is read in {here} there and in {elsewhere} elsewhere", rows
+
+
+def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
+    """Rows of any kind; pictures, of one station or several, without the views that tell too little."""
+    if isinstance(data, PixelObservations):
+        return telling_views(data)
+    if not isinstance(data, Stacked):
+        return data, ()
+    each = [without_blind_views(part) for part in data.parts]
+    stations = zip(data.stations, each, strict=True)
+    kept = replace(data, stations=tuple(replace(station, data=part) for station, (part, _) in stations))
+    return kept, tuple(item for _, left in each for item in left)
 
 
 def telling_views(views: PixelObservations) -> tuple[PixelObservations, tuple[LeftOut, ...]]:

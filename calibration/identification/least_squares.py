@@ -44,6 +44,7 @@ class Identification:
         converged: Whether the last step was negligible.
         residual_rms: Weighted residual RMS before each iteration and after the last.
         iterates: Geometry before each iteration and after the last.
+        unknown_iterates: The measurements' own unknowns likewise ``(u,)``.
         solve_seconds: Time of the solution alone.
         poses: Number of poses used.
         kind: What was measured: "pose", "position", ….
@@ -59,6 +60,7 @@ class Identification:
     converged: bool
     residual_rms: tuple[float, ...]
     iterates: tuple[ArmModel, ...]
+    unknown_iterates: tuple[Array, ...]
     solve_seconds: float
     poses: int
     kind: str
@@ -149,7 +151,7 @@ def identify(
     found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance, rank_tolerance)
     _enough_poses(model, arm, sets, found, len(weighted))
     kept, scale = found.kept, tolerance[found.kept]
-    iterates = [arm]
+    iterates, unknown_iterates = [arm], [begun]
     history = [_rms(weighted)]
     converged, damping = False, 0.0
     for _ in range(max_iterations):
@@ -176,6 +178,7 @@ def identify(
         arm, unknowns, weighted = moved, moved_unknowns, moved_weighted
         history.append(rms)
         iterates.append(arm)
+        unknown_iterates.append(np.concatenate(unknowns))
         if progress.negligible or (damping == 0.0 and progress.finished):
             converged = True
             break
@@ -193,6 +196,7 @@ def identify(
         converged=converged,
         residual_rms=tuple(history),
         iterates=tuple(iterates),
+        unknown_iterates=tuple(unknown_iterates),
         solve_seconds=time.perf_counter() - started,
         poses=poses,
         kind="+".join(dict.fromkeys(part.kind for part in sets if len(part.joints))),

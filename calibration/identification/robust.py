@@ -1,7 +1,8 @@
 """Identification that outliers cannot pull: iteratively re-weighted least squares, and a list of the outliers.
 
-Each pose gets one weight from a Huber or Cauchy loss of its size in robust standard deviations (median based, so that
-nearly half of the poses may be wrong; Holland and Welsch 1977). Metres and radians are scaled apart. SI units.
+Each row of a data set of any kind gets one weight from a Huber or Cauchy loss of its size in robust standard deviations
+(median based, so that nearly half of the rows may be wrong; Holland and Welsch 1977). What one instrument reads in one
+unit is a channel, and channels are scaled apart: metres and radians, a wire and a tracker. SI units.
 """
 
 from __future__ import annotations
@@ -17,21 +18,19 @@ from pickenv.arm import Geometry, forward
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.alignment import align
 from pickenv.calibration.identification.least_squares import Identification, identify
+from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import nearest_rotation
+from pickenv.calibration.model.observations import Observations, nearest_rotation
 from pickenv.calibration.model.splits import Rows
 from pickenv.errors import InputError
 
 OUTLIER_SIGMA = 10.0
-"""A pose off by more robust standard deviations than this is an outlier; what a model leaves out stays below it."""
+"""A row off by more robust standard deviations than this is an outlier; what a model leaves out stays below it."""
 
 WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
 """Least squares at most, alignments at most, and fours of poses that are tried."""
-
-MEDIAN_NORM = float(np.sqrt(2.0 * gammaincinv(1.5, 0.5)))
-"""Median norm of three independent standard normal numbers, 1.538."""
 
 LOSSES: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
     {
@@ -39,7 +38,7 @@ LOSSES: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
         "cauchy": lambda size: 1.0 / (1.0 + (size / 2.385) ** 2),
     }
 )
-"""Weight of a pose by its size in standard deviations per coordinate; constants for 95 % efficiency on normal noise."""
+"""Weight of a row by its size in standard deviations per coordinate; constants for 95 % efficiency on normal noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +47,7 @@ class RobustIdentification:
 
     Attributes:
         identification: The last weighted least squares.
-        weights: Weight of each pose ``(N,)`` in it, 0 to 1.
+        weights: Weight of each row ``(N,)`` in it, 0 to 1.
         sizes: Sizes of the errors that it leaves.
         settled: Whether the weights stopped changing.
     """
@@ -63,24 +62,27 @@ class RobustIdentification:
         """The identified geometry."""
         return self.identification.geometry
 
-    def sizes_of(self, measurements: Measurements) -> Sizes:
+    def sizes_of(self, data: Observations) -> Sizes:
         """Sizes of the errors of any rows by this arm's identified model, in the standard deviations found here."""
-        return sizes_of(self.identification.arm_model, measurements, self.sizes)
+        return sizes_of(self.identification.arm_model, unknowns_of(self.identification, data), data, self.sizes)
+
+    def misses_of(self, data: Observations) -> Array:
+        """The largest miss of each row ``(N,)``, m."""
+        left = data.misses(self.identification.arm_model, unknowns_of(self.identification, data))
+        largest = np.zeros(len(data.joints))
+        np.maximum.at(largest, data.rows_of_misses, np.linalg.norm(left, axis=1))
+        return largest
 
 
 def robust_identify(
-    model: ErrorModel,
-    start: Geometry | ArmModel,
-    measurements: Measurements,
-    *,
-    loss: str = "cauchy",
+    model: ErrorModel, start: Geometry | ArmModel, data: Observations, *, loss: str = "cauchy"
 ) -> RobustIdentification:
     """Identify with iteratively re-weighted least squares; the first weights come from the starting geometry.
 
     Args:
         model: The parameters.
         start: Geometry, or geometry with terms; near the data (see `robust_align`).
-        measurements: Poses or positions.
+        data: Rows of any kind.
         loss: "huber" (an outlier keeps a bounded pull) or "cauchy" (a gross one loses all of it).
 
     Raises:
@@ -88,11 +90,13 @@ def robust_identify(
     """
     if loss not in LOSSES:
         raise InputError(f"unknown loss '{loss}'; give one of {', '.join(LOSSES)}")
-    weights = sizes_of(ArmModel.of(start), measurements).weights(loss)
+    arm = ArmModel.of(start)
+    weights = sizes_of(arm, data.start(arm), data).weights(loss)
+    rows, _ = data.equations()
     for _ in range(WEIGHTINGS):
-        factors = np.repeat(np.sqrt(weights), measurements.rows_per_pose)
-        found = identify(model, start, measurements, row_factors=factors)
-        sizes = sizes_of(found.arm_model, measurements)
+        factors = np.where(rows >= 0, np.sqrt(weights)[rows], 1.0)
+        found = identify(model, start, [data], row_factors=factors)
+        sizes = sizes_of(found.arm_model, unknowns_of(found, data), data)
         used, weights = weights, sizes.weights(loss)
         settled = bool(np.max(np.abs(weights - used)) < 1e-3)
         if settled:
@@ -130,7 +134,7 @@ def robust_align(
     kept = best <= 5.0 * np.median(best)
     for _ in range(SELECTIONS):
         found = align(geometry, measurements.select(kept), frames)
-        sizes = sizes_of(found.arm_model, measurements)
+        sizes = sizes_of(found.arm_model, np.zeros(0), measurements)
         used, kept = kept, sizes.sigma <= OUTLIER_SIGMA
         settled = bool(np.array_equal(used, kept))
         if settled:
@@ -140,31 +144,23 @@ def robust_align(
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
-    """Sizes of the errors of N poses.
+    """Sizes of the errors of N rows, channel by channel.
 
     Attributes:
-        position: Of the positions ``(N,)``, m.
-        attitude: Of the attitudes ``(N,)``, rad; None where only positions were measured.
-        position_scale: Standard deviation of one position coordinate, m.
-        attitude_scale: Of one attitude coordinate, rad.
+        errors: Sizes ``(C, N)``, in stated standard uncertainties of one coordinate: norms of up to three equations,
+            and of more (a picture's corners) that of three like them; NaN where a row does not use a channel.
+        coordinates: How many equations each stands for ``(C, N)``, three at most.
+        scales: Robust standard deviation of one coordinate by channel ``(C,)``, in stated ones.
     """
 
-    position: Array
-    attitude: Array | None
-    position_scale: float
-    attitude_scale: float | None
-
-    @property
-    def _parts(self) -> list[Array]:
-        parts = [self.position / self.position_scale]
-        if self.attitude is not None and self.attitude_scale is not None:
-            parts.append(self.attitude / self.attitude_scale)
-        return parts
+    errors: Array
+    coordinates: Array
+    scales: Array
 
     @property
     def sigma(self) -> Array:
-        """The larger of position and attitude error, in standard deviations of one coordinate ``(N,)``."""
-        return np.asarray(np.max(self._parts, axis=0))
+        """The largest of each row ``(N,)``, in robust standard deviations of one coordinate."""
+        return np.asarray(np.nanmax(np.vstack([self.errors / self.scales[:, None], self._none]), axis=0))
 
     @property
     def outliers(self) -> Rows:
@@ -174,22 +170,28 @@ class Sizes:
 
     def weights(self, loss: str) -> Array:
         """Weights ``(N,)`` by the size per coordinate."""
-        squares = np.sum(np.square(self._parts), axis=0) / (3 * len(self._parts))
-        return LOSSES[loss](np.sqrt(squares))
+        squares = np.nansum((self.errors / self.scales[:, None]) ** 2, axis=0)
+        return LOSSES[loss](np.sqrt(squares / np.maximum(self.coordinates.sum(axis=0), 1)))
+
+    @property
+    def _none(self) -> Array:
+        return np.zeros((1, self.errors.shape[1]))
 
 
-def sizes_of(arm: ArmModel, measurements: Measurements, like: Sizes | None = None) -> Sizes:
+def sizes_of(arm: ArmModel, unknowns: Array, data: Observations, like: Sizes | None = None) -> Sizes:
     """Sizes in the standard deviations of others, or in robust ones, never below the instrument's own uncertainty."""
-    left = measurements.difference(arm)
-    sizes = [np.linalg.norm(part, axis=1) for part in np.split(left, [3], axis=1)]
-    position, attitude = (0.0, None) if like is None else (like.position_scale, like.attitude_scale)
-    if like is None:
-        stated = (measurements.position_std, measurements.attitude_std)
-        scales = [max(float(np.median(size)) / MEDIAN_NORM, std) for size, std in zip(sizes, stated, strict=True)]
-        position, attitude = scales[0], scales[1]
-    if measurements.rotation is None or attitude is None:
-        return Sizes(sizes[0], None, position, None)
-    return Sizes(sizes[0], sizes[1], position, attitude)
+    rows, channels = data.equations()
+    squares, count = np.zeros((2, int(channels.max()) + 1, len(data.joints)))
+    own = rows >= 0
+    np.add.at(squares, (channels[own], rows[own]), data.residual(arm, unknowns)[own] ** 2)
+    np.add.at(count, (channels[own], rows[own]), 1.0)
+    shown = np.minimum(count, 3.0)
+    errors = np.sqrt(np.where(count > 0, squares * shown / np.maximum(count, 1.0), np.nan))
+    if like is not None:
+        return Sizes(errors, shown, like.scales)
+    usual = np.sqrt(2.0 * gammaincinv(np.maximum(count, 1.0) / 2.0, 0.5) * shown / np.maximum(count, 1.0))
+    scales = [float(np.median((size / median)[size == size])) for size, median in zip(errors, usual, strict=True)]
+    return Sizes(errors, shown, np.maximum(scales, 1.0))
 
 
 def _registered_misses(nominal: Array, measured: Array, rows: Rows) -> Array:

@@ -17,7 +17,7 @@ def unknowns_of(found: Identification, observations: Observations) -> Array:
 
 
 def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
-    """Training and held-out rows of one data set, drawn; sockets are split one by one, so that each is trained on.
+    """Training and held-out rows of one data set, drawn; sockets and stations are split one by one, to train on each.
 
     Args:
         observations: The data.
@@ -38,7 +38,8 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
         share = max(1, round(wanted * len(rows) / count))
         if len(rows) - share < 2:
             raise InputError(
-                f"{observations.source}: socket {number + 1} has {len(rows)} rows, too few to hold {share} of them out"
+                f"{observations.source}: socket or station {number + 1} has {len(rows)} rows, too few to hold "
+                f"{share} of them out"
             )
         here, there = random_split(len(rows), share, rng)
         train.append(rows[here])

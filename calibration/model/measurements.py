@@ -7,7 +7,6 @@ vector rx_deg, ry_deg, rz_deg. Foreign files are read through a column descripti
 from __future__ import annotations
 
 import csv
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Geometry, Plant, Pose, pose_error, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.observations import OneGroup, selected
+from pickenv.calibration.model.observations import OneGroup, hash_of, selected
 from pickenv.calibration.model.origins import Origins
+from pickenv.calibration.model.splits import Rows
 from pickenv.files import write_whole
 
 POSITION_STD = 15e-6
@@ -123,6 +123,11 @@ class Measurements(OneGroup):
         """Measured minus predicted positions."""
         return self.difference(model)[:, :3]
 
+    def equations(self) -> tuple[Rows, Rows]:
+        """Positions are one channel, attitudes another."""
+        channels = np.repeat([0, 1], 3)[: self.rows_per_pose]
+        return np.repeat(np.arange(len(self)), self.rows_per_pose), np.tile(channels, len(self))
+
     def readings(self) -> Array:
         """The measured positions."""
         return self.position
@@ -138,10 +143,8 @@ class Measurements(OneGroup):
         return replace(self, rotation=None)
 
     def fingerprint(self) -> str:
-        """Hash of the numbers to 1e-9 m and rad, which a calibration records; a trip through a CSV file keeps it."""
-        parts = [self.joints, self.position] + ([] if self.rotation is None else [self.rotation])
-        whole = [np.rint(part * 1e9).astype(np.int64) for part in parts]
-        return hashlib.sha256(b"".join(part.tobytes() for part in whole)).hexdigest()[:16]
+        """Of joints, positions and attitudes."""
+        return hash_of(self.joints, self.position, *([] if self.rotation is None else [self.rotation]))
 
     def table(self) -> tuple[list[str], Array]:
         """Column names with units, and the values in those units, one row per pose."""

@@ -6,6 +6,7 @@ identified together with the arm. Rows are whitened by their covariance, so any 
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self, TypeVar
 
@@ -79,6 +80,12 @@ class Observations(Equations, Protocol):
     def rows_of_misses(self) -> Rows:
         """The row that each of `misses` belongs to ``(R,)``."""
 
+    def equations(self) -> tuple[Rows, Rows]:
+        """Row and channel of each equation of `residual` ``(E,)``; the row is -1 where it belongs to none.
+
+        A channel is what is read in one unit with one uncertainty: of poses positions and attitudes are two.
+        """
+
     def select(self, rows: Rows) -> Self:
         """The data set that holds only the given rows."""
 
@@ -88,11 +95,22 @@ class Observations(Equations, Protocol):
     def readings(self) -> Array:
         """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
 
+    def fingerprint(self) -> str:
+        """Hash of the numbers, which a calibration records."""
+
 
 class OneGroup:
     """Rows that a split may part anywhere, each of which misses once."""
 
     joints: Array
+
+    def fingerprint(self) -> str:
+        """Of joints and readings."""
+        return hash_of(self.joints, self.readings())
+
+    def readings(self) -> Array:
+        """What was read in each row ``(N, k)``."""
+        raise NotImplementedError
 
     def unknowns(self) -> tuple[str, ...]:
         """None of its own."""
@@ -111,6 +129,10 @@ class OneGroup:
     def rows_of_misses(self) -> Rows:
         """One miss per row."""
         return np.arange(len(self.joints))
+
+    def equations(self) -> tuple[Rows, Rows]:
+        """One for each row, all of one channel."""
+        return one_channel(np.arange(len(self.joints)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +175,10 @@ class ReflectorObservations(OneGroup):
     def readings(self) -> Array:
         """The points seen."""
         return np.where(self.seen[..., None], self.points, 0.0).reshape(len(self.joints), -1)
+
+    def equations(self) -> tuple[Rows, Rows]:
+        """Three for each reflector seen."""
+        return one_channel(np.repeat(self.rows_of_misses, 3))
 
     def unknowns(self) -> tuple[str, ...]:
         """Reflector positions in the tool's frame."""
@@ -293,6 +319,11 @@ class SocketObservations(OneGroup):
         """The sockets' numbers."""
         return self.socket[:, None].astype(float)
 
+    def equations(self) -> tuple[Rows, Rows]:
+        """Three for each row, then the spacings."""
+        rows = np.repeat(np.arange(len(self.joints)), 3)
+        return one_channel(np.concatenate([rows, np.full(len(self.pairs), -1)]))
+
     def unknowns(self) -> tuple[str, ...]:
         """Positions of the sockets."""
         return tuple(f"socket{i + 1}_{axis}" for i in range(int(self.socket.max()) + 1) for axis in "xyz")
@@ -322,6 +353,17 @@ class SocketObservations(OneGroup):
         signs = np.eye(len(sockets))[self.pairs[:, 0]] - np.eye(len(sockets))[self.pairs[:, 1]]
         apart = np.einsum("ms,mj->msj", signs, along).reshape(-1, unknowns.size)
         return by_geometry, np.concatenate([rest, apart])
+
+
+def hash_of(*parts: Array) -> str:
+    """Hash of numbers to 1e-9 m and rad; a trip through a CSV file keeps it."""
+    whole = [np.rint(part * 1e9).astype(np.int64) for part in parts]
+    return hashlib.sha256(b"".join(part.tobytes() for part in whole)).hexdigest()[:16]
+
+
+def one_channel(rows: Rows) -> tuple[Rows, Rows]:
+    """Equations of these rows, all of one channel."""
+    return rows, np.zeros(len(rows), dtype=np.int64)
 
 
 def selected(data: Kind, rows: ArrayLike, *names: str) -> Kind:

@@ -17,7 +17,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model import lens
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.lens import Lens
-from pickenv.calibration.model.observations import OneGroup, point_jacobian, selected
+from pickenv.calibration.model.observations import OneGroup, one_channel, point_jacobian, selected
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
 
@@ -112,6 +112,11 @@ class PixelObservations(OneGroup):
     def readings(self) -> Array:
         """The corners found; in px, which only serves to tell rows apart."""
         return np.where(self.seen[..., None], self.corners, 0.0).reshape(len(self.joints), -1)
+
+    def equations(self) -> tuple[Rows, Rows]:
+        """Two for each corner found, then what is known of the lens."""
+        known = np.full(int(np.isfinite(self.lens_std[self.free]).sum()), -1)
+        return one_channel(np.concatenate([np.repeat(self.rows_of_misses, 2), known]))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Pixel errors in standard uncertainties, then what is known of the lens, likewise."""

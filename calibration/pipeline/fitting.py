@@ -12,17 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Geometry, Pose, forward
+from pickenv.arm import Arm, forward
 from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
-from pickenv.calibration.identification.board_poses import board_poses
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.identification.rows import unknowns_of
+from pickenv.calibration.identification.starts import fitted_model, rough_start
 from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.error_model import ErrorModel, frames_model, geometric_model, with_terms
-from pickenv.calibration.model.finished_poses import CARRIER
+from pickenv.calibration.model.error_model import frames_model, with_terms
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, ReflectorObservations, SocketObservations
-from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.observations import Observations, SocketObservations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, QUICK_FITTERS, fit_residual
@@ -96,7 +94,7 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
             return align(nominal, data, frames_model(nominal))
         refuse_another_arm(nominal, data, "with base and tool taken as known")
         return None
-    found = identify(frames_model(nominal), ArmModel.of(_start(arm, data)), [data], max_iterations=100)
+    found = identify(frames_model(nominal), ArmModel.of(rough_start(nominal, data)), [data], max_iterations=100)
     _refuse_misfit(found, data)
     return found
 
@@ -109,10 +107,11 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, t
     """
     nominal = arm.nominal if aligned is None else aligned.geometry
     start = ArmModel.of(nominal, terms)
-    found = identify_converged(with_terms(fitted_model(arm.name, arm.nominal, aligned), start), start, [data])
+    found = identify_converged(with_terms(fitted_model(arm.name, arm.nominal, aligned is None), start), start, [data])
     record = {
         "source": data.source,
         "poses": len(data.joints),
+        "data_fingerprint": data.fingerprint(),
         "kind": data.kind,
         "frames": "known" if aligned is None else "fitted",
         "rank": found.identifiability.rank,
@@ -122,14 +121,7 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, t
     }
     if found.unknowns:
         record["unknowns"] = found.unknowns
-    if isinstance(data, Measurements):
-        record["data_fingerprint"] = data.fingerprint()
     return Fit(Calibration(arm.name, arm.nominal, nominal, found.arm_model, None, record), found, aligned)
-
-
-def fitted_model(arm: str, nominal: Geometry, aligned: Identification | None) -> ErrorModel:
-    """What of an arm is identified: all of it, base and tool among it where unknown; of finished poses these alone."""
-    return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, aligned is None)
 
 
 def fit_remainder(
@@ -173,25 +165,6 @@ def fit_remainder(
     )
     whole = {**found.calibration.record, "residual": record, "versions": versions("scipy", "torch", "scikit-learn")}
     return replace(found, calibration=replace(found.calibration, learnt=model, record=whole))
-
-
-def _start(arm: Arm, data: Observations) -> Geometry:
-    """Where to start: boards' poses give all, the reflector seen most often the base; wires and sockets need none."""
-    if isinstance(data, PixelObservations):
-        seen = board_poses(data)
-        if data.mount == "hand":
-            back = np.swapaxes(seen.rotation, 1, 2)
-            seen = Pose(-(back @ seen.position[..., None])[..., 0], back)
-        rough = Measurements(data.joints, seen.position, seen.rotation, arm.nominal.prismatic, source=data.source)
-        return align(arm.nominal, rough, frames_model(arm.nominal), judge=False).geometry
-    if not isinstance(data, ReflectorObservations):
-        return arm.nominal
-    which = int(np.argmax(data.seen.sum(axis=0)))
-    rows = data.seen[:, which]
-    one = Measurements(data.joints[rows], data.points[rows, which], None, arm.nominal.prismatic, source=data.source)
-    aligned = align(arm.nominal, one, frames_model(arm.nominal), judge=False).geometry
-    refuse_another_arm(aligned, one, f"after fitting base and reflector {which + 1}", arm.nominal)
-    return aligned
 
 
 def _refuse_misfit(found: Identification, data: Observations) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,9 @@ from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.splits import Rows
+from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.fitting import Fit
+from pickenv.calibration.pipeline.restation import errors_there, restationed
 from pickenv.calibration.pipeline.uncertainty import held_out_errors
 from pickenv.intervals import LEAST
 
@@ -37,12 +39,14 @@ class HeldOut:
         parametric: Of the model used, without its learnt residual.
         used: Name of the model that each part of the rows was judged by: one, or one per block.
         blocks: The block of each error ``(M,)``; None where rows were held out once.
+        refit: How frames were found anew for these rows, in words; empty where they are those of the fit.
     """
 
     errors: dict[str, Array]
     parametric: Array
     used: tuple[str, ...]
     blocks: Rows | None = None
+    refit: str = ""
 
     def text(self, rows: int, fitted: int) -> str:
         """How these rows were held out, in words.
@@ -52,7 +56,7 @@ class HeldOut:
             fitted: Number of rows that the calibration was fitted to.
         """
         if self.blocks is None:
-            return f"{rows} rows held out, {fitted} fitted; interval over rows{self._reason()}"
+            return f"{rows} rows held out, {fitted} fitted{self.refit}; interval over rows{self._reason()}"
         counts = Counter(self.used).most_common()
         chosen = ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts)
         return (
@@ -93,6 +97,37 @@ def held_out_of(fits: Mapping[str, Fit], train: Observations, test: Observations
     names = (GEOMETRIC, *list(fits)[1:])
     errors = {name: what_is_left(fit, test) for name, fit in zip(names, fits.values(), strict=True)}
     return HeldOut({NOMINAL: before, **errors}, what_is_left(without_residual(best), test), (used,))
+
+
+def held_out_elsewhere(
+    fits: Mapping[str, Fit], test: Measurements, own: Sequence[str], count: int
+) -> tuple[HeldOut, Rows]:
+    """Errors on rows of another station, whose frames are found from a few of them, for each model by itself.
+
+    Args:
+        fits: The calibration of the geometry alone and what was added to it, step by step, by name.
+        test: Rows of the other station.
+        own: Which of "base" and "tool" it has of its own.
+        count: Rows to find them from.
+
+    Returns:
+        The errors, and the rows that they are of.
+
+    Raises:
+        InputError: If there are too few rows.
+    """
+    bare, (used, best) = next(iter(fits.values())), list(fits.items())[-1]
+    at = restationed(best.calibration, test, own, count)
+
+    def left(calibration: Calibration) -> Array:
+        return errors_there(restationed(calibration, test, own, count, at.used), calibration, test)
+
+    nominal = replace(bare.calibration, model=ArmModel.of(bare.calibration.nominal))
+    names = (GEOMETRIC, *list(fits)[1:])
+    errors = {name: left(fit.calibration) for name, fit in zip(names, fits.values(), strict=True)}
+    refit = f", {' and '.join(own)} found from {count} others of the same station"
+    parametric = left(best.calibration.without_residual())
+    return HeldOut({NOMINAL: left(nominal), **errors}, parametric, (used,), refit=refit), at.rest
 
 
 def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:

@@ -11,10 +11,11 @@ from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statis
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import identify_converged
 from pickenv.calibration.identification.rows import unknowns_of
+from pickenv.calibration.identification.starts import fitted_model
 from pickenv.calibration.model.lens import LENS_NAMES, Lens
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.pipeline.fitting import Fit, fitted_model
+from pickenv.calibration.pipeline.fitting import Fit
 from pickenv.errors import InputError
 from pickenv.intervals import Ends, mean_interval
 
@@ -85,7 +86,7 @@ def pixel_figures(fit: Fit, data: PixelObservations) -> PixelFigures:
         data: The views.
     """
     found = fit.identification
-    model = fitted_model(fit.calibration.arm_name, fit.calibration.nominal, fit.aligned)
+    model = fitted_model(fit.calibration.arm_name, fit.calibration.nominal, fit.aligned is None)
     whole = data.pixel_errors(found.arm_model, unknowns_of(found, data))
     every = np.arange(len(data.joints))
     pixels, metres = [], []

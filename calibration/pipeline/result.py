@@ -23,7 +23,7 @@ from pickenv.calibration.assessment.quality import Quality, grade_quality
 from pickenv.calibration.assessment.screen import Block, figure, main_parts, unit_of
 from pickenv.calibration.assessment.states import LOST, MEASURED
 from pickenv.calibration.compensation.compensator import Compensator
-from pickenv.calibration.identification.diagnosis import LeftOut
+from pickenv.calibration.identification.diagnosis import LeftOut, said_of_rows
 from pickenv.calibration.identification.least_squares import describe_absorption
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
@@ -65,7 +65,7 @@ class Result:
         test: Rows held out; all of them, in their blocks' order, where each block was judged without itself.
         held_out: Errors on them.
         quality: The verdict and what it rests on.
-        uncertainty: Of predicted poses; None for measurements of other kinds.
+        uncertainty: Of predicted poses.
         base_frame: The error in the robot's own base frame; None where base and tool were known.
         terms: How terms were chosen; None where they were not.
         gate: The residual models' verdicts; None where none was judged.
@@ -82,7 +82,7 @@ class Result:
     test: Observations
     held_out: HeldOut
     quality: Quality
-    uncertainty: PoseUncertainty | None
+    uncertainty: PoseUncertainty
     base_frame: BaseFrameError | None
     terms: TermChoice | None = None
     gate: GateReport | None = None
@@ -129,8 +129,7 @@ class Result:
     def calibration(self) -> Calibration:
         """The calibration with verdict, frames and uncertainty in its record: what is saved and applied."""
         record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
-        if self.uncertainty is not None:
-            record["uncertainty"] = self.uncertainty.as_record()
+        record["uncertainty"] = self.uncertainty.as_record()
         if self.base_frame is not None:
             record["base_frame"] = self.base_frame.as_dict()
         if self.unit is not None:
@@ -140,7 +139,7 @@ class Result:
             "mean_mm": self.best.mean,
             "mean_ci95_mm": self.best.mean_ci95,
         }
-        record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out]
+        record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
         return replace(self.fit.calibration, record=record)
 
     @property
@@ -176,8 +175,9 @@ class Result:
         found = [self._errors(), self._parameters(), self._dropped()]
         if self.left_out:
             places = tuple((item.text(),) for item in self.left_out)
+            kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
-            found.append(Block("Rows left out", (), places, note))
+            found.append(Block("Rows far off, and kept" if kept else "Rows left out", (), places, note))
         if self.terms is not None:
             rows = tuple((name, figure(value * 1e3)) for name, value in self.terms.blocked_rms.items())
             note = f"{self.terms.chosen}, chosen on blocks of the training rows"
@@ -389,15 +389,19 @@ def assess(
         if coverage is None:
             start = bare.calibration.nominal
             coverage = pose_coverage(geometric_model(start, aligned is None), start, train)
-        uncertainty = pose_uncertainty(fit.identification, after)
         said = "stated noise" if train.std_stated else "noise assumed, since none is stated,"
         noise = f"{said} of {train.position_std * 1e3:.4g} mm"
     else:
-        uncertainty, noise = None, "noise stated or assumed"
+        noise = "noise stated or assumed"
+    uncertainty = pose_uncertainty(fit.identification, after)
     base_frame = None
+    rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None:
-        left = after if len(after) == len(test.joints) and after.shape[1] >= 3 else np.zeros((len(test.joints), 3))
-        base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left)
+        left, tracked = after, isinstance(test, Measurements)
+        if not tracked:  # then the misses are not one per row: any may go with any pose
+            drawn = np.random.default_rng(0).integers(0, len(after), len(test.joints))
+            left = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[drawn]
+        base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left, tracked)
     return Result(
         arm=arm,
         fit=fit,
@@ -415,6 +419,7 @@ def assess(
             parametric=held_out.parametric,
             blocks=held_out.blocks,
             noise=noise,
+            said=said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
         ),
         uncertainty=uncertainty,
         base_frame=base_frame,

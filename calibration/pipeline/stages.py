@@ -14,26 +14,24 @@ from pathlib import Path
 
 import numpy as np
 
-from pickenv.arm import Arm, load_arm
-from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_misses, telling_views
+from pickenv.arm import Arm
+from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.identification.rows import choose, unknowns_of
+from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
 from pickenv.calibration.model.error_model import geometric_model
-from pickenv.calibration.model.finished_poses import pose_carrier
 from pickenv.calibration.model.measurements import FRAMES, Frames, Measurements
-from pickenv.calibration.model.observations import Observations, origins_of
-from pickenv.calibration.model.origins import named
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
-from pickenv.calibration.pipeline.held_out import HeldOut, held_out_of, pooled
+from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows
+from pickenv.calibration.pipeline.held_out import HeldOut, held_out_elsewhere, held_out_of, pooled
+from pickenv.calibration.pipeline.restation import REFIT_ROWS, near_rows
 from pickenv.calibration.pipeline.result import Result, assess
-from pickenv.calibration.reading.description import load_description
-from pickenv.calibration.reading.read import NoiseFloor, read_observations
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
 from pickenv.calibration.residuals.residual_models import FITTERS, QUICK_FITTERS
@@ -44,9 +42,6 @@ GATE_ROWS = 3000
 
 ENOUGH_FOR_BLOCKS = 40
 """Fewer training rows than this are not enough to hold blocks out of."""
-
-Data = Observations | str | Path | Sequence[str | Path]
-"""Rows: measurements, observations of any kind, or the files that hold them."""
 
 GEOMETRY = "geometry"
 
@@ -64,24 +59,28 @@ class Choices:
         terms: "auto", or names of terms joined by "+", or "none".
         residual: "auto", a residual model's name, or "none".
         force: Whether a named residual model is used even if it does not win.
-        robust: Whether gross outliers are left out (and listed) instead of refused.
+        robust: Whether rows far off are left out; they are listed all the same.
         seed: Seeds everything random.
         frames: Whether base and tool are "known" or "fitted"; as the data say when None.
         learn_from: Poses for the named residual model, which is then used as it is, as the paper does; when None it
             learns from the training rows, if it wins there.
         settings: Settings of the network that learns from them; the paper's when None.
         lens: "fixed" or "free", for pictures; as their description says when None.
+        refit: Which of "base" and "tool" the rows to judge by have of their own, as rows of another station do.
+        refit_rows: So many of them are used to find those.
     """
 
     terms: str = "auto"
     residual: str = "auto"
     force: bool = False
-    robust: bool = False
+    robust: bool = True
     seed: int = 0
     frames: Frames | None = None
     learn_from: Measurements | None = None
     settings: BpnnSettings | None = None
     lens: str | None = None
+    refit: tuple[str, ...] = ()
+    refit_rows: int = REFIT_ROWS
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +138,8 @@ def calibrate(
     arm: Arm | str | Path | None,
     data: Data,
     *,
-    columns: str | Path | None = None,
+    columns: Columns = None,
+    stations: str | None = None,
     test: Data | None = None,
     split: str = "random",
     test_rows: int | None = None,
@@ -156,8 +156,11 @@ def calibrate(
 
     Args:
         arm: The arm, its name, or its file (TOML, or URDF as ``file.urdf#tip``); None where files hold finished poses.
-        data: Measurements, observations of any kind, or files that hold them (CSV or YAML, all of one layout).
-        columns: Description of the files' columns, by name or path; our own columns when left out.
+        data: Measurements, observations of any kind or several of them, or files that hold them (CSV or YAML).
+        columns: Description of the files' columns, by name or path; our own columns when left out. Several: one for
+            each file.
+        stations: What each file, or data set, has of its own: "base", "tool", "base,tool" or "none". When left out,
+            files of one layout are one set-up, and those of several layouts have both of their own.
         test: Rows to judge by; some of ``data`` when left out.
         split: How those are held out: "random", and the calibration is fitted to the others; or "blocked", all ten
             contiguous tenths in turn, each judged by a model fitted and chosen without it, while the calibration itself
@@ -175,13 +178,15 @@ def calibrate(
             does not converge.
     """
     choices = choices or Choices()
-    arm = _arm(arm, columns)
+    arm = given_arm(arm, columns)
     if split not in SPLITS:
         raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
-    train, floor = _rows(arm, data, columns)
+    train, floor = given_rows(arm, data, columns, stations)
     rng = rng or np.random.default_rng(choices.seed)
     if isinstance(train, PixelObservations) and choices.lens is not None:
         train = with_lens(train, choices.lens)
+    if choices.refit and test is None:
+        raise InputError("--refit is for rows of another station; give them with --test")
     if test is None and (split == "blocked" or isinstance(train, PixelObservations)):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
@@ -191,21 +196,12 @@ def calibrate(
         rows = choose(train, test_rows, np.random.default_rng(choices.seed))
         train, held_out = (train.select(np.sort(part)) for part in rows)
     else:
-        held_out, _ = _rows(arm, test, columns)
+        held_out, _ = given_rows(arm, test, columns, stations)
+    if choices.refit:
+        draft = _through(STAGES, Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
+        return replace(_judged_elsewhere(draft, held_out), floor=floor, unit=unit)
     draft = _through(STAGES, Draft(arm, choices, train, held_out, rng, progress))
     return replace(_assessed(draft, held_out_of(draft.fits, draft.train, draft.test)), floor=floor, unit=unit)
-
-
-def _arm(arm: Arm | str | Path | None, columns: str | Path | None) -> Arm:
-    """The arm; one that only carries poses where they are finished."""
-    finished = columns is not None and (views := load_description(columns).views) is not None and views.poses
-    if finished:
-        if arm is not None:
-            raise InputError("finished poses have no joints to calibrate; leave the arm out, or describe its [joints]")
-        return pose_carrier()
-    if arm is None:
-        raise InputError("no arm is given; name one, or its file (--arm)")
-    return load_arm(arm) if isinstance(arm, str | Path) else arm
 
 
 def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
@@ -261,6 +257,17 @@ def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None)
     return _assessed(judged, pooled(list(whole.fits), parts))
 
 
+def _judged_elsewhere(draft: Draft, test: Observations) -> Result:
+    """The calibration judged on another station, whose own frames are found from a few of its rows."""
+    if not isinstance(test, Measurements):
+        raise InputError(f"--refit is for poses and positions, but {test.source} holds {test.kind}; leave it out")
+    choices = draft.choices
+    near, left_out = near_rows(draft.best[1].calibration, test, choices.refit, choices.refit_rows)
+    held_out, rest = held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
+    judged = replace(draft, test=near.select(rest), left_out=(*draft.left_out, *left_out))
+    return _assessed(judged, held_out)
+
+
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
     """Rows to fit and rows held out, block by block; of few pictures each is a block."""
     count = len(train.joints)
@@ -283,34 +290,8 @@ def _chosen(checked: Draft, rows: Rows) -> tuple[str, str | None]:
     return terms, None if calibration.learnt is None else calibration.learnt.kind
 
 
-def _rows(arm: Arm, data: Data, columns: str | Path | None) -> tuple[Observations, NoiseFloor | None]:
-    """Rows, and what their files say about noise."""
-    if isinstance(data, str | Path):
-        data = [data]
-    if isinstance(data, Sequence):
-        reading = read_observations(data, arm.nominal, columns)
-        return reading.observations, reading.floor
-    _refuse_no_numbers(arm, data)
-    return data, None
-
-
-def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
-    """Refuse arrays that no file could have held."""
-    if not hasattr(data, "joints"):
-        raise InputError(f"{type(data).__name__} are no measurements; give files, Measurements or other observations")
-    shape, wanted = data.joints.shape, arm.nominal.joints
-    if shape != (len(data.joints), wanted):
-        raise InputError(f"{data.source}: joints have shape {shape}, but arm '{arm.name}' has {wanted} joints")
-    for name in ("joints", "position", "rotation", "length"):
-        values = getattr(data, name, None)
-        if values is not None and not np.isfinite(values).all():
-            rows = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1)).tolist()
-            places = named([origins_of(data).place(row) for row in rows])
-            raise InputError(f"{places}: {name} is no finite number; correct or remove it")
-
-
 def _check(draft: Draft) -> Draft:
-    """Refuse options that do not apply; leave rows that are far off out, or refuse them."""
+    """Refuse options that do not apply; leave out rows that are far off."""
     choices, poses = draft.choices, draft.poses
     if choices.frames is not None and choices.frames not in FRAMES:
         raise InputError(f"frames is '{choices.frames}'; give {' or '.join(FRAMES)}")
@@ -319,26 +300,26 @@ def _check(draft: Draft) -> Draft:
             f"{draft.train.source} holds {draft.train.kind}, but {draft.test.source}, to judge by, {draft.test.kind}; "
             "give rows of one kind"
         )
+    train, test, known = draft.train, draft.test, False
+    left_out: tuple[LeftOut, ...] = ()
     if poses is None:
-        _refuse_options(draft.train, choices)
-        if isinstance(draft.train, PixelObservations):
-            train_views, left_out = telling_views(draft.train)
-            return replace(draft, train=train_views, left_out=left_out)
-        return draft
-    train, test = poses
-    if choices.frames is None and train.frames != test.frames:
-        raise InputError(
-            f"{train.source} says that base and tool are {train.frames}, {test.source} that they are {test.frames}; "
-            "give --frames"
-        )
-    frames = choices.frames or train.frames
-    train, test, left_out = checked_rows(draft.arm, train, test, known=frames == "known", robust=choices.robust)
-    return replace(draft, choices=replace(choices, frames=frames), train=train, test=test, left_out=left_out)
+        _refuse_options(train, choices)
+        train, left_out = without_blind_views(train)
+    else:
+        if choices.frames is None and poses[0].frames != poses[1].frames:
+            raise InputError(
+                f"{train.source} says that base and tool are {poses[0].frames}, {test.source} that they are "
+                f"{poses[1].frames}; give --frames"
+            )
+        choices = replace(choices, frames=choices.frames or poses[0].frames)
+        known = choices.frames == "known"
+    train, test, far = checked_rows(draft.arm, train, test, known=known, robust=choices.robust)
+    return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
 
 
 def _refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
-    given = {"--robust": choices.robust, "--frames known": choices.frames == "known"}
+    given = {"--frames known": choices.frames == "known"}
     given[f"--residual {choices.residual}"] = choices.residual not in ("auto", "none")
     if choices.lens is not None and not isinstance(train, PixelObservations):
         raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
@@ -360,12 +341,9 @@ def _identify(draft: Draft) -> Draft:
 
 
 def _check_again(draft: Draft) -> Draft:
-    """Refuse poses that hide too much, and rows of other kinds that the fitted arm misses by far."""
+    """Refuse poses that hide too much."""
     _, geometric = draft.best
     if draft.poses is None:
-        found = geometric.identification
-        missed = [part.misses(found.arm_model, unknowns_of(found, draft.train)) for part in (draft.train, draft.test)]
-        refuse_misses(draft.train, draft.test, (missed[0], missed[1]))
         return draft
     start, train = geometric.calibration.nominal, draft.poses[0]
     coverage = pose_coverage(geometric_model(start, draft.aligned is None), start, train)

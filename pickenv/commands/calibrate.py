@@ -11,7 +11,6 @@ import typer
 
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import progress_bars
-from pickenv.errors import InputError
 from pickenv.files import separate, write_json
 from pickenv.provenance import command_line
 
@@ -35,7 +34,17 @@ def calibrate(
             help="Arm name, arm file (.toml) or URDF (file.urdf#tip); not for finished poses.", show_default=False
         ),
     ] = None,
-    columns: Annotated[str | None, typer.Option(help="Column description, by name or path; ours if left out.")] = None,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(help="Column description, by name or path; ours if left out. Repeat it, for one per file."),
+    ] = None,
+    stations: Annotated[
+        Literal["none", "base", "tool", "base,tool"] | None,
+        typer.Option(
+            help="Each file is a station with these frames of its own; both, if left out, where descriptions differ.",
+            show_default=False,
+        ),
+    ] = None,
     frames: Annotated[
         Literal["known", "fitted"] | None,
         typer.Option(
@@ -56,6 +65,11 @@ def calibrate(
     ] = "random",
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     test: Annotated[list[Path] | None, typer.Option(help="Held-out rows from other files instead.")] = None,
+    refit: Annotated[
+        str | None,
+        typer.Option(help="--test is another station: find its base, tool or base,tool from a few rows of it."),
+    ] = None,
+    refit_rows: Annotated[int, typer.Option(help="Rows to find them from.", min=3)] = 6,
     terms: Annotated[
         str, typer.Option(help="Parametric terms: auto, none, or gravity, periodic, thermal joined by +.")
     ] = "auto",
@@ -66,8 +80,11 @@ def calibrate(
         bool, typer.Option("--force", help="Use the named residual model even if it does not win.")
     ] = False,
     robust: Annotated[
-        bool, typer.Option("--robust", help="Leave rows that are far off out and list them, held out or not.")
-    ] = False,
+        bool,
+        typer.Option(
+            "--robust/--no-robust", help="Rows far off, held out or not, are listed and left out, or listed and kept."
+        ),
+    ] = True,
     lens: Annotated[
         Literal["fixed", "free"] | None,
         typer.Option(help="Of pictures: take the camera's numbers as they are, or fit them.", show_default=False),
@@ -89,8 +106,8 @@ def calibrate(
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
     """
     from pickenv.calibration.camera.lens_files import write_lens
-    from pickenv.calibration.model.measurements import Measurements
     from pickenv.calibration.pipeline.pixel_figures import lens_of
+    from pickenv.calibration.pipeline.restation import frames_of
     from pickenv.calibration.pipeline.stages import Choices
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
     from pickenv.inspect.reports.calibration_report import write_calibration_report
@@ -99,13 +116,24 @@ def calibrate(
         {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
         {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run, "--lens-out": lens_out},
     )
-    choices = Choices(terms=terms, residual=residual, force=force, robust=robust, seed=seed, frames=frames, lens=lens)
+    choices = Choices(
+        terms=terms,
+        residual=residual,
+        force=force,
+        robust=robust,
+        seed=seed,
+        frames=frames,
+        lens=lens,
+        refit=frames_of(refit) if refit else (),
+        refit_rows=refit_rows,
+    )
     blocked = split == "blocked" and not test
     with progress_bars() if blocked else nullcontext() as told:
         result = calibrated(
             arm,
             files,
             columns=columns,
+            stations=stations,
             test=test or None,
             split=split,
             test_rows=test_rows,
@@ -113,13 +141,25 @@ def calibrate(
             unit=unit,
             progress=None if told is None else partial(told, "judging blocks"),
         )
-    for option, path in (("--report", report), ("--run", run)):
-        if path is not None and not isinstance(result.test, Measurements):
-            source, kind = result.train.source, result.train.kind
-            raise InputError(f"{option} shows poses and positions, but {source} holds {kind}; leave it out")
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
-    options = {"columns": columns, "frames": frames, "test_rows": test_rows, "split": split, "seed": seed}
-    options |= {"terms": terms, "residual": residual, "force": force, "robust": robust, "lens": lens, "unit": unit}
+    options: dict[str, Any] = {
+        "columns": columns,
+        "stations": stations,
+        "frames": frames,
+        "test_rows": test_rows,
+        "split": split,
+        "seed": seed,
+    }
+    options |= {
+        "terms": terms,
+        "residual": residual,
+        "force": force,
+        "no_robust": not robust,
+        "lens": lens,
+        "unit": unit,
+        "refit": refit,
+        "refit_rows": refit_rows if refit else None,
+    }
     command = command_line("pickenv", "calibrate", *files, arm=arm, test=test, **options)
     deliver(
         [
@@ -137,12 +177,10 @@ def calibrate(
 
 def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
-    from pickenv.calibration.model.measurements import Measurements
     from pickenv.inspect.reports.calibration_report import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_part
 
-    assert isinstance(result.train, Measurements) and isinstance(result.test, Measurements)
     stages = list(result.errors.values())
     errors = {"nominal": stages[0], "calibrated": stages[1]}
     if len(stages) > 2:

@@ -15,10 +15,11 @@ import numpy as np
 from pickenv.calibration.assessment.quality import axis_errors, base_combinations
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.assessment.states import MEASURED
+from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements, random_joints
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.pipeline.held_out import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import Result
-from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
@@ -34,6 +35,7 @@ VERDICTS = {
     "with care": "With care",
     "do not use": "Do not use this calibration",
 }
+FURTHER = ("Pictures", "Rows left out", "Rows far off, and kept", "Further terms", "Learnt residual models")
 MAP_POSES = 6000
 """Poses drawn for the map of predicted uncertainty."""
 
@@ -54,24 +56,15 @@ def write_calibration_report(path: str | Path, result: Result, seeds: Mapping[st
 
 
 def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> str:
-    """The page as HTML, of a calibration from poses or positions.
+    """The page as HTML.
 
     Args:
         result: The calibration, judged.
         seeds: Seeds and options that reproduce the calibration, by name.
-
-    Raises:
-        InputError: If something else than poses or positions was measured.
     """
-    if not isinstance(result.train, Measurements) or not isinstance(result.test, Measurements):
-        raise InputError(f"the page shows poses and positions; {result.train.source} holds {result.train.kind}")
     train, test = result.train, result.test
     blocks = {block.title: block for block in result.blocks()}
-    further = [
-        Section(block.title, [_table(block)])
-        for title in ("Rows left out", "Further terms", "Learnt residual models")
-        if (block := blocks.get(title))
-    ]
+    further = [Section(block.title, [_table(block)]) for title in FURTHER if (block := blocks.get(title))]
     lost = blocks.get("Lost in others")
     sections = (
         _errors(result, blocks),
@@ -84,11 +77,11 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     return html_of(
         Page(
             f"Calibration of {result.arm.name}",
-            f"{len(train)} {train.kind} measurements from {Path(train.source).name}; "
+            f"{len(train.joints)} {train.kind} measurements from {Path(train.source).name}; "
             + (
-                f"{len(test)} held out"
+                f"{len(test.joints)} held out"
                 if result.held_out.blocks is None
-                else "each judged without its tenth of the rows"
+                else "each judged without its block of the rows"
             ),
             _verdict(result, test),
             sections,
@@ -98,20 +91,21 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     )
 
 
-def _verdict(r: Result, test: Measurements) -> PageVerdict:
+def _verdict(r: Result, test: Observations) -> PageVerdict:
     quality, final = r.quality, r.best
     interval = r.held_out.no_interval
     if final.mean_ci95 is not None:
         between = "" if r.held_out.blocks is None else " between blocks"
         interval = f"95 % interval{between} {' to '.join(map(figure, final.mean_ci95))}"
     seen = (
-        "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the tenth that it is judged on"
+        "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the block that it is judged on"
     )
     sentence = (
-        f"On {len(test)} measured poses {seen}, the tool stood {figure(final.mean)} mm (mean; {interval}) from "
-        f"where the calibrated model says it stands. With the nominal model it is "
-        f"{figure(r.position[NOMINAL].mean)} mm."
+        f"On {len(test.joints)} rows {seen}, what was measured lay {figure(final.mean)} mm (mean; {interval}) from "
+        f"where the calibrated model says."
     )
+    if r.arm.name != CARRIER:
+        sentence += f" With the nominal model it is {figure(r.position[NOMINAL].mean)} mm."
     attitudes = list(r.attitude.values())
     if attitudes:
         was, now = attitudes[0].mean, attitudes[-1].mean
@@ -134,6 +128,8 @@ def _tiles(r: Result) -> dict[str, str]:
 
 
 def _sentence(text: str) -> str:
+    if not text:
+        return ""
     return text[:1].upper() + text[1:].replace("chi^2", "χ²").replace("`", "") + ("" if text.endswith(".") else ".")
 
 
@@ -164,16 +160,17 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
 def _parameters(r: Result) -> Section:
     joints, links = r.arm.nominal.joint_names, r.arm.nominal.link_names
     combinations = base_combinations(r.fit.identification.identifiability)
-    measured = [row for row in r.parameters() if row["state"] == MEASURED]
+    measured, own = [row for row in r.parameters() if row["state"] == MEASURED], r.fit.identification.unknowns
     limits: dict[str, float] = {}
     for row in measured:
-        if not row["name"].startswith("base_"):
+        if not row["name"].startswith("base_") and row["name"] not in own:
             size = abs(row["change"]) + 2 * np.nan_to_num(row["std"])
             limits[row["unit"]] = max(limits.get(row["unit"], 1e-12), size)
     rows = []
     for row in measured:
         name, unit, change = row["name"], row["unit"], row["change"]
-        drawn = Bar(change, float(np.nan_to_num(row["std"])), limits.get(unit, abs(change) or 1.0))
+        limit = limits.get(unit, abs(change) or 1.0)
+        drawn = "" if name in own else Bar(change, float(np.nan_to_num(row["std"])), limit)
         absorbed = combinations[name] if combinations.get(name, name) != name else ""
         said = f"{figure(change)} ± {figure(row['std'])} {unit}"
         rows.append((name, parameter_words(name, joints, links), said, drawn, absorbed))
@@ -187,9 +184,10 @@ def _parameters(r: Result) -> Section:
     )
 
 
-def _poses(r: Result, train: Measurements) -> Section:
+def _poses(r: Result, train: Observations) -> Section:
     geometry, seen, coverage = r.fit.identification.geometry, r.quality.observability, r.quality.coverage
-    caption = f"Where the {len(train)} fitted poses lie within the joint limits."
+    ranges: Pair | None = None
+    caption = f"Where the {len(train.joints)} fitted poses lie within the joint limits."
     indices = (
         ("condition number", figure(seen.condition), "how unevenly parameters are seen; near 1 is best"),
         ("O1", figure(seen.o1), "mean sensitivity; D-optimal poses maximise it"),
@@ -200,11 +198,13 @@ def _poses(r: Result, train: Measurements) -> Section:
     )
     pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
     hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")
+    if r.arm.name != CARRIER:
+        ranges = Pair((Drawing("joint_ranges", caption, lambda: joint_ranges(geometry, train.joints)), _uncertainty(r)))
     return Section(
         "Were the poses good?",
         (
             _sentence(coverage.advice()) if coverage is not None else "",
-            Pair((Drawing("joint_ranges", caption, lambda: joint_ranges(geometry, train.joints)), _uncertainty(r))),
+            ranges,
             Pair((PageTable("Observability of the parameters", (), indices), hard if pairs else None)),
         ),
     )
@@ -213,7 +213,7 @@ def _poses(r: Result, train: Measurements) -> Section:
 def _uncertainty(r: Result) -> Drawing | None:
     """Where predicted positions are uncertain; None where that is unknown."""
     model, known, geometry = r.fit.calibration.model, r.uncertainty, r.fit.identification.geometry
-    if known is None or not np.isfinite(known.covariance).all() or model.terms:
+    if not np.isfinite(known.covariance).all() or model.terms:
         return None
     joints = random_joints(geometry, MAP_POSES, np.random.default_rng(0))
     spread, _ = replace(known, position_repeat=0.0, attitude_repeat=None).standard(model, joints)
@@ -226,15 +226,19 @@ def _uncertainty(r: Result) -> Drawing | None:
     )
 
 
-def _origin(r: Result, train: Measurements, test: Measurements, seeds: Mapping[str, Any]) -> dict[str, str]:
+def _origin(r: Result, train: Observations, test: Observations, seeds: Mapping[str, Any]) -> dict[str, str]:
     record = r.calibration.record
-    repeat = "unknown" if r.uncertainty is None else figure(r.uncertainty.position_repeat * 1e3)
-    angular = "" if train.rotation is None else f", {np.degrees(train.attitude_std):.4g} deg"
+    how = r.held_out.text(len(test.joints), len(train.joints))
+    repeat = figure(r.uncertainty.position_repeat * 1e3)
+    noise = {"Noise": "as the description states it, or its kind's default"}
+    if isinstance(train, Measurements):
+        angular = "" if train.rotation is None else f", {np.degrees(train.attitude_std):.4g} deg"
+        said = "Stated noise" if train.std_stated else "Noise assumed"
+        noise = {said: f"{train.position_std * 1e3:.4g} mm{angular} per coordinate"}
     return {
         "Data": f"{train.source}, fingerprint {record.get('data_fingerprint', 'unknown')}",
-        "Held out": f"{r.held_out.text(len(test), len(train))}; {test.source}, fingerprint {test.fingerprint()}",
-        "Stated noise" if train.std_stated else "Noise assumed": f"{train.position_std * 1e3:.4g} mm{angular} per "
-        "coordinate",
+        "Held out": f"{how}; {test.source}, fingerprint {test.fingerprint()}",
+        **noise,
         "Arm": f"{r.arm.name}, nominal fingerprint {r.calibration.arm_fingerprint}",
         "Unit": str(record.get("unit") or "not named"),
         "Scatter of one reach": f"{repeat} mm per coordinate, beside the parameters'",

@@ -100,8 +100,10 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
         before = "the base" if place == 0 else links[place - 1]
         return LINK_WORDS[kind].format(before=before, after=links[place])
     frame, _, axis = name.partition("_")
-    if frame in FRAME_WORDS:
-        return f"{FRAME_WORDS[frame]}: {'turn about ' if axis.startswith('r') else 'position along '}{axis[-1]}"
+    kind = frame.rstrip("0123456789")
+    if kind in FRAME_WORDS:
+        station = f", station {frame[len(kind) :]}" if frame != kind else ""
+        return f"{FRAME_WORDS[kind]}{station}: {'turn about ' if axis.startswith('r') else 'position along '}{axis[-1]}"
     found = re.match(r"([a-z]+)(\d*)", name)
     if found and found[1] in EFFECT_WORDS:
         place = int(found[2] or 1) - 1

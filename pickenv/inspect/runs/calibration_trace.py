@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pickenv.arm import forward
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.pipeline.fitting import Fit
 from pickenv.calibration.residuals.bpnn import Bpnn
 
@@ -21,8 +22,8 @@ class CalibrationTrace:
 
     Attributes:
         nominal: Geometry that the controller believes in.
-        sets: Joints ``(N, n)`` of each set of poses, rad or m: identification, network, test.
-        errors: Held-out pose errors ``(M, 6)``, or positions' ``(M, 3)``, m and rad, of each stage by label.
+        sets: Joints ``(N, n)`` of each set, rad or m: identification, network, test; once for each error.
+        errors: Held-out pose errors ``(M, 6)``, or misses ``(M, 1 to 3)``, m and rad, of each stage by label.
         payload: Mass held at each held-out pose ``(M,)``, kg, where it was recorded.
         temperature: Temperature rise at each ``(M,)``, K, where it was recorded.
         position_rms: Position residual RMS before each least-squares iteration and after the last, m.
@@ -56,7 +57,7 @@ class CalibrationTrace:
         return np.asarray(np.linalg.norm(pose.position - self.nominal.base.position, axis=-1))
 
 
-def trace_of(fit: Fit, sets: Mapping[str, Measurements], errors: Mapping[str, Array]) -> CalibrationTrace:
+def trace_of(fit: Fit, sets: Mapping[str, Observations], errors: Mapping[str, Array]) -> CalibrationTrace:
     """The trace of a fit.
 
     Args:
@@ -67,16 +68,20 @@ def trace_of(fit: Fit, sets: Mapping[str, Measurements], errors: Mapping[str, Ar
     found, calibration = fit.identification, fit.calibration
     seen, test = found.identifiability, sets["test"]
     train = next(iter(sets.values()))
-    left = [train.difference(model) for model in found.iterates]
+    steps = list(zip(found.iterates, found.unknown_iterates, strict=True))
+    attitude = None
+    if isinstance(train, Measurements) and train.rotation is not None:
+        attitude = np.array([_rms(train.difference(model)[:, 3:]) for model, _ in steps])
+    conditions = test.conditions.select(test.rows_of_misses)
     learnt = calibration.learnt
     return CalibrationTrace(
         nominal=calibration.nominal,
-        sets={name: data.joints for name, data in sets.items()},
+        sets={name: data.joints[data.rows_of_misses] for name, data in sets.items()},
         errors=dict(errors),
-        payload=test.conditions.payload,
-        temperature=test.conditions.temperature,
-        position_rms=np.array([_rms(error[:, :3]) for error in left]),
-        attitude_rms=np.array([_rms(error[:, 3:]) for error in left]) if left[0].shape[1] == 6 else None,
+        payload=conditions.payload,
+        temperature=conditions.temperature,
+        position_rms=np.array([_rms(train.misses(model, unknowns)) for model, unknowns in steps]),
+        attitude_rms=attitude,
         loss=learnt.model.loss if learnt is not None and isinstance(learnt.model, Bpnn) else None,
         names=seen.names,
         kept=np.isin(np.arange(len(seen.names)), seen.kept),

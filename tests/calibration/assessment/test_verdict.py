@@ -223,7 +223,7 @@ def test_a_foreign_option_is_refused(qiao, exact):
 
     joints = exact(qiao.nominal).joints
     wire = DistanceObservations(joints, np.ones(len(joints)), 1e-4)
-    for choices in (Choices(robust=True), Choices(residual="bpnn"), Choices(frames="known")):
+    for choices in (Choices(residual="bpnn"), Choices(frames="known")):
         with pytest.raises(InputError, match="is for poses and positions"):
             calibrate(qiao, wire, test=wire, choices=choices)
 

@@ -127,7 +127,6 @@ def test_an_arm_beside_finished_poses_and_a_lens_without_pictures_are_refused(ic
     for words, said in (
         (["calibrate", ical, "--columns", "ical_charuco", "--arm", "ur5"], "leave the arm out"),
         (["calibrate", ical, "--columns", "ical_charuco", "--test-rows", "3"], "every row, or picture, is held out"),
-        (["calibrate", ical, "--columns", "ical_charuco", "--robust"], "--robust is for poses and positions"),
         (["calibrate", tmp_path / "x.csv"], "no arm is given"),
     ):
         with pytest.raises(InputError, match=said):

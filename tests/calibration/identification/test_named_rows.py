@@ -60,10 +60,7 @@ def check(tracker, row, fault, column):
     file = folder / "tracker.csv"
     with file.open("w", newline="", encoding="utf-8") as stream:
         csv.writer(stream).writerows([header, *rows[:row], cells, *rows[row + 1 :]])
-    refused = calibrate(file)
-    assert isinstance(refused.exception, InputError)
-    assert f"tracker.csv: row {row + 2} " in str(refused.exception) and "\n" not in str(refused.exception)
-    found = calibrate(file, "--robust", "--json", str(folder / "f.json"), "--report", str(folder / "f.html"))
+    found = calibrate(file, "--json", str(folder / "f.json"), "--report", str(folder / "f.html"))
     assert found.exit_code == 0, found.output
     (listed,) = json.loads((folder / "f.json").read_text(encoding="utf-8"))["left_out_rows"]
     assert (listed["file"], listed["line"]) == (str(file), row + 2)

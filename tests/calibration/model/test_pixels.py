@@ -10,6 +10,7 @@ import pytest
 from pickenv.arm import Geometry, Pose, forward, rotation_matrix
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.identification.board_poses import board_poses
+from pickenv.calibration.identification.diagnosis import checked_rows
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import frames_model
@@ -152,3 +153,19 @@ def test_views_are_chosen_whole() -> None:
     np.testing.assert_array_equal(some.corners[0], data.corners[3])
     np.testing.assert_array_equal(some.seen, data.seen[[3, 1]])
     assert len(some.std) == 2 and some.origins is not None
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_a_board_taken_for_a_turned_one_is_left_out(mount: str) -> None:
+    """Its corners are found, each in another's place; the other views say where the board is."""
+    _, data = views_of(mount, views=16, noise=0.3)
+    corners, seen = data.corners.copy(), data.seen.copy()
+    corners[[3, 11]], seen[[3, 11]] = corners[[3, 11], ::-1], seen[[3, 11], ::-1]
+    none = data.select(np.arange(0))
+    kept, _, left = checked_rows(pose_carrier(), data, none, known=False, robust=True)
+    assert len(kept.joints) == 16 and not left
+    kept, _, left = checked_rows(
+        pose_carrier(), replace(data, corners=corners, seen=seen), none, known=False, robust=True
+    )
+    assert sorted(item.line for item in left) == [4, 12]
+    np.testing.assert_array_equal(kept.joints, np.delete(data.joints, [3, 11], axis=0))

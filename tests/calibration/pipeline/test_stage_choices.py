@@ -131,7 +131,6 @@ def test_options_of_poses_are_refused_for_other_kinds_and_defaults_are_not(dynam
     stages._refuse_options(Wires(), Choices())
     stages._refuse_options(Wires(), Choices(residual="none", frames="fitted"))
     for choices, option in (
-        (Choices(robust=True), "--robust is"),
         (Choices(frames="known"), "--frames known is"),
         (Choices(residual="gp"), "--residual gp is"),
     ):

@@ -1,0 +1,260 @@
+"""Several data sets of one arm in one fit: other instruments, other days, other targets on the tool.
+
+A station is a data set with frames of its own: an instrument that stood elsewhere sees the arm with another base, and
+another target is another tool. Those frames are unknowns of the station, found with the arm; where it has none of its
+own, the arm's are meant. SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+
+from pickenv.arm import Geometry, Pose
+from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array, move_pose
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
+from pickenv.calibration.model.observations import Observations, hash_of, origins_of
+from pickenv.calibration.model.origins import Origins
+from pickenv.calibration.model.splits import Rows
+
+OWN = ("base", "tool")
+"""Frames that a station can have of its own."""
+
+WIDEST = 3
+"""Components of a miss where kinds are mixed; lengths and pixels fill fewer, the rest is zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class InstrumentStation:
+    """A data set with frames of its own.
+
+    Attributes:
+        data: The data set.
+        number: Which station it is, from 1; the unknowns of all but the first carry it in their names.
+        base: Where its own base frame is looked for from; None where the arm's is meant.
+        tool: Likewise of its own tool.
+        scale: Its standard uncertainties count so many times; weighs instruments by what they scatter.
+    """
+
+    data: Observations
+    number: int = 1
+    base: Pose | None = None
+    tool: Pose | None = None
+    scale: float = 1.0
+
+    @property
+    def frames(self) -> dict[str, Pose]:
+        """Its own frames, by name."""
+        return {name: pose for name in OWN if (pose := getattr(self, name)) is not None}
+
+    def unknowns(self) -> tuple[str, ...]:
+        """The data's own, then those of the frames: base2_x."""
+        suffix = "" if self.number == 1 else f"_{self.number}"
+        own = tuple(f"{name}{suffix}" for name in self.data.unknowns())
+        return own + tuple(f"{frame}{self.number}_{name}" for frame in self.frames for name in FRAME_PARAMETERS)
+
+    def tolerances(self) -> Array:
+        """Of a frame's deviation, as of the arm's own base and tool."""
+        frame = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
+        return np.concatenate([self.data.tolerances(), np.tile(frame, len(self.frames))])
+
+    def start(self, model: ArmModel) -> Array:
+        """The data's own start, and no deviation of the frames."""
+        frames = np.zeros(6 * len(self.frames))
+        return np.concatenate([self.data.start(self.seen(model, frames)), frames])
+
+    def seen(self, model: ArmModel, deviations: Array) -> ArmModel:
+        """The arm as this station sees it."""
+        steps = zip(self.frames.items(), deviations.reshape(-1, 6), strict=True)
+        moved: dict[str, Any] = {name: move_pose(pose, step) for (name, pose), step in steps}
+        return replace(model, geometry=replace(model.geometry, **moved)) if moved else model
+
+    def parted(self, unknowns: Array) -> tuple[Array, Array]:
+        """The data's own unknowns, and the deviations of the frames."""
+        count = len(unknowns) - 6 * len(self.frames)
+        return unknowns[:count], unknowns[count:]
+
+    def residual(self, model: ArmModel, unknowns: Array) -> Array:
+        """Of the data, seen from here."""
+        own, frames = self.parted(unknowns)
+        return self.data.residual(self.seen(model, frames), own) / self.scale
+
+    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+        """Likewise."""
+        own, frames = self.parted(unknowns)
+        return self.data.misses(self.seen(model, frames), own)
+
+    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
+        """Derivatives by the arm, less its frames where the station has its own, and by the unknowns."""
+        own, frames = self.parted(unknowns)
+        by_arm, by_own = self.data.jacobian(self.seen(model, frames), own)
+        parts = [by_own]
+        for frame in self.frames:
+            columns = frame_columns(model.geometry, frame)
+            parts.append(by_arm[:, columns])
+            by_arm = by_arm.copy()
+            by_arm[:, columns] = 0.0
+        return by_arm / self.scale, np.concatenate(parts, axis=1) / self.scale
+
+
+@dataclass(frozen=True, eq=False)
+class Stacked:
+    """Stations of one arm, one after the other.
+
+    Attributes:
+        stations: The stations; those with an instrument's frame come first.
+    """
+
+    stations: tuple[InstrumentStation, ...]
+
+    @property
+    def parts(self) -> tuple[Observations, ...]:
+        """The data sets."""
+        return tuple(station.data for station in self.stations)
+
+    @property
+    def joints(self) -> Array:
+        """Of all rows."""
+        return np.concatenate([part.joints for part in self.parts])
+
+    @property
+    def source(self) -> str:
+        """The first one's."""
+        more = len(self.stations) - 1
+        return self.parts[0].source + (f" and {more} more" if more else "")
+
+    @property
+    def kind(self) -> str:
+        """All kinds: position+sockets."""
+        return "+".join(dict.fromkeys(part.kind for part in self.parts))
+
+    @property
+    def framed(self) -> bool:
+        """Whether any instrument has a frame."""
+        return any(part.framed for part in self.parts)
+
+    @property
+    def conditions(self) -> Conditions:
+        """What every station recorded."""
+        found: dict[str, Array] = {}
+        for name in vars(Conditions()):
+            values = [getattr(part.conditions, name) for part in self.parts]
+            if all(value is not None for value in values):
+                found[name] = np.concatenate(values)
+        return Conditions(**found)
+
+    @property
+    def origins(self) -> Origins:
+        """File and line of every row."""
+        each = [origins_of(part) for part in self.parts]
+        first = np.cumsum([0] + [len(origins.files) for origins in each[:-1]])
+        return Origins(
+            tuple(file for origins in each for file in origins.files),
+            np.concatenate([origins.file + start for origins, start in zip(each, first, strict=True)]),
+            np.concatenate([origins.line for origins in each]),
+        )
+
+    @property
+    def groups(self) -> Rows:
+        """Groups of every station by themselves."""
+        return _numbered([part.groups for part in self.parts])
+
+    @property
+    def rows_of_misses(self) -> Rows:
+        """The row that each miss belongs to."""
+        rows = zip(self.parts, self._first_rows(), strict=True)
+        return np.concatenate([part.rows_of_misses + first for part, first in rows])
+
+    def equations(self) -> tuple[Rows, Rows]:
+        """Rows and channels; each station has channels of its own."""
+        each = [part.equations() for part in self.parts]
+        rows = [np.where(own >= 0, own + first, -1) for (own, _), first in zip(each, self._first_rows(), strict=True)]
+        return np.concatenate(rows), _numbered([channels for _, channels in each])
+
+    def unknowns(self) -> tuple[str, ...]:
+        """Of all stations."""
+        return tuple(name for station in self.stations for name in station.unknowns())
+
+    def tolerances(self) -> Array:
+        """Of all stations."""
+        return np.concatenate([station.tolerances() for station in self.stations])
+
+    def start(self, model: ArmModel) -> Array:
+        """Of all stations."""
+        return np.concatenate([station.start(model) for station in self.stations])
+
+    def residual(self, model: ArmModel, unknowns: Array) -> Array:
+        """Of all stations."""
+        return np.concatenate([station.residual(model, own) for station, own in self._with(unknowns)])
+
+    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
+        """Of all stations."""
+        each = [station.jacobian(model, own) for station, own in self._with(unknowns)]
+        return np.concatenate([by_arm for by_arm, _ in each]), block_diag(*(by_own for _, by_own in each))
+
+    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+        """Of all stations ``(R, 3)``, m; what has fewer components is filled up with zeros."""
+        return np.concatenate([_widened(station.misses(model, own)) for station, own in self._with(unknowns)])
+
+    def readings(self) -> Array:
+        """Of all stations, each in columns of its own."""
+        return np.asarray(block_diag(*(part.readings() for part in self.parts)))
+
+    def fingerprint(self) -> str:
+        """Of joints and readings."""
+        return hash_of(self.joints, self.readings())
+
+    def select(self, rows: ArrayLike) -> Self:
+        """The stations that hold only the given rows; those without any are left out."""
+        rows = np.asarray(rows)
+        rows = np.flatnonzero(rows) if rows.dtype == bool else rows
+        kept = []
+        for station, first in zip(self.stations, self._first_rows(), strict=True):
+            here = rows[(rows >= first) & (rows < first + len(station.data.joints))] - first
+            if len(here):
+                kept.append(replace(station, data=station.data.select(here)))
+        first_station = self.stations[0]
+        none = replace(first_station, data=first_station.data.select(np.arange(0)))
+        return replace(self, stations=tuple(kept) or (none,))
+
+    def weighed(self, scales: Sequence[float]) -> Self:
+        """The stations weighed by their scatter, relative to the first one's."""
+        stations = zip(self.stations, scales, strict=True)
+        return replace(self, stations=tuple(replace(each, scale=each.scale * s / scales[0]) for each, s in stations))
+
+    def first_channels(self) -> list[int]:
+        """The first channel of every station."""
+        return _starts([int(part.equations()[1].max(initial=-1)) + 1 for part in self.parts])
+
+    def _first_rows(self) -> list[int]:
+        return _starts([len(part.joints) for part in self.parts])
+
+    def _with(self, unknowns: Array) -> Iterable[tuple[InstrumentStation, Array]]:
+        ends = np.cumsum([0] + [len(station.unknowns()) for station in self.stations])
+        return zip(self.stations, (unknowns[a:b] for a, b in pairwise(ends)), strict=True)
+
+
+def frame_columns(geometry: Geometry, frame: str) -> Rows:
+    """Indices of a frame's six parameters among a geometry's."""
+    return 5 * geometry.links + 6 * OWN.index(frame) + np.arange(6)
+
+
+def _starts(counts: Sequence[int]) -> list[int]:
+    return [0, *np.cumsum(counts)[:-1].tolist()]
+
+
+def _numbered(parts: Sequence[Rows]) -> Rows:
+    """Numbers of several parts, none of which is shared."""
+    first = _starts([int(part.max(initial=-1)) + 1 for part in parts])
+    return np.concatenate([part + start for part, start in zip(parts, first, strict=True)])
+
+
+def _widened(misses: Array) -> Array:
+    return np.pad(misses, ((0, 0), (0, WIDEST - misses.shape[1])))

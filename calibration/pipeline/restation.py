@@ -1,0 +1,187 @@
+"""A calibrated arm seen from another station: base and tool found anew from a few rows, the arm left as it is.
+
+An instrument that is set up again stands elsewhere and sees another target. What was found of the arm itself holds on;
+the frames take six numbers each, and a few rows that tell them well. SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm import Pose, forward
+from pickenv.arm.kinematics.geometry import Array, identity_pose
+from pickenv.calibration.identification.alignment import align, registered
+from pickenv.calibration.identification.diagnosis import LeftOut
+from pickenv.calibration.identification.least_squares import identify
+from pickenv.calibration.identification.robust import OUTLIER_SIGMA, sizes_of
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.error_model import ErrorModel, frames_model
+from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import origins_of
+from pickenv.calibration.model.splits import Rows, equally_spaced
+from pickenv.calibration.model.stacked import OWN
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.planning.exchange import exchange
+from pickenv.errors import InputError
+
+REFIT_ROWS = 6
+"""Rows that base and tool are found from when nobody says how many."""
+
+CANDIDATES = 1000
+"""Rows are chosen among so many at most, taken evenly."""
+
+
+@dataclass(frozen=True, eq=False)
+class Restationed:
+    """A calibration at another station.
+
+    Attributes:
+        calibration: The calibration, with the base and tool of this station.
+        used: Rows that these were found from.
+        rest: All others.
+        expected: Mean square that the errors there should have ``(R,)``, m^2: what the calibration leaves elsewhere,
+            and what the frames are uncertain by.
+        moved: How far base and tool lie from where they were, by name: m and rad.
+    """
+
+    calibration: Calibration
+    used: Rows
+    rest: Rows
+    expected: Array
+    moved: dict[str, tuple[float, float]]
+
+
+def frames_of(text: str) -> tuple[str, ...]:
+    """The frames that a list such as "base,tool" names.
+
+    Raises:
+        InputError: If it names others.
+    """
+    named = tuple(part.strip() for part in text.split(","))
+    if not set(named) <= set(OWN) or len(set(named)) != len(named):
+        raise InputError(f"refit is '{text}'; give base, tool, or base,tool")
+    return named
+
+
+def restationed(
+    calibration: Calibration,
+    data: Measurements,
+    own: Collection[str],
+    count: int = REFIT_ROWS,
+    used: Rows | None = None,
+) -> Restationed:
+    """Find base, tool or both of a calibrated arm anew from a few rows, chosen by their joints alone.
+
+    Args:
+        calibration: The calibration.
+        data: Poses or positions at the other station.
+        own: Which of "base" and "tool" are found.
+        count: Rows to find them from; they are chosen so that positions elsewhere are told best (I-optimal).
+        used: These rows, where they were chosen already.
+
+    Raises:
+        InputError: If there are too few rows.
+    """
+    least = 3 * len(tuple(own))
+    if count < least or len(data) < count + 3:
+        raise InputError(
+            f"{data.source}: {' and '.join(own)} are to be found from {count} of {len(data)} rows; give {least} rows "
+            "or more, and measure at least 3 others to judge by"
+        )
+    data = _weighed(calibration, data)
+    frames = frames_model(calibration.identified)
+    chosen = [i for i, name in enumerate(frames.names) if name.startswith(tuple(own))]
+    model = ErrorModel(frames.columns[chosen], tuple(frames.names[i] for i in chosen), frames.tolerance[chosen])
+    used = _telling(calibration.model, data, model, count) if used is None else used
+    few = data.select(used)
+    found = identify(model, _start(calibration.model, few, own), few, max_iterations=100)
+    rest = np.setdiff1d(np.arange(len(data)), used)
+    there = found.arm_model
+    jacobian = there.jacobian(data.joints[rest], data.conditions.select(rest))[:, :3][..., model.columns]
+    kept = jacobian[..., found.identifiability.kept]
+    scale = model.tolerance[found.identifiability.kept]
+    told = few.select(np.arange(count)).jacobian(there, np.zeros(0))[0][:, model.columns]
+    root = np.linalg.pinv(told[:, found.identifiability.kept] * scale) * scale[:, None]  # of the stated scatter
+    expected = np.sum((kept @ root) ** 2, axis=(1, 2)) + 3.0 * data.position_std**2
+    geometry = calibration.identified
+    moved = {name: _apart(getattr(geometry, name), getattr(there.geometry, name)) for name in OWN if name in own}
+    return Restationed(replace(calibration, model=there), used, rest, expected, moved)
+
+
+def _weighed(calibration: Calibration, data: Measurements) -> Measurements:
+    """The data with what one reach scatters by as their uncertainty, where the calibration knows it."""
+    known = calibration.record.get("uncertainty") or {}
+    position = max(float(known.get("position_repeat_m") or 0.0), data.position_std)
+    attitude = max(float(known.get("attitude_repeat_rad") or 0.0), data.attitude_std)
+    return replace(data, position_std=position, attitude_std=attitude)
+
+
+def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int) -> Rows:
+    """The rows that tell the frames best, for positions all over the data."""
+    pool = equally_spaced(len(data), CANDIDATES)
+    jacobian = model.jacobian(data.joints[pool], data.conditions.select(pool))[..., frames.columns] * frames.tolerance
+    rows = jacobian[:, : data.rows_per_pose] * data.row_weights[:, None]
+    weight = np.einsum("nip,niq->pq", jacobian[:, :3], jacobian[:, :3]) / len(pool)
+    chosen, _ = exchange(rows, count, np.random.default_rng(0), weight)
+    return np.sort(pool[chosen])
+
+
+def _start(model: ArmModel, few: Measurements, own: Collection[str]) -> ArmModel:
+    """The model near the new frames."""
+    geometry = model.geometry
+    if set(own) == {"tool"}:
+        return model
+    chain = forward(replace(geometry, base=identity_pose(), tool=identity_pose()), few.joints)
+    start = registered(geometry, geometry.tool, chain, few)
+    if set(own) == set(OWN):
+        fitted = align(geometry, few, frames_model(geometry), judge=False).geometry
+        left = [float(np.sum(few.difference(each)[:, :3] ** 2)) for each in (start, fitted)]
+        start = start if left[0] < left[1] else fitted
+    return replace(model, geometry=start)
+
+
+def _apart(one: Pose, other: Pose) -> tuple[float, float]:
+    angle = np.arccos(np.clip((np.trace(one.rotation.T @ other.rotation) - 1) / 2, -1, 1))
+    return float(np.linalg.norm(one.position - other.position)), float(angle)
+
+
+def errors_there(at: Restationed, before: Calibration, data: Measurements) -> Array:
+    """Measured minus predicted ``(R, 6)`` or ``(R, 3)`` on the rows that the frames were not found from, m and rad.
+
+    What was learnt is turned with the base, in whose axes it was learnt.
+    """
+    rest = data.select(at.rest)
+    errors = rest.difference(at.calibration.model)
+    learnt = at.calibration.learnt
+    if learnt is not None:
+        inputs = rest.conditions.inputs() if learnt.inputs.conditions else None
+        turn = at.calibration.identified.base.rotation @ before.identified.base.rotation.T
+        said = learnt.predict(rest.joints, inputs)
+        turned = np.concatenate([part @ turn.T for part in np.split(said, said.shape[1] // 3, axis=1)], axis=1)
+        width = min(turned.shape[1], errors.shape[1])
+        errors[:, :width] -= turned[:, :width]
+    return np.asarray(errors)
+
+
+def near_rows(
+    calibration: Calibration, data: Measurements, refit: Collection[str], count: int
+) -> tuple[Measurements, tuple[LeftOut, ...]]:
+    """The rows but those that are far off wherever base and tool may be."""
+    found = restationed(calibration, data, refit, max(count, min(len(data) - 3, 4 * count)))
+    sizes = sizes_of(found.calibration.model, np.zeros(0), data)
+    far = np.flatnonzero(~(sizes.sigma <= OUTLIER_SIGMA))
+    if 2 * len(far) >= len(data):
+        return data, ()
+    errors = data.difference(found.calibration.model)
+    return data.select(np.setdiff1d(np.arange(len(data)), far)), tuple(row_left_out(data, errors, row) for row in far)
+
+
+def row_left_out(data: Measurements, errors: Array, row: int | np.integer[Any]) -> LeftOut:
+    """A row far off, with its size beside the usual one."""
+    sizes = np.linalg.norm(errors[:, :3], axis=1)
+    sigma = float(sizes[row] / max(float(np.median(sizes)), 1e-9))
+    return LeftOut(*origins_of(data).place(int(row)), held_out=True, position=float(sizes[row]), sigma=sigma)

@@ -1,0 +1,43 @@
+"""`pickenv verify`: is an old calibration still good? Judged on new rows, from another station if asked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pickenv.commands.handing_over import deliver
+from pickenv.files import separate, write_json
+
+NOT_GOOD = 3
+"""Exit code where the calibration is not what it was."""
+
+
+def verify(
+    calibration: Annotated[Path, typer.Argument(help="Calibration file (.npz).", show_default=False)],
+    files: Annotated[list[Path], typer.Argument(help="New poses or positions of the same robot.", show_default=False)],
+    columns: Annotated[str | None, typer.Option(help="Column description, by name or path; ours if left out.")] = None,
+    refit: Annotated[
+        str | None,
+        typer.Option(help="Find base, tool or base,tool anew first: the instrument or its target was moved."),
+    ] = None,
+    refit_rows: Annotated[int, typer.Option(help="Rows to find them from; the others judge.", min=3)] = 6,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+) -> None:
+    """Judge an old calibration on new rows: still good, drifted (by how much, since when), or another arm.
+
+    The verdict comes first; unless it is "still good" the exit code is 3.
+    """
+    from pickenv.calibration.pipeline.calibration import Calibration
+    from pickenv.calibration.pipeline.restation import frames_of
+    from pickenv.calibration.pipeline.verification import verify as verified
+    from pickenv.calibration.reading.read import read_observations
+
+    separate({"CALIBRATION": calibration, "FILES": files, "--columns": columns}, {"--json": json_file})
+    old = Calibration.load(calibration)
+    data = read_observations(files, old.arm, columns).observations
+    found = verified(old, data, frames_of(refit) if refit else (), refit_rows)
+    deliver([(json_file, lambda path: write_json(path, found.as_dict()))], lambda: print(found.text()))
+    if found.status != "still good":
+        raise typer.Exit(NOT_GOOD)

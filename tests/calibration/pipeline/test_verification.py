@@ -1,0 +1,204 @@
+"""An old calibration on new rows: still good, drifted since a row, of another arm, or seen from another station."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix, rotation_vector
+from pickenv.calibration import Measurements, random_joints
+from pickenv.calibration.model.observations import DistanceObservations
+from pickenv.calibration.pipeline.restation import frames_of, restationed
+from pickenv.calibration.pipeline.result import Result
+from pickenv.calibration.pipeline.stages import Choices, calibrate
+from pickenv.calibration.pipeline.verification import verify
+from pickenv.cli import app
+from pickenv.errors import InputError
+
+PLAIN = Choices(terms="none", residual="none")
+NOISE = 1e-4
+HERE = Pose(np.array([2.0, 0.5, -0.3]), rotation_matrix(np.array([0.1, 0.2, -0.7])))
+THERE = Pose(np.array([-1.0, 2.5, 0.4]), rotation_matrix(np.array([0.3, -0.1, 2.0])))
+TARGET = Pose(np.array([0.02, -0.01, 0.1]), np.eye(3))
+OTHER_TARGET = Pose(np.array([-0.03, 0.05, 0.15]), np.eye(3))
+
+
+def bent(arm: Arm, seed: int, size: float = 1e-3) -> Geometry:
+    rng, links = np.random.default_rng(seed), arm.nominal.links
+    return arm.nominal.displaced(np.concatenate([rng.normal(size=4 * links) * size, np.zeros(links + 12)]))
+
+
+def seen(
+    geometry: Geometry, seed: int, base: Pose = HERE, tool: Pose = TARGET, rows: int = 120, poses: bool = False
+) -> Measurements:
+    rng = np.random.default_rng(seed)
+    joints = random_joints(geometry, rows, rng)
+    pose = forward(replace(geometry, base=base, tool=tool), joints)
+    turned = rotation_matrix(rng.normal(size=(rows, 3)) * 2e-4) @ pose.rotation if poses else None
+    position = pose.position + rng.normal(size=(rows, 3)) * NOISE
+    return Measurements(joints, position, turned, geometry.prismatic, NOISE, source=f"day{seed}.csv", std_stated=True)
+
+
+@pytest.fixture(scope="module")
+def ur5() -> Arm:
+    return load_arm("ur5")
+
+
+@pytest.fixture(scope="module")
+def true(ur5: Arm) -> Geometry:
+    return bent(ur5, 0)
+
+
+@pytest.fixture(scope="module")
+def result(ur5: Arm, true: Geometry) -> Result:
+    return calibrate(ur5, seen(true, 1, rows=150), choices=PLAIN)
+
+
+def test_new_rows_of_the_same_set_up_find_it_still_good(result: Result, true: Geometry) -> None:
+    found = verify(result.calibration, seen(true, 2))
+    assert found.status == "still good" and found.rows == 120 and not found.moved and found.since is None
+    assert found.calibrated.rms == pytest.approx(found.expected, rel=0.15)
+    assert found.calibrated.rms == pytest.approx(NOISE * 1e3 * np.sqrt(3), rel=0.2)
+    assert found.nominal.rms > 5 * found.calibrated.rms
+
+
+@pytest.mark.parametrize("poses", [False, True], ids=["positions", "poses"])
+@pytest.mark.parametrize("seed", range(3))
+def test_at_another_station_the_frames_are_found_from_a_few_rows(
+    ur5: Arm, true: Geometry, seed: int, poses: bool
+) -> None:
+    calibration = calibrate(ur5, seen(true, 1, rows=150, poses=poses), choices=PLAIN).calibration
+    data = seen(true, 10 + seed, THERE, OTHER_TARGET, poses=poses)
+    raw = verify(calibration, data)
+    assert raw.status == "another station" and "--refit base,tool" in raw.reason
+    found = verify(calibration, data, ("base", "tool"), 8)
+    assert found.status == "still good" and found.rows == 112 and found.refitted == 8
+    assert found.calibrated.rms == pytest.approx(found.expected, rel=0.4)
+    turn = np.linalg.norm(rotation_vector(THERE.rotation @ HERE.rotation.T))
+    assert found.moved["base"][0] == pytest.approx(np.linalg.norm(THERE.position - HERE.position), abs=0.01)
+    assert found.moved["base"][1] == pytest.approx(turn, abs=0.01)
+    assert found.moved["tool"][0] == pytest.approx(np.linalg.norm(OTHER_TARGET.position - TARGET.position), abs=0.01)
+
+
+@pytest.mark.parametrize(("own", "base", "tool"), [("base", THERE, TARGET), ("tool", HERE, OTHER_TARGET)])
+def test_one_frame_alone_is_found_and_the_other_stays(
+    result: Result, true: Geometry, own: str, base: Pose, tool: Pose
+) -> None:
+    found = verify(result.calibration, seen(true, 3, base, tool), (own,), 6)
+    assert found.status == "still good" and set(found.moved) == {own}
+    wrong = "tool" if own == "base" else "base"
+    assert verify(result.calibration, seen(true, 3, base, tool), (wrong,), 6).status != "still good"
+
+
+def test_expected_errors_are_those_found_whatever_the_rows(result: Result, true: Geometry) -> None:
+    """Six rows, or ten: over stations the mean square found is the one expected, within a quarter."""
+    ratio = []
+    for seed in range(12):
+        data = seen(true, 30 + seed, THERE, OTHER_TARGET)
+        found = verify(result.calibration, data, ("base", "tool"), 6 + 4 * (seed % 2))
+        ratio.append(found.calibrated.rms / found.expected)
+    assert np.sqrt(np.mean(np.square(ratio))) == pytest.approx(1.0, abs=0.25)
+
+
+def drifted(geometry: Geometry, size: float) -> Geometry:
+    """The arm after a collision: two joints read wrong."""
+    off = np.zeros(5 * geometry.links + 12)
+    off[2 * geometry.links + 1], off[2 * geometry.links + 2] = size, -size
+    return geometry.displaced(off)
+
+
+def test_a_drifted_arm_is_told_and_by_how_much(result: Result, true: Geometry) -> None:
+    later = drifted(true, 1.2e-3)
+    data = seen(later, 4)
+    found = verify(result.calibration, data)
+    apart = forward(replace(true, base=HERE, tool=TARGET), data.joints).position - (
+        forward(replace(later, base=HERE, tool=TARGET), data.joints).position
+    )
+    size = float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) * 1e3
+    assert found.status == "drifted" and found.since is None
+    said = float(found.reason.partition("moved by ")[2].split()[0])
+    assert said == pytest.approx(size, rel=0.15)
+
+
+def test_the_row_from_which_on_it_drifted_is_named(result: Result, true: Geometry) -> None:
+    good, bad = seen(true, 5, rows=60), seen(drifted(true, 1.2e-3), 6, rows=60)
+    joints, position = (np.concatenate([a, b]) for a, b in ((good.joints, bad.joints), (good.position, bad.position)))
+    found = verify(result.calibration, replace(good, joints=joints, position=position))
+    assert found.status == "drifted" and found.since == "from day5.csv, row 61, on" and found.since in found.reason
+
+
+def test_the_calibration_of_another_arm_is_told(ur5: Arm, result: Result) -> None:
+    found = verify(result.calibration, seen(bent(ur5, 7), 8), ("base", "tool"))
+    assert found.status == "another arm" and found.calibrated.rms >= found.nominal.rms
+
+
+def test_rows_far_off_are_left_out_and_listed(result: Result, true: Geometry) -> None:
+    for frames, base in (((), HERE), (("base", "tool"), THERE)):
+        data = seen(true, 9, base)
+        position = data.position.copy()
+        position[[17, 80]] += 0.04
+        found = verify(result.calibration, replace(data, position=position), frames)
+        assert sorted(item.line for item in found.left_out) == [18, 81] and found.status == "still good"
+
+
+def test_what_was_learnt_turns_with_the_base(ur5: Arm, true: Geometry) -> None:
+    """A calibration with a learnt residual leaves the same errors wherever the instrument stands."""
+    choices = Choices(terms="none", residual="rbf", force=True)
+    train, test = seen(true, 1, rows=150), seen(true, 2)
+    wavy = 1e-3 * np.sin(3 * train.joints[:, :3]) @ HERE.rotation.T
+    calibration = calibrate(ur5, replace(train, position=train.position + wavy), choices=choices).calibration
+    assert calibration.learnt is not None
+    across = THERE.rotation @ HERE.rotation.T
+    moved = replace(test, position=(test.position - HERE.position) @ across.T + THERE.position)
+    left = [verify(calibration, data, ("base",), 8).calibrated for data in (test, moved)]
+    assert left[0].rms == pytest.approx(left[1].rms, rel=1e-6)
+    assert restationed(calibration, moved, ("base",), 8).moved["base"][1] == pytest.approx(
+        np.linalg.norm(rotation_vector(across)), abs=0.01
+    )
+
+
+def test_calibrate_judges_by_another_station(ur5: Arm, true: Geometry) -> None:
+    train, test = seen(true, 1, rows=150), seen(true, 2, THERE, OTHER_TARGET)
+    with pytest.raises(InputError, match="another set-up"):
+        calibrate(ur5, train, test=test, choices=PLAIN)
+    found = calibrate(ur5, train, test=test, choices=replace(PLAIN, refit=("base", "tool"), refit_rows=8))
+    assert len(found.test.joints) == 112 and "base and tool found from 8 others of the same station" in found.report()
+    assert found.position["geometric"].rms < 0.3 < 5 * found.position["geometric"].rms < found.position["nominal"].rms
+    with pytest.raises(InputError, match="give them with --test"):
+        calibrate(ur5, train, choices=replace(PLAIN, refit=("base",)))
+
+
+def test_bad_wishes_are_refused(result: Result, true: Geometry) -> None:
+    with pytest.raises(InputError, match="refit is 'basis'; give base, tool, or base,tool"):
+        frames_of("basis")
+    assert frames_of("base, tool") == ("base", "tool")
+    with pytest.raises(InputError, match="found from 5 of 120 rows; give 6 rows or more"):
+        verify(result.calibration, seen(true, 2), ("base", "tool"), 5)
+    with pytest.raises(InputError, match="found from 6 of 8 rows"):
+        verify(result.calibration, seen(true, 2, rows=8), ("base", "tool"))
+    with pytest.raises(InputError, match="2 rows judge nothing"):
+        verify(result.calibration, seen(true, 2, rows=2))
+    joints = random_joints(true, 9, np.random.default_rng(0))
+    with pytest.raises(InputError, match="holds distance; a calibration is verified on poses or positions"):
+        verify(result.calibration, DistanceObservations(joints, np.ones(9), 1e-4))
+
+
+def test_the_command_says_what_the_function_says(result: Result, true: Geometry, tmp_path: Path) -> None:
+    saved = result.save(tmp_path / "arm.npz")
+    for data, refit, code in (
+        (seen(true, 2), [], 0),
+        (seen(true, 2, THERE, OTHER_TARGET), ["--refit", "base,tool", "--refit-rows", "8"], 0),
+        (seen(drifted(true, 1.2e-3), 4), [], 3),
+    ):
+        file, figures = data.write_csv(tmp_path / f"{data.source}"), tmp_path / "f.json"
+        said = CliRunner().invoke(app, ["verify", str(saved), str(file), *refit, "--json", str(figures)])
+        assert said.exit_code == code, said.output
+        there = json.loads(figures.read_text(encoding="utf-8"))
+        assert said.output.startswith(f"verdict: {there['status'].upper()}: {there['reason']}")
+        assert there["refit_rows"] == (8 if refit else 0)
+        assert f"{there['calibrated_mm']['rms']:#.4g}" in said.output
