@@ -82,11 +82,7 @@ def test_a_corners_uncertainty_is_noise_against_gradients() -> None:
     clean = 128 + 50 * np.clip(x / 2, -1, 1) * np.clip(y / 2, -1, 1)
     noisy = clean + rng.normal(0, 2.0, clean.shape)
     gradients = np.stack([part[15:26, 15:26].ravel() for part in np.gradient(noisy)[::-1]])
-    worst = (
-        np.sqrt(np.linalg.inv(gradients @ gradients.T)).max()
-        if False
-        else np.linalg.eigvalsh(gradients @ gradients.T)[0]
-    )
+    worst = np.linalg.eigvalsh(gradients @ gradients.T)[0]
     wanted = np.hypot(picture_noise(noisy) / np.sqrt(worst), 0.07)
     assert corner_std(noisy, np.array([[20.0, 20.0]]), 0.07)[0] == pytest.approx(wanted)
     assert picture_noise(128 + rng.normal(0, 3.0, (200, 200))) == pytest.approx(3.0, rel=0.05)
@@ -104,6 +100,12 @@ def test_why_nothing_was_found(change: Callable[[Any], Any], words: str) -> None
     with pytest.raises(InputError, match=words) as caught:
         find_corners(board, change(surrounded(board)), "views/7.png")
     assert str(caught.value).startswith("views/7.png: no corner of the board was found; ")
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_a_wall_shows_no_board(kind: str) -> None:
+    with pytest.raises(InputError, match="wall.png: no corner of the board was found"):
+        find_corners(BOARDS[kind], np.full((480, 640), 128, dtype=np.uint8), "wall.png")
 
 
 def test_another_board_is_named_as_such() -> None:
