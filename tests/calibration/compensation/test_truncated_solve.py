@@ -81,10 +81,11 @@ def test_a_direction_that_the_search_starts_across_is_found_or_left_to_the_decom
 
 
 def test_plain_numbers_among_the_components_are_what_they_say():
-    """As the constant axes of an arm are."""
+    """As the constant axes of an arm are; those of two slides may have nothing in common."""
     rng = np.random.default_rng(0)
     jacobian, error = rng.normal(size=(30, 6, 6)), rng.normal(size=(30, 6))
     plain = {(2, 0): 1.0, (3, 0): 0.0, (5, 1): -1.0, (0, 4): 2.0, (1, 4): 0.0}
+    plain |= {(row, column): 0.0 for row in range(6) for column in (2, 3) if row != column}
     for (row, column), value in plain.items():
         jacobian[:, row, column] = value
     columns = components(jacobian, np.float64)
