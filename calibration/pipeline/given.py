@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pickenv.arm import Arm, load_arm
+from pickenv.arm import Arm, Geometry, load_arm
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.starts import stations_of
 from pickenv.calibration.model.finished_poses import pose_carrier
 from pickenv.calibration.model.observations import Observations, origins_of
@@ -16,6 +18,7 @@ from pickenv.calibration.model.origins import named
 from pickenv.calibration.model.stacked import OWN
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
+from pickenv.calibration.reading.targets import joints_of, read_targets
 from pickenv.errors import InputError
 
 Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
@@ -77,6 +80,24 @@ def given_rows(
         sets = [(items, layout)] if stations is None else [([file], layout) for file in items]
     readings = [read_observations(files, arm.nominal, layout) for files, layout in sets]
     return _joined(arm, [reading.observations for reading in readings], stations), readings[0].floor
+
+
+def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> tuple[Array, NDArray[np.int64]]:
+    """Joints ``(N, n)`` of a file of poses to choose from, and their lines in it ``(N,)``.
+
+    Args:
+        path: Joint targets or tool poses in our own columns; or measurements, where they are described.
+        geometry: The arm.
+        columns: Their description.
+
+    Raises:
+        InputError: Names the file, row, column or unit at fault, or a pose that cannot be reached.
+    """
+    if columns is None:
+        targets = read_targets(path, geometry)
+        return joints_of(targets, geometry), np.array(targets.lines, dtype=np.int64)
+    data = read_observations([path], geometry, columns).observations
+    return data.joints, origins_of(data).line
 
 
 def _each(columns: Columns) -> list[str | Path]:

@@ -34,6 +34,7 @@ from pickenv.calibration.model.lens import LENS_NAMES
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.export import export
 from pickenv.calibration.pipeline.fitting import Fit
@@ -186,7 +187,8 @@ class Result:
             found.append(self._gate(self.gate))
         if self.pixels is not None:
             found.append(self.pixels.block())
-        found.append(self._facts())
+        sure = self.uncertainty.block(self.fit.calibration.model, self.test.joints, self.test.conditions)
+        found += [sure, self._facts()]
         return tuple(block for block in found if block.rows)
 
     def __str__(self) -> str:
@@ -318,6 +320,7 @@ class Result:
             "unit": self.unit,
             "kind": found.kind,
             "frames": "known" if self.known_frames else "fitted",
+            "within95": self.uncertainty.within95_record(),
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
             "left_out_rows": [vars(item) for item in self.left_out],
@@ -393,7 +396,11 @@ def assess(
         noise = f"{said} of {train.position_std * 1e3:.4g} mm"
     else:
         noise = "noise stated or assumed"
-    uncertainty = pose_uncertainty(fit.identification, after)
+    joints, conditions = None, None
+    if not isinstance(test, Stacked):  # whose rows stand by station, and errors by block
+        rows_of = test.rows_of_misses
+        joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
+    uncertainty = pose_uncertainty(fit.identification, after, joints, held_out.blocks, conditions)
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None:

@@ -1,24 +1,31 @@
 """How well the calibrated arm's tool pose is known, anywhere: u^2 = J C J^T + u_repeat^2 (GUM, JCGM 100:2008, 5.1.2).
 
 C is the covariance of the identified parameters; u_repeat is what one reach scatters by that the parameters do not say:
-repeatability, and what the model leaves out. A calibration keeps both in its record, so that a command can be given
-with its uncertainty later. SI units.
+repeatability, and what the model leaves out, which differs from pose to pose (`local_scatter`). How many u hold 95 of
+100 errors is not assumed but counted. A calibration keeps all of it in its record, so that a command can be given with
+its uncertainty later. SI units.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.splits import Rows
 from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.local_scatter import LocalScatter, Within95, local_scatter, within95
+
+LOCAL, WITHIN = ("position_local", "attitude_local"), ("position_within95", "attitude_within95")
+"""What differs from pose to pose, and what holds 95 of 100 errors: positions first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +37,20 @@ class PoseUncertainty:
         covariance: Of their errors ``(p, p)``, m and rad.
         position_repeat: Standard deviation of one position coordinate that the parameters do not explain, m.
         attitude_repeat: The same of one attitude coordinate, rad; None where only positions were measured.
+        position_local: How the position's scatter differs from pose to pose; None where it is taken as the same.
+        attitude_local: The attitude's.
+        position_within95: What holds 95 of 100 position errors; None where too few errors show it.
+        attitude_within95: The same of attitudes.
     """
 
     names: tuple[str, ...]
     covariance: Array
     position_repeat: float
     attitude_repeat: float | None
+    position_local: LocalScatter | None = None
+    attitude_local: LocalScatter | None = None
+    position_within95: Within95 | None = None
+    attitude_within95: Within95 | None = None
 
     def pose_covariance(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Covariance ``(..., 6, 6)`` of the tool pose, m and rad, world axes, at joints ``(..., n)``.
@@ -43,8 +58,12 @@ class PoseUncertainty:
         Attitude rows of an arm of which only positions were measured hold the parameters' part alone.
         """
         columns = [model.parameter_names.index(name) for name in self.names]
-        repeat = np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
-        return model.pose_covariance(columns, self.covariance, joints, conditions) + np.diag(repeat)
+        found = model.pose_covariance(columns, self.covariance, joints, conditions)
+        repeats = ((self.position_local, self.position_repeat), (self.attitude_local, self.attitude_repeat or 0.0))
+        for first, (local, repeat) in zip((0, 3), repeats, strict=True):
+            own = np.broadcast_to(repeat**2 if local is None else local.at(joints) / 3.0, found.shape[:-2])
+            found[..., range(first, first + 3), range(first, first + 3)] += own[..., None]
+        return found
 
     def standard(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
@@ -57,6 +76,40 @@ class PoseUncertainty:
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
 
+    def within95(
+        self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
+    ) -> tuple[Array | None, Array | None]:
+        """What holds 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, at joints ``(..., n)``.
+
+        None where too few held-out errors show it.
+        """
+        position, attitude = self.standard(model, joints, conditions)
+        near, turned = self.position_within95, self.attitude_within95
+        return (
+            None if near is None else near.factor * position,
+            None if turned is None or attitude is None else turned.factor * attitude,
+        )
+
+    def block(self, model: ArmModel, joints: Array, conditions: Conditions) -> Block:
+        """How far errors go at these poses, and whether held-out ones did, for screens."""
+        radii, rows = self.within95(model, joints, conditions), []
+        for what, radius, known, scale, unit in (
+            ("position", radii[0], self.position_within95, 1e3, "mm"),
+            ("attitude", radii[1], self.attitude_within95, float(np.degrees(1.0)), "deg"),
+        ):
+            if radius is not None and known is not None:
+                low, middle, high = np.percentile(radius * scale, [5, 50, 95])
+                said = f"{figure(middle)} {unit} ({figure(low)} to {figure(high)})"
+                rows.append((what, said, f"{100 * known.covered:.1f} %", f"{known.rank_correlation:.2f}"))
+        heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so", "told where (rank correlation)")
+        note = "by pose; held and told: of held-out rows, each judged by what was found without its block"
+        return Block("How far errors go", heads, tuple(rows), note)
+
+    def within95_record(self) -> dict[str, Any]:
+        """Factors and what they cover (JSON), of position and attitude; None where too few errors show it."""
+        found = {"position": self.position_within95, "attitude": self.attitude_within95}
+        return {name: None if part is None else dict(vars(part)) for name, part in found.items()}
+
     def as_record(self) -> dict[str, Any]:
         """For a calibration's record (JSON)."""
         return {
@@ -64,25 +117,49 @@ class PoseUncertainty:
             "covariance": self.covariance.tolist(),
             "position_repeat_m": self.position_repeat,
             "attitude_repeat_rad": self.attitude_repeat,
+            **{name: part.as_record() for name in LOCAL if (part := getattr(self, name)) is not None},
+            **{name: vars(part) for name in WITHIN if (part := getattr(self, name)) is not None},
         }
 
 
-def pose_uncertainty(found: Identification, errors: Array) -> PoseUncertainty:
+def pose_uncertainty(
+    found: Identification,
+    errors: Array,
+    joints: Array | None = None,
+    blocks: Rows | None = None,
+    conditions: Conditions | None = None,
+) -> PoseUncertainty:
     """Uncertainty from an identification and the errors that it leaves.
 
     Args:
         found: The identification.
         errors: Measured minus predicted poses, best held-out ones, ``(N, 6)`` or positions ``(N, 3)``, m and rad; their
             RMS per coordinate is taken as u_repeat, so it includes the instrument's noise and errs on the large side.
+        joints: Where each error was found ``(N, n)``; then its size may differ from pose to pose.
+        blocks: The block of each error, where errors of one block are alike.
+        conditions: Payload and temperature of each, where known.
     """
     own = set(found.arm_model.parameter_names)
     places = [i for i, name in enumerate(found.identifiability.kept_names) if name in own]
-    return PoseUncertainty(
+    sure = PoseUncertainty(
         names=tuple(found.identifiability.kept_names[i] for i in places),
         covariance=found.covariance[np.ix_(places, places)],
         position_repeat=float(np.sqrt(np.mean(errors[:, :3] ** 2))),
         attitude_repeat=float(np.sqrt(np.mean(errors[:, 3:] ** 2))) if errors.shape[1] == 6 else None,
     )
+    if joints is None or not np.isfinite(sure.covariance).all():
+        return sure
+    model, slides = found.arm_model, found.geometry.prismatic
+    columns = [model.parameter_names.index(name) for name in sure.names]
+    variance = np.diagonal(model.pose_covariance(columns, sure.covariance, joints, conditions), axis1=1, axis2=2)
+    parts: dict[str, Any] = {}
+    for first, local, within in zip((0, 3), LOCAL, WITHIN, strict=True):
+        if errors.shape[1] <= first:
+            continue
+        squares = np.sum(errors[:, first : first + 3] ** 2, axis=1)
+        parts[local] = local_scatter(joints, squares, slides)
+        parts[within] = within95(joints, squares, variance[:, first : first + 3].sum(axis=1), slides, blocks)
+    return replace(sure, **parts)
 
 
 def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
@@ -93,8 +170,10 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
     covariance = np.array(kept["covariance"], dtype=float)
     if not np.isfinite(covariance).all():
         return None
+    parts: dict[str, Any] = {name: LocalScatter.from_record(kept[name]) for name in LOCAL if name in kept}
+    parts |= {name: Within95(**kept[name]) for name in WITHIN if name in kept}
     return PoseUncertainty(
-        tuple(kept["parameters"]), covariance, float(kept["position_repeat_m"]), kept["attitude_repeat_rad"]
+        tuple(kept["parameters"]), covariance, float(kept["position_repeat_m"]), kept["attitude_repeat_rad"], **parts
     )
 
 

@@ -19,7 +19,7 @@ MAX_PASSES = 20
 
 
 def exchange(
-    rows: Array, count: int, rng: np.random.Generator, weight: Array | None = None
+    rows: Array, count: int, rng: np.random.Generator, weight: Array | None = None, most_passes: int = MAX_PASSES
 ) -> tuple[NDArray[np.int64], int]:
     """Choose candidates by greedy addition, then by exchanging one after the other until none can be bettered.
 
@@ -28,6 +28,7 @@ def exchange(
         count: How many to choose.
         rng: Draws the order of exchanges.
         weight: W ``(p, p)``, to minimise trace(W M^-1) of the information M; None for D-optimality.
+        most_passes: Rounds of exchange at most; without any the candidates come in the order in which they were added.
 
     Returns:
         Their rows, and the number of passes.
@@ -43,7 +44,7 @@ def exchange(
         chosen.append(best)
         information = information + rows[best].T @ rows[best]
     passes, moved = 0, True
-    while moved and passes < MAX_PASSES:
+    while moved and passes < most_passes:
         passes, moved = passes + 1, False
         for place in rng.permutation(count):
             old = chosen[place]

@@ -36,6 +36,9 @@ MARGIN = 0.02
 AT_LIMIT = 2.0 / 3.0
 """Chance of a joint to stand at a limit, in the half of the candidates that lies on the border of the joint ranges."""
 
+FIELD = 300
+"""Poses drawn from the joint ranges where nobody says where accuracy matters."""
+
 DRAWS = 20
 """Random pose sets that a plan is compared with."""
 
@@ -87,6 +90,21 @@ class AgainstChance:
         }
 
 
+@dataclass(frozen=True)
+class CurvePoint:
+    """What a number of poses brings.
+
+    Attributes:
+        poses: How many are measured.
+        error: RMS position error from the parameters' uncertainty, of planned poses, m.
+        random_error: The same of poses drawn at random, median of `DRAWS` sets, m.
+    """
+
+    poses: int
+    error: float
+    random_error: float
+
+
 @dataclass(frozen=True, eq=False)
 class PosePlan:
     """Poses to measure, in order.
@@ -104,6 +122,8 @@ class PosePlan:
         random_predicted_error: The same for drawn poses, median of 20 sets, m; or None.
         passes: Rounds of exchange.
         seconds: Time of the planning.
+        lines: Lines of the poses in the file that they were chosen from; None where they were drawn.
+        curve: What other numbers of poses would bring.
     """
 
     joints: Array
@@ -118,6 +138,8 @@ class PosePlan:
     random_predicted_error: float | None
     passes: int
     seconds: float
+    lines: NDArray[np.int64] | None = None
+    curve: tuple[CurvePoint, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; condition and ratio at the top are those of the arm's own parameters."""
@@ -135,6 +157,13 @@ class PosePlan:
         if self.predicted_error is not None and self.random_predicted_error is not None:
             found["predicted_error_mm"] = self.predicted_error * 1e3
             found["random_predicted_error_mm"] = self.random_predicted_error * 1e3
+        if self.lines is not None:
+            found["lines"] = self.lines.tolist()
+        if self.curve:
+            found["curve"] = [
+                {"poses": p.poses, "error_mm": p.error * 1e3, "random_error_mm": p.random_error * 1e3}
+                for p in self.curve
+            ]
         return found
 
     def report(self) -> str:
@@ -157,6 +186,13 @@ class PosePlan:
                 f"  error to expect at the test poses {self.predicted_error * 1e3:.4f} mm RMS "
                 f"(poses drawn at random: {self.random_predicted_error * 1e3:.4f} mm)"
             )
+        if self.lines is not None:
+            lines.append(f"  lines of the file, in measuring order: {', '.join(map(str, self.lines))}")
+        if self.curve:
+            lines.append("  how many poses? RMS position error from the parameters' uncertainty, and drawn at random:")
+            lines += [
+                f"    {p.poses:5d} poses: {p.error * 1e3:.4f} mm ({p.random_error * 1e3:.4f} mm)" for p in self.curve
+            ]
         return "\n".join(lines)
 
     def write_csv(self, path: str | Path, prismatic: tuple[bool, ...]) -> Path:
@@ -225,10 +261,11 @@ def plan_poses(
     *,
     candidates: Array | int = 2000,
     kind: str = "pose",
-    criterion: str = "d-optimal",
+    criterion: str | None = None,
     test_joints: Array | None = None,
     position_std: float = POSITION_STD,
     attitude_std: float = ATTITUDE_STD,
+    curve: bool = False,
 ) -> PosePlan:
     """Choose ``count`` poses to measure, and order them for short travel.
 
@@ -237,26 +274,32 @@ def plan_poses(
         model: The parameters to identify.
         count: Poses to measure.
         rng: Draws candidates, the order of exchanges and the random sets to compare with.
-        candidates: Poses to choose from ``(N, n)``, rad or m, or how many to draw (see `candidate_joints`).
+        candidates: Poses to choose from ``(N, n)``, rad or m, with which random sets are drawn too; or how many to draw
+            (see `candidate_joints`).
         kind: What will be measured.
-        criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``.
+        criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``; when left
+            out the latter where these are given.
         test_joints: Where accuracy matters ``(M, n)``, rad or m; with "d-optimal" only reported on.
         position_std: Standard uncertainty of a position coordinate, m.
         attitude_std: Standard uncertainty of an attitude coordinate, rad.
+        curve: Whether to say what half, twice and up to eight times as many poses would bring, at ``test_joints`` or,
+            without them, at poses drawn evenly from the joint ranges.
 
     Raises:
         InputError: If there are too few poses for the parameters, too few candidates, no test poses where needed, or
             an unknown kind or criterion.
     """
+    criterion = criterion or ("d-optimal" if test_joints is None else "test-poses")
     for name, given, known in (("kind", kind, KINDS), ("criterion", criterion, CRITERIA)):
         if given not in known:
             raise InputError(f"{name} is '{given}'; give {' or '.join(known)}")
     begin = time.perf_counter()
     geometry = arm.nominal
-    joints = candidates
-    if isinstance(joints, int):
-        check_limit("candidates", joints, "candidates")
-        joints = candidate_joints(geometry, joints, rng)
+    if isinstance(candidates, int):
+        check_limit("candidates", candidates, "candidates")
+        joints = candidate_joints(geometry, candidates, rng)
+    else:
+        joints = np.asarray(candidates, dtype=float)
     if criterion == "test-poses" and test_joints is None:
         raise InputError("the test-poses criterion needs test poses; name a file of them or use d-optimal")
     std = {"position_std": position_std, "attitude_std": attitude_std}
@@ -265,10 +308,27 @@ def plan_poses(
     aim = None if test_joints is None else error_weight(geometry, design, test_joints)
     chosen, passes = exchange(design.rows, count, rng, aim if criterion == "test-poses" else None)
     chosen = chosen[short_tour(joints[chosen], arm.speed)]
-    sets = random_joints(geometry, DRAWS * count, rng).reshape(DRAWS, count, -1)
+
+    def drawn(size: int) -> Array:
+        """Random sets ``(DRAWS, size, n)`` of what could have been measured instead."""
+        if isinstance(candidates, int):
+            return random_joints(geometry, DRAWS * size, rng).reshape(DRAWS, size, -1)
+        return np.stack([joints[rng.choice(len(joints), size, replace=False)] for _ in range(DRAWS)])
+
+    sets = drawn(count)
     links = design_of(geometry, link_model(geometry), joints, kind, **std)
     shuffled = [travel_seconds(joints[rng.permutation(chosen)], arm.speed) for _ in sets]
     errors = None if aim is None else [predicted_error(_elsewhere(geometry, design, s), aim) for s in sets]
+    points: list[CurvePoint] = []
+    if curve:
+        goal = error_weight(geometry, design, random_joints(geometry, FIELD, rng)) if aim is None else aim
+        sizes = _sizes(design, count)
+        # Poses added one after the other: the first of a larger set are a smaller one.
+        added, _ = exchange(design.rows, sizes[-1], rng, aim if criterion == "test-poses" else None, most_passes=0)
+        for size in sizes:
+            rows = chosen if size == count else added[:size]
+            others = [predicted_error(_elsewhere(geometry, design, s), goal) for s in drawn(size)]
+            points.append(CurvePoint(size, predicted_error(design.rows[rows], goal), float(np.median(others))))
     return PosePlan(
         joints=joints[chosen],
         chosen=chosen,
@@ -282,6 +342,7 @@ def plan_poses(
         random_predicted_error=None if errors is None else float(np.median(errors)),
         passes=passes,
         seconds=time.perf_counter() - begin,
+        curve=tuple(points),
     )
 
 
@@ -302,9 +363,19 @@ def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64
     return AgainstChance(design.model.names, _observed(design.rows[chosen]), drawn[len(drawn) // 2], o1)
 
 
+def _least(design: Design) -> int:
+    """Poses that give a few more equations than parameters."""
+    return -(-len(design.model.names) // int(design.rows.shape[1])) + 1
+
+
+def _sizes(design: Design, count: int) -> list[int]:
+    """Half, once, twice, four and eight times as many poses, as far as the candidates go."""
+    sizes = {max(_least(design), count // 2), *(count * times for times in (1, 2, 4, 8))}
+    return sorted(size for size in sizes if size <= len(design.joints))
+
+
 def _enough(design: Design, count: int) -> None:
-    parameters, rows = len(design.model.names), design.rows.shape[1]
-    least = -(-parameters // rows) + 1
+    parameters, least = len(design.model.names), _least(design)
     if count < least:
         raise InputError(
             f"{count} poses are too few for {parameters} parameters; plan at least {least}, better {2 * least}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,6 +10,7 @@ import numpy as np
 import typer
 
 from pickenv.commands.handing_over import deliver
+from pickenv.errors import InputError
 from pickenv.files import separate, write_json
 from pickenv.reservations import DO_NOT_USE, obey
 
@@ -26,8 +28,9 @@ def plan_poses(
     n: Annotated[int, typer.Option("--n", help="Poses to measure.", min=1)] = 30,
     kind: Annotated[Literal["pose", "position"], typer.Option(help="What will be measured.")] = "pose",
     criterion: Annotated[
-        Literal["d-optimal", "test-poses"], typer.Option(help="test-poses: to be accurate at the poses of --at.")
-    ] = "d-optimal",
+        Literal["d-optimal", "test-poses"] | None,
+        typer.Option(help="test-poses: to be accurate at the poses of --at, as is the default with --at."),
+    ] = None,
     at: Annotated[
         Path | None, typer.Option(help="CSV of joints or tool poses where accuracy matters.", show_default=False)
     ] = None,
@@ -36,6 +39,15 @@ def plan_poses(
         typer.Option(help="fitted: base and tool will be fitted too; known: the arm's own parameters alone."),
     ] = "fitted",
     candidates: Annotated[int, typer.Option(help="Poses to choose from.", min=10)] = 2000,
+    pool: Annotated[
+        Path | None,
+        typer.Option("--from", help="Choose from the poses of this file (CSV of joints or tool poses) instead."),
+    ] = None,
+    columns: Annotated[str | None, typer.Option(help="Column description of that file; ours if left out.")] = None,
+    noise_mm: Annotated[
+        float | None, typer.Option(help="What one position coordinate will scatter by.", show_default=False)
+    ] = None,
+    curve: Annotated[bool, typer.Option("--curve", help="Say what half to eight times --n would bring.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of candidates and exchange.", min=0)] = 0,
     out: Annotated[Path | None, typer.Option(help="Write the joints in measuring order (.csv).")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
@@ -43,21 +55,32 @@ def plan_poses(
     """Choose poses to measure that tell the most about an arm, within its joint limits, ordered for short travel."""
     from pickenv.arm import load_arm
     from pickenv.calibration.model.error_model import complete_model, link_model
+    from pickenv.calibration.model.measurements import POSITION_STD
+    from pickenv.calibration.pipeline.given import pool_of
     from pickenv.calibration.planning.plan import plan_poses as plan
     from pickenv.calibration.reading.targets import joints_of, read_targets
 
-    separate({"--at": at, "--arm": arm}, {"--out": out, "--json": json_file})
+    separate({"--at": at, "--arm": arm, "--from": pool}, {"--out": out, "--json": json_file})
     chosen = load_arm(arm)
+    if columns is not None and pool is None:
+        raise InputError("--columns describes the file of --from; give that too")
+    if noise_mm is not None and not 0.0 < noise_mm < 1e3:
+        raise InputError(f"--noise-mm is {noise_mm:g}; give what a coordinate scatters by, in mm, above 0")
+    joints, lines = (candidates, None) if pool is None else pool_of(pool, chosen.nominal, columns)
     planned = plan(
         chosen,
         (complete_model if frames == "fitted" else link_model)(chosen.nominal),
         n,
         np.random.default_rng(seed),
-        candidates=candidates,
+        candidates=joints,
         kind=kind,
         criterion=criterion,
         test_joints=None if at is None else joints_of(read_targets(at, chosen.nominal), chosen.nominal),
+        position_std=POSITION_STD if noise_mm is None else noise_mm * 1e-3,
+        curve=curve,
     )
+    if lines is not None:
+        planned = replace(planned, lines=lines[planned.chosen])
     saves = [
         (out, lambda path: planned.write_csv(path, chosen.nominal.prismatic)),
         (json_file, lambda path: write_json(path, planned.as_dict())),

@@ -35,7 +35,14 @@ VERDICTS = {
     "with care": "With care",
     "do not use": "Do not use this calibration",
 }
-FURTHER = ("Pictures", "Rows left out", "Rows far off, and kept", "Further terms", "Learnt residual models")
+FURTHER = (
+    "Pictures",
+    "How far errors go",
+    "Rows left out",
+    "Rows far off, and kept",
+    "Further terms",
+    "Learnt residual models",
+)
 MAP_POSES = 6000
 """Poses drawn for the map of predicted uncertainty."""
 
@@ -216,7 +223,7 @@ def _uncertainty(r: Result) -> Drawing | None:
     if not np.isfinite(known.covariance).all() or model.terms:
         return None
     joints = random_joints(geometry, MAP_POSES, np.random.default_rng(0))
-    spread, _ = replace(known, position_repeat=0.0, attitude_repeat=None).standard(model, joints)
+    spread, _ = replace(known, position_repeat=0.0, attitude_repeat=None, position_local=None).standard(model, joints)
     x, y, height = ((model.pose(joints).position - geometry.base.position) * 1e3).T
     return Drawing(
         "uncertainty_map",

@@ -29,6 +29,7 @@ def commands(reached, **more):
         "impossible": impossible,
         "position_uncertainty": np.array([1e-4, 2e-4, 4e-4, 9e-4]),
         "attitude_uncertainty": np.array([1e-3, 2e-3, 4e-3, 9e-3]),
+        "within95": (np.array([2e-4, 4e-4, 8e-4, 18e-4]), np.array([2e-3, 4e-3, 8e-3, 18e-3])),
         "reasons": {},
         "lines": (2, 3, 5, 8),
         "prismatic": PRISMATIC,
@@ -74,8 +75,11 @@ def test_the_table_holds_each_number_in_its_unit_and_no_command_where_none_shoul
         np.testing.assert_allclose(column[f"{label}_error_deg"].astype(float), np.degrees(size[:, 1]))
     np.testing.assert_allclose(column["uncertainty_mm"].astype(float), 1e3 * found.position_uncertainty)
     np.testing.assert_allclose(column["uncertainty_deg"].astype(float), np.degrees(found.attitude_uncertainty))
+    np.testing.assert_allclose(column["within95_mm"].astype(float), [0.2, 0.4, 0.8, 1.8])
+    np.testing.assert_allclose(column["within95_deg"].astype(float), np.degrees([2e-3, 4e-3, 8e-3, 18e-3]))
     assert column["note"].tolist() == ["", "too far", "", ""]
     assert "row 3: too far" in found.report()
+    assert "95 of 100 such commands end within 0.600 mm (median of targets; 1.800 mm at most)" in found.report()
     bare = commands([True] * 4, attitude_uncertainty=None)
     assert "uncertainty_deg" not in bare.table()[0] and "uncertainty_mm" in bare.table()[0]
 

@@ -23,7 +23,13 @@ def drawn(qiao):
     """A plan, and all that was drawn for it: candidates, order of exchanges, chance's sets, orders of measuring."""
     near = random_joints(qiao.nominal, 30, np.random.default_rng(7))
     plan = plan_poses(
-        qiao, complete_model(qiao.nominal), COUNT, np.random.default_rng(3), candidates=60, test_joints=near
+        qiao,
+        complete_model(qiao.nominal),
+        COUNT,
+        np.random.default_rng(3),
+        candidates=60,
+        criterion="d-optimal",
+        test_joints=near,
     )
     rng = np.random.default_rng(3)
     joints = candidate_joints(qiao.nominal, 60, rng)

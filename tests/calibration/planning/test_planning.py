@@ -1,5 +1,6 @@
 """Planned poses tell more than poses drawn at random, stay within the joint limits and travel little."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise, permutations
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from pickenv.arm import Pose, displace_pose, forward, load_arm
 from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
@@ -15,6 +17,7 @@ from pickenv.calibration.model.observability import observability, observability
 from pickenv.calibration.planning.exchange import exchange, gains
 from pickenv.calibration.planning.plan import candidate_joints, design_of, error_weight, plan_poses, predicted_error
 from pickenv.calibration.planning.travel import move_seconds, short_tour, travel_seconds
+from pickenv.cli import app
 from pickenv.errors import InputError
 
 
@@ -216,3 +219,49 @@ def test_no_reversal_of_a_stretch_shortens_a_tour(seed):
     for i, j in np.argwhere(np.triu(np.ones((25, 25)), 1)):
         turned = np.concatenate([joints[:i], joints[i : j + 1][::-1], joints[j + 1 :]])
         assert travel_seconds(turned, speed) >= shortest - 1e-9
+
+
+def test_poses_are_chosen_from_a_file_and_named_by_its_lines(qiao, tmp_path):
+    rng = np.random.default_rng(8)
+    joints = random_joints(qiao.nominal, 80, rng)
+    pool = Measurements(joints, *forward(qiao.nominal, joints), prismatic=qiao.nominal.prismatic)
+    figures, out = tmp_path / "plan.json", tmp_path / "plan.csv"
+    words = ["plan-poses", "--arm", "qiao2026", "--n", "20", "--from", str(pool.write_csv(tmp_path / "pool.csv"))]
+    said = CliRunner().invoke(app, [*words, "--curve", "--json", str(figures), "--out", str(out)])
+    assert said.exit_code == 0, said.output
+    found = json.loads(figures.read_text(encoding="utf-8"))
+    assert len(set(found["lines"])) == 20
+    assert f"lines of the file, in measuring order: {found['lines'][0]}, " in said.output
+    scale = np.where(qiao.nominal.prismatic, 1e3, np.degrees(1.0))
+    written = np.loadtxt(out, delimiter=",", skiprows=1)
+    np.testing.assert_allclose(written, joints[np.array(found["lines"]) - 2] * scale, rtol=1e-9)
+    assert found["condition"] < found["random_condition"]  # of sets drawn from the same file
+    assert [point["poses"] for point in found["curve"]] == [10, 20, 40, 80]
+    refused = CliRunner().invoke(app, ["plan-poses", "--arm", "qiao2026", "--columns", "ur5_jacobi2025"])
+    assert "describes the file of --from" in str(refused.exception)
+    refused = CliRunner().invoke(app, ["plan-poses", "--arm", "qiao2026", "--noise-mm", "0"])
+    assert "--noise-mm is 0; give what a coordinate scatters by" in str(refused.exception)
+
+
+@pytest.mark.parametrize("near_them", [False, True], ids=["field", "test poses"])
+def test_the_curve_is_the_error_that_calibrations_show(qiao, near_them):
+    """Of arms identified from as many planned poses: RMS error over the joint ranges, or over the poses given."""
+    rng = np.random.default_rng(2)
+    near = random_joints(qiao.nominal, 40, rng) * 0.5 if near_them else None
+    plan = plan_poses(
+        qiao, link_model(qiao.nominal), 12, rng, candidates=300, kind="position", test_joints=near,
+        position_std=1e-4, curve=True,
+    )  # fmt: skip
+    assert plan.criterion == ("test-poses" if near_them else "d-optimal")
+    sizes = [point.poses for point in plan.curve]
+    assert sizes[1] == 12 and sizes == sorted(sizes) and sizes[-1] <= 300
+    assert all(a.error > b.error for a, b in pairwise(plan.curve))
+    assert all(point.error < point.random_error for point in plan.curve[:3])
+    there = random_joints(qiao.nominal, 300, rng) if near is None else near
+    truth, left = forward(qiao.true, there).position, []
+    for _ in range(40):
+        position = forward(qiao.true, plan.joints).position + 1e-4 * rng.normal(size=(12, 3))
+        data = Measurements(plan.joints, position, None, qiao.nominal.prismatic, position_std=1e-4)
+        found = identify(link_model(qiao.nominal), qiao.nominal, data).geometry
+        left.append(np.sum((forward(found, there).position - truth) ** 2, axis=1).mean())
+    assert np.sqrt(np.mean(left)) == pytest.approx(plan.curve[1].error, rel=0.15)

@@ -1,0 +1,116 @@
+"""What holds 95 of 100 errors, pose by pose: as often as it says, and larger where errors are larger."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from pickenv.arm import load_arm
+from pickenv.calibration import Measurements, random_joints
+from pickenv.calibration.pipeline.local_scatter import LocalScatter, Within95, local_scatter, within95
+from pickenv.calibration.pipeline.stages import Choices, calibrate
+from pickenv.calibration.pipeline.uncertainty import uncertainty_from
+
+SLIDES = (False, False, True)
+
+
+def errors(rng: np.random.Generator, count: int, contrast: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Joints, squared errors, and the mean square that they were drawn with: larger where the first joint is."""
+    joints = rng.uniform([-2.0, -2.0, 0.0], [2.0, 2.0, 0.8], (count, 3))
+    mean = 1e-8 * np.exp(contrast * np.sin(joints[:, 0]) + contrast * joints[:, 2])
+    return joints, np.sum(rng.normal(size=(count, 3)) ** 2, axis=1) / 3 * mean, mean
+
+
+@pytest.mark.parametrize("contrast", [0.0, 1.5])
+@pytest.mark.parametrize("count", [60, 400, 3000])
+def test_expected_squares_follow_the_true_ones(contrast: float, count: int) -> None:
+    rng = np.random.default_rng(count)
+    joints, squares, _ = errors(rng, count, contrast)
+    found = local_scatter(joints, squares, SLIDES)
+    assert found is not None and len(found.joints) <= 400
+    assert np.average(found.at(found.joints), weights=found.counts) == pytest.approx(squares.mean(), rel=1e-9)
+    there, _, true = errors(rng, 500, contrast)
+    missed = np.std(np.log(found.at(there) / true))
+    assert missed < (0.2 if count < 100 else 0.15) if not contrast else missed < 0.75 * np.std(np.log(true))
+    if contrast:
+        assert spearmanr(found.at(there), true).statistic > (0.7 if count < 100 else 0.9)
+    np.testing.assert_allclose(found.at(there.reshape(5, 100, 3)).ravel(), found.at(there))
+
+
+@pytest.mark.parametrize("contrast", [0.0, 1.5])
+def test_95_of_100_new_errors_lie_within(contrast: float) -> None:
+    """Over many data sets, of those that took no part."""
+    share, said = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(100 + seed)
+        joints, squares, _ = errors(rng, 150, contrast)
+        scatter, known = local_scatter(joints, squares, SLIDES), within95(joints, squares, np.zeros(150), SLIDES, None)
+        assert scatter is not None and known is not None
+        there, new, _ = errors(rng, 400, contrast)
+        share.append(np.mean(np.sqrt(new) <= known.factor * np.sqrt(scatter.at(there))))
+        said.append(known.covered)
+    assert 0.945 < np.mean(share) < 0.97  # ranks are rounded up, and the factor is of fits to nine tenths
+    assert np.mean(said) == pytest.approx(0.95, abs=0.015)
+
+
+def test_what_parameters_add_counts() -> None:
+    rng = np.random.default_rng(3)
+    joints, squares, _ = errors(rng, 40, 0.0)
+    assert local_scatter(joints, squares, SLIDES) is None
+    plain = within95(joints, squares, np.zeros(40), SLIDES, None)
+    wide = within95(joints, squares, np.full(40, 3e-8), SLIDES, None)
+    assert plain is not None and wide is not None
+    sizes = [np.sqrt(squares[np.arange(40) // 4 != b].mean() + extra) for b in range(10) for extra in (0.0, 3e-8)]
+    ratios = [np.sqrt(squares) / np.repeat(sizes[i::2], 4) for i in range(2)]
+    for found, ratio in ((plain, ratios[0]), (wide, ratios[1])):
+        assert found.factor == np.sort(ratio)[int(np.ceil(0.95 * 41)) - 1]
+    assert within95(joints[:19], squares[:19], np.zeros(19), SLIDES, None) is None
+
+
+def test_beyond_the_errors_seen_the_trend_ends() -> None:
+    rng = np.random.default_rng(0)
+    joints, squares, _ = errors(rng, 300, 2.0)
+    found = local_scatter(joints, squares, SLIDES)
+    assert found is not None
+    far = found.at(np.array([[0.0, 0.0, 30.0], [0.0, 0.0, -30.0]]))
+    assert (far > 0.1 * found.at(joints).min()).all() and (far < 10 * found.at(joints).max()).all()
+
+
+def test_it_survives_its_record() -> None:
+    rng = np.random.default_rng(1)
+    joints, squares, _ = errors(rng, 200, 1.0)
+    found = local_scatter(joints, squares, SLIDES)
+    assert found is not None
+    again = LocalScatter.from_record(json.loads(json.dumps(found.as_record())))
+    np.testing.assert_allclose(again.at(joints), found.at(joints), rtol=1e-3)
+
+
+def test_a_calibration_knows_where_its_arm_is_bad() -> None:
+    """The arm errs more where it is stretched out; the report, the file and the figures say the same."""
+    rng, arm = np.random.default_rng(5), load_arm("ur5")
+    geometry = arm.nominal
+
+    def seen(count: int) -> Measurements:
+        from pickenv.arm import forward
+
+        joints = random_joints(geometry, count, rng)
+        position = forward(geometry, joints).position
+        size = 2e-4 * np.exp(1.5 * np.cos(joints[:, 2:3]))
+        return Measurements(joints, position + size * rng.normal(size=(count, 3)), None, geometry.prismatic)
+
+    found = calibrate(arm, seen(500), split="blocked", choices=Choices(terms="none", residual="none"))
+    known = found.uncertainty.position_within95
+    assert isinstance(known, Within95) and known.rank_correlation > 0.5 and 0.92 < known.covered < 0.98
+    new = seen(2000)
+    missed = np.linalg.norm(new.difference(found.calibration.model), axis=1)
+    radius, _ = found.uncertainty.within95(found.calibration.model, new.joints)
+    assert radius is not None and np.mean(missed <= radius) == pytest.approx(0.95, abs=0.025)
+    assert spearmanr(radius, missed).statistic > 0.5
+    assert found.as_dict()["within95"]["position"] == vars(known) and f"{100 * known.covered:.1f} %" in found.report()
+    kept = uncertainty_from(found.calibration.record)
+    assert kept is not None
+    again, _ = kept.within95(found.calibration.model, new.joints)
+    np.testing.assert_allclose(again, radius, rtol=1e-3)
