@@ -125,6 +125,11 @@ def test_pages_keep_the_scale(tmp_path: Path) -> None:
     streams = [zlib.decompress(part) for part in re.findall(rb"stream\r?\n(.*?)\r?\nendstream", content, re.S)]
     (placed,) = [m for s in streams for m in re.findall(rb"([\d.]+) 0 0\s+-?([\d.]+) 0 [\d.]+ cm /I1 Do", s)]
     assert [float(side) / 72 * 25.4 for side in placed] == pytest.approx([180, 240], abs=0.05)
+    number = rb"([\d.]+) ([\d.]+)"
+    lines = [m for stream in streams for m in re.findall(number + rb" m\s+" + number + rb" l", stream)]
+    drawn = np.array(lines, dtype=float) / 72 * 25.4
+    for line in ((15, 11, 115, 11), (15, 9, 15, 13), (115, 9, 115, 13)):  # a rule of 100 mm, and its ends
+        assert (np.abs(drawn - line).max(axis=1) < 0.05).any(), line
     with pytest.raises(InputError, match=r"\.pdf or \.svg"):
         write_board(board, tmp_path / "board.png")
 
