@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import milp
 
 from pickenv.errors import InputError
+from pickenv.harvester import optimiser
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.optimiser import cp_sat, local_search
 from pickenv.harvester.pick_point import _heights, border_indices, pick_heading, pick_point
@@ -167,6 +168,18 @@ def test_the_solver_finds_the_best_of_all_plans(conflict):
         work = made_up(np.random.default_rng(100 + seed), 2, 4, conflict=conflict)
         found = timetable(work, cp_sat(work, np.random.default_rng(0), seconds=5.0)).makespan
         assert found == pytest.approx(least_makespan(work), rel=1.1e-2)
+
+
+def test_the_solver_needs_no_good_start(monkeypatch):
+    """Here one arm would pick all that it reaches, and the other the rest."""
+    pytest.importorskip("ortools")
+    work = made_up(np.random.default_rng(104), 2, 5)
+    first = np.flatnonzero(work.reached[0]).tolist()
+    start = (tuple(first), tuple(j for j in range(5) if j not in first))
+    monkeypatch.setattr(optimiser, "local_search", lambda *_, **__: start)
+    best = least_makespan(work)
+    assert timetable(work, start).makespan > 1.2 * best
+    assert timetable(work, cp_sat(work, seconds=5.0)).makespan == pytest.approx(best, rel=1.1e-2)
 
 
 def test_one_fruit_or_none_needs_no_search():
