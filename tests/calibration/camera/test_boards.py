@@ -104,7 +104,7 @@ def test_why_nothing_was_found(change: Callable[[Any], Any], words: str) -> None
 
 @pytest.mark.parametrize("kind", BOARDS)
 def test_a_wall_shows_no_board(kind: str) -> None:
-    with pytest.raises(InputError, match="wall.png: no corner of the board was found"):
+    with pytest.raises(InputError, match=r"wall\.png: no corner of the board was found"):
         find_corners(BOARDS[kind], np.full((480, 640), 128, dtype=np.uint8), "wall.png")
 
 
