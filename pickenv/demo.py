@@ -141,7 +141,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
             settings=BpnnSettings(epochs=settings.epochs),
         ),
         rng=network_rng,
-        progress=lambda done, total: report("training network", done, total),
+        progress=report,
     )
     calibration = result.calibration
     assert calibration.learnt is not None

@@ -95,14 +95,14 @@ ROWS = {
         "WAM", "poses", "wam", "wam_jacobi2025", WAM, WAM_POSES, "mean", "auto", published="2.92", remark=SEEN
     ),
     **{
-        f"ur10_{name}_{how}": Row(f"UR10, series {name.upper()}", how, "ur10", *where)
+        f"ur10_{name}_{how}": Row(f"UR10, series {name.upper()}", how, "ur10", *where, terms=terms)
         for name, where in SERIES.items()
-        for how in ("random", "blocks")
+        for how, terms in (("random", "none"), ("blocks", "auto"))
     },
     "panda_random": Row("Panda, balls in sockets", "random", *PANDA, "", "mean", "auto", published="0.347"),
     "panda_blocks": Row("Panda, balls in sockets", "blocks", *PANDA, "", "mean", "auto"),
     "positioner_random": Row("two-axis positioner, camera", "random", *POSITIONER, "", "mean", published="1.74"),
-    "positioner_blocks": Row("two-axis positioner, camera", "blocks", *POSITIONER, "", "mean"),
+    "positioner_blocks": Row("two-axis positioner, camera", "blocks", *POSITIONER, "", "mean", "auto"),
 }  # type: dict[str, Row]
 
 

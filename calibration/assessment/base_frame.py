@@ -34,7 +34,7 @@ class BaseFrameError:
     """Mean position error in the robot's own base frame, over the poses judged.
 
     Attributes:
-        low: Lower end of its 95 % interval, m.
+        low: Lower end of its 95 % interval, m; NaN where no position was measured.
         high: Upper end, m.
         moved: Mean distance, over the same poses, between the nominal tool with the fitted base and tool and with the
             controller's own, m. Small where the instrument was registered to the base; then it is the error itself.
@@ -49,7 +49,7 @@ class BaseFrameError:
     def as_dict(self) -> dict[str, Any]:
         """For JSON and a calibration's record."""
         return {
-            "mean_ci95_mm": [self.low * 1e3, self.high * 1e3],
+            "mean_ci95_mm": None if np.isnan(self.low) else [self.low * 1e3, self.high * 1e3],
             "assumed_std_mm": [scale * LENGTH_TOLERANCE * 1e3 for scale in SCALES],
             "assumed_std_mrad": [scale * ANGLE_TOLERANCE * 1e3 for scale in SCALES],
             "frames_moved_mm": self.moved * 1e3,
@@ -57,11 +57,13 @@ class BaseFrameError:
 
     def sentences(self) -> str:
         """For people."""
+        unseen = "base and tool were fitted, so the instrument cannot tell where the robot's base stands"
+        if np.isnan(self.low):
+            return f"{unseen}, nor where its tool is, for it sees directions and no positions"
         text = (
-            "base and tool were fitted, so the instrument cannot tell where the robot's base stands; in the robot's "
-            f"own base frame the mean error is {self.low * 1e3:#.3g} to {self.high * 1e3:#.3g} mm (95 % interval, if "
-            f"base and tool lie {SCALES[0]:g} to {SCALES[1]:g} mm and mrad, one standard deviation per axis, from "
-            "where the controller has them)"
+            f"{unseen}; in the robot's own base frame the mean error is {self.low * 1e3:#.3g} to "
+            f"{self.high * 1e3:#.3g} mm (95 % interval, if base and tool lie {SCALES[0]:g} to {SCALES[1]:g} mm and "
+            "mrad, one standard deviation per axis, from where the controller has them)"
         )
         if self.tracked and self.moved < NEAR:
             text += (

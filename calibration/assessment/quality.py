@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.assessment.screen import MISS_UNITS
 from pickenv.calibration.assessment.states import States, parameter_states
 from pickenv.calibration.identification.least_squares import Identification, is_angle
 from pickenv.calibration.model.coverage import Coverage
@@ -152,11 +153,18 @@ class AxisErrors:
     max: float
 
 
-def axis_errors(errors: Array) -> tuple[AxisErrors, ...]:
-    """Statistics of pose errors ``(N, 6)`` or position errors ``(N, 3)``, m and rad, per degree of freedom."""
+def axis_errors(errors: Array, unit: str = "mm") -> tuple[AxisErrors, ...]:
+    """Statistics of pose errors ``(N, 6)``, position errors ``(N, 3)`` or lengths' ``(N, 1)`` per degree of freedom.
+
+    Args:
+        errors: m and rad.
+        unit: "deg" where they are misses of directions ``(N, 1 to 3)``, rad.
+    """
     scale = np.repeat([1e3, np.degrees(1.0)], 3)[: errors.shape[1]]
     rows = []
-    axes = AXES if errors.shape[1] > 1 else ("length",)
+    axes: tuple[str, ...] = AXES if errors.shape[1] > 1 else ("length",)
+    if unit == "deg":
+        scale, axes = np.full(errors.shape[1], MISS_UNITS[unit]), ("r1", "r2", "r3")
     for axis, column in zip(axes, (errors * scale).T, strict=False):
         rmse = float(np.sqrt(np.mean(column**2)))
         unit = "deg" if axis.startswith("r") else "mm"
@@ -229,6 +237,7 @@ def grade_quality(
     noise: str = "stated noise",
     blocks: NDArray[np.int64] | None = None,
     said: Iterable[tuple[Weight, str]] = (),
+    unit: str = "mm",
 ) -> Quality:
     """Grade a calibration.
 
@@ -247,6 +256,7 @@ def grade_quality(
         noise: What the instrument's noise is called.
         blocks: The block of each held-out error ``(M,)``, where errors of one block are alike.
         said: What else a reader must know, by weight.
+        unit: What errors are shown in: "mm", or "deg" where they are angles, rad.
     """
     bare = geometric or found
     seen = observability_of(bare.identifiability, bare.poses)
@@ -261,8 +271,8 @@ def grade_quality(
             "affected"
         )
     texts: dict[Weight, list[str]] = {
-        "fail": [*_failures(found, before, after, blocks)],
-        "caution": [*_cautions(found, trained, unlearnt, seen, coverage)],
+        "fail": [*_failures(found, before, after, blocks, unit)],
+        "caution": [*_cautions(found, trained, unlearnt, seen, coverage, unit)],
         "note": notes,
     }
     for weight, text in said:
@@ -272,7 +282,7 @@ def grade_quality(
     grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
     reason = findings[0].text
     if grade == "good":
-        reason = f"on {len(after)} held-out rows the error {_fall(before)} {_rms_mm(after):#.4g} mm RMS"
+        reason = f"on {len(after)} held-out rows the error {_fall(before, unit)} {_rms(after, unit):#.4g} {unit} RMS"
     return Quality(
         grade=grade,
         reason=reason,
@@ -285,16 +295,16 @@ def grade_quality(
     )
 
 
-def _rms_mm(errors: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1)))) * 1e3
+def _rms(errors: Array, unit: str) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1)))) * MISS_UNITS[unit]
 
 
-def _fall(before: Array | None) -> str:
-    return "is" if before is None else f"falls from {_rms_mm(before):#.4g} to"
+def _fall(before: Array | None, unit: str) -> str:
+    return "is" if before is None else f"falls from {_rms(before, unit):#.4g} to"
 
 
 def _failures(
-    found: Identification, before: Array | None, after: Array, blocks: NDArray[np.int64] | None
+    found: Identification, before: Array | None, after: Array, blocks: NDArray[np.int64] | None, unit: str
 ) -> Iterator[str]:
     if not found.converged:
         yield "the identification did not converge, so its parameters mean nothing"
@@ -303,16 +313,16 @@ def _failures(
         yield f"only {rows} held out, which judges nothing; measure more, or give others with --test"
     if before is None or len(after) < ENOUGH:
         return
-    was, now = _rms_mm(before), _rms_mm(after)
+    was, now = _rms(before, unit), _rms(after, unit)
     if now >= was:
         yield (
-            f"on held-out rows the calibrated arm is no better ({now:#.4g} mm RMS) than the nominal one ({was:#.4g} mm "
-            "RMS); check units, conventions and the order of rows"
+            f"on held-out rows the calibrated arm is no better ({now:#.4g} {unit} RMS) than the nominal one "
+            f"({was:#.4g} {unit} RMS); check units, conventions and the order of rows"
         )
     elif _chance(before, after, blocks) > SIGNIFICANCE:
         yield (
-            f"on {len(after)} held-out rows the calibrated arm ({now:#.4g} mm RMS) cannot be told from the nominal one "
-            f"({was:#.4g} mm RMS); measure more rows, or with less noise"
+            f"on {len(after)} held-out rows the calibrated arm ({now:#.4g} {unit} RMS) cannot be told from the nominal "
+            f"one ({was:#.4g} {unit} RMS); measure more rows, or with less noise"
         )
 
 
@@ -328,7 +338,7 @@ def _chance(before: Array, after: Array, blocks: NDArray[np.int64] | None) -> fl
 
 
 def _cautions(
-    found: Identification, trained: Array, after: Array, seen: Observability, coverage: Coverage | None
+    found: Identification, trained: Array, after: Array, seen: Observability, coverage: Coverage | None, unit: str
 ) -> Iterator[str]:
     if coverage is not None and coverage.lost:
         yield coverage.advice()
@@ -337,10 +347,10 @@ def _cautions(
             f"the condition number is {seen.condition:.1f}: some parameter combinations are hardly seen; plan the "
             "poses with `pickenv plan-poses`"
         )
-    there, here = _rms_mm(after), _rms_mm(trained)
+    there, here = _rms(after, unit), _rms(trained, unit)
     if there > OPTIMISTIC * here:
         yield (
-            f"held-out errors ({there:#.4g} mm RMS) are {there / here:.1f} times as large as on the training rows: "
+            f"held-out errors ({there:#.4g} {unit} RMS) are {there / here:.1f} times as large as on the training rows: "
             "measure more poses, or poses like those that will be used"
         )
     if found.degrees_of_freedom < found.identifiability.rank:

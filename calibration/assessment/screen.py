@@ -10,6 +10,13 @@ import numpy as np
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.model.lens import LENS_NAMES
 
+LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "edge", "plane_offset", "zero")
+NUMBERS_OF_KINDS = ("scale", "normal", "along", "axis", "down")
+"""Beginnings of the names of measurements' own unknowns: lengths, and numbers without a unit (directions, scales)."""
+
+MISS_UNITS = {"mm": 1e3, "deg": float(np.degrees(1.0))}
+"""What misses are shown in, and the factor from SI."""
+
 
 def figure(value: float | None) -> str:
     """A number as screens show it: four significant digits."""
@@ -65,8 +72,16 @@ def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
     """Unit of a parameter on screens, and the factor from SI; coefficients of effects stay in SI."""
     if name in geometric or name.startswith(("base", "tool")):
         return ("deg", float(np.degrees(1.0))) if is_angle(name) else ("mm", 1e3)
-    if name.startswith(("reflector", "anchor", "socket")):
+    if name.startswith(LENGTHS_OF_KINDS):
         return "mm", 1e3
+    if name.startswith(NUMBERS_OF_KINDS):
+        return "1", 1.0
     if name in LENS_NAMES:
         return ("px", 1.0) if name in LENS_NAMES[:4] else ("1", 1.0)
     return "SI", 1.0
+
+
+def unknowns_in(unit: str, unknowns: Mapping[str, float]) -> dict[str, float]:
+    """Those of the measurements' own unknowns that have this unit on screens, in it; no numbers of a lens."""
+    units = {name: unit_of(name, ()) for name in unknowns if name not in LENS_NAMES}
+    return {name: unknowns[name] * scale for name, (own, scale) in units.items() if own == unit}

@@ -62,7 +62,7 @@ def parameter_states(found: Identification, bare: Identification) -> States:
     """
     model = found.arm_model
     count = len(model.geometry.parameter_names)
-    prior = model.term_tolerances * EXPECTED * _scatter(found) / max(_scatter(bare), 1e-300)
+    prior = model.term_tolerances * EXPECTED * found.scatter / max(bare.scatter, 1e-300)
     expected = dict(zip(model.parameter_names[count:], prior, strict=True))
     geometry: dict[str, str] = {}
     terms: dict[str, str] = {}
@@ -76,8 +76,3 @@ def parameter_states(found: Identification, bare: Identification) -> States:
                 made = np.inf if free else ANGLE_TOLERANCE if is_angle(name) else LENGTH_TOLERANCE
                 geometry[name] = LOST if not kept or std > made else MEASURED
     return States(geometry, terms)
-
-
-def _scatter(found: Identification) -> float:
-    """What remains, in claimed standard uncertainties."""
-    return float(np.sqrt(found.chi_square / max(found.degrees_of_freedom, 1)))

@@ -17,6 +17,9 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.camera.boards import Board, Grey, opencv, opencv_board
 from pickenv.errors import InputError
 
+FEW_MARKERS = 4
+"""So few markers of a board may be all that a picture shows of it."""
+
 WINDOW = 5
 """px; a corner is refined, and judged, within a square of this half width."""
 
@@ -34,12 +37,14 @@ class FoundCorners:
         seen: Whether each was found ``(K,)``.
         std: Standard uncertainty of each coordinate ``(K,)``, px; 1 where not found.
         size: Width and height of the picture, px.
+        remark: Why none was found; empty where some were.
     """
 
     pixels: Array
     seen: NDArray[np.bool_]
     std: Array
     size: tuple[int, int]
+    remark: str = ""
 
 
 def find_corners(board: Board, picture: Grey, where: str) -> FoundCorners:
@@ -62,6 +67,12 @@ def find_corners(board: Board, picture: Grey, where: str) -> FoundCorners:
     std[numbers] = corner_std(picture, places, LEAST_STD[board.kind])
     height, width = picture.shape
     return FoundCorners(pixels, seen, std, (width, height))
+
+
+def no_corners(board: Board, size: tuple[int, int], remark: str) -> FoundCorners:
+    """A picture of ``size`` (px) that shows no corner, and why."""
+    count = len(board.corners)
+    return FoundCorners(np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count), size, remark)
 
 
 def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) -> Array:
@@ -146,6 +157,8 @@ def _reason(board: Board, picture: Grey) -> str:
     if board.kind == "chessboard":
         return f"all {board.columns} x {board.rows} squares must be in it; check [board], light and focus"
     tags = _markers(board, picture)[1]
+    if tags and len(tags) <= FEW_MARKERS and max(tags) < board.columns * board.rows // 2:
+        return f"it shows {len(tags)} of its markers, too few to tell a corner; have more of the board in it"
     if tags:
         shown = ", ".join(map(str, sorted(tags)[:5]))
         return f"it shows markers of {board.dictionary} (numbers {shown}), but of another board; check [board]"

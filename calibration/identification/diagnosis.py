@@ -282,6 +282,8 @@ def telling_views(views: PixelObservations) -> tuple[PixelObservations, tuple[Le
         count, why = int(seen.sum()), None
         if count < LEAST_CORNERS:
             why = f"{count} {'corner' if count == 1 else 'corners'} found; a view needs {LEAST_CORNERS}"
+            if views.remarks is not None and views.remarks[row]:
+                why = str(views.remarks[row])
         elif _thinness(views.corners[row][seen]) < LEAST_SPREAD:
             why = f"its {count} corners lie near one line, and do not tell how the board is turned"
         if why is None:

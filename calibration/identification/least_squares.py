@@ -19,11 +19,14 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.gauge import identifiable_parameters
-from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability, identifiability
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability
 from pickenv.calibration.model.measurements import Measurements, random_joints
-from pickenv.calibration.model.observations import Equations
+from pickenv.calibration.model.observations import Equations, Imaginable
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
+
+PROBES = 60
+"""Poses on which is tried what such measurements identify elsewhere."""
 
 OFFSET = 1e-3
 """Parameters count as found when a further step would move them by less than this share of their uncertainty."""
@@ -69,6 +72,11 @@ class Identification:
     def geometry(self) -> Geometry:
         """The identified geometry."""
         return self.arm_model.geometry
+
+    @property
+    def scatter(self) -> float:
+        """What remains, in claimed standard uncertainties."""
+        return float(np.sqrt(self.chi_square / max(self.degrees_of_freedom, 1)))
 
     @property
     def standard_deviation(self) -> Array:
@@ -149,7 +157,7 @@ def identify(
     matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors), _weighted(sets, arm, unknowns, factors)
     poses = sum(len(part.joints) for part in sets)
     found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance, rank_tolerance)
-    _enough_poses(model, arm, sets, found, len(weighted))
+    _enough_poses(model, arm, sets, unknowns, found, len(weighted))
     kept, scale = found.kept, tolerance[found.kept]
     iterates, unknown_iterates = [arm], [begun]
     history = [_rms(weighted)]
@@ -166,13 +174,14 @@ def identify(
         # A shortened step proves nothing: what counts is what the whole one would still explain.
         progress = judged_step(whole, matrix[:, kept] @ whole, weighted, history[-1], rms)
         if not progress.better:
-            if progress.negligible:  # worse by rounding alone: this is the minimum
+            # Worse by rounding alone is the minimum. Terms move with the geometry, which the Jacobian leaves out, so
+            # that near it even short steps may make it worse: then what is left counts.
+            if progress.negligible or (damping and progress.offset < (30 * OFFSET) ** 2):
                 converged = True
                 break
             # Levenberg: a step that makes it worse is shortened until it helps.
             damping = max(damping * 10.0, 1e-3)
-            if damping > 1e9:  # terms move with the geometry, which the Jacobian leaves out: judge by what is left
-                converged = bool(progress.offset < (30 * OFFSET) ** 2)
+            if damping > 1e9:
                 break
             continue
         arm, unknowns, weighted = moved, moved_unknowns, moved_weighted
@@ -316,23 +325,27 @@ def _covariance(matrix: Array, weighted: Array, found: Identifiability, toleranc
 
 
 def _enough_poses(
-    model: ErrorModel, arm: ArmModel, sets: Sequence[Equations], found: Identifiability, rows: int
+    model: ErrorModel,
+    arm: ArmModel,
+    sets: Sequence[Equations],
+    unknowns: Sequence[Array],
+    found: Identifiability,
+    rows: int,
 ) -> None:
     """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
     if rows >= 2 * len(found.names):
         return  # whatever the rank elsewhere, there are enough
-    part = sets[0]
-    if len(sets) > 1 or not isinstance(part, Measurements):
-        full = found.rank
-    else:
-        count = 60
-        probe = part.imagined(random_joints(arm.geometry, count, np.random.default_rng(0)))
+    part, full = sets[0], found.rank
+    if len(sets) == 1 and isinstance(part, Imaginable):
+        probe = part.imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
         geometric = model.columns < len(arm.geometry.parameter_names)
         names = tuple(name for name, keep in zip(model.names, geometric, strict=True) if keep)
         links = ErrorModel(model.columns[geometric], names, model.tolerance[geometric])
-        matrix = _system(links, [probe], ArmModel.of(arm.geometry), [np.zeros(0)], links.tolerance, 1.0)
-        full = identifiability(matrix, links.names, links.tolerance, count).rank
-    if rows <= full or (found.rank < full and rows < 2 * full):
+        tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
+        matrix = _system(links, [probe], bare, unknowns, tolerance, 1.0)
+        seen = identifiable_parameters(links, [probe], bare, unknowns, matrix, (*part.unknowns(), *names), tolerance)
+        full = max(full, seen.rank)
+    if rows <= full or (isinstance(part, Measurements) and found.rank < full and rows < 2 * full):
         poses = sum(len(part.joints) for part in sets)
         needed = -int(-2 * full // (rows / poses))
         raise InputError(

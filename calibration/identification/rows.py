@@ -12,7 +12,17 @@ from pickenv.errors import InputError
 
 
 def unknowns_of(found: Identification, observations: Observations) -> Array:
-    """The identified values of a data set's own unknowns."""
+    """The identified values of a data set's own unknowns.
+
+    Raises:
+        InputError: If it has one that the rows fitted had not.
+    """
+    new = [name for name in observations.unknowns() if name not in found.unknowns]
+    if new:
+        what = new[0].removesuffix("_x")
+        raise InputError(
+            f"{observations.source}: {what} occurs in no row that was fitted; give rows of it to fit, or leave it out"
+        )
     return np.array([found.unknowns[name] for name in observations.unknowns()])
 
 

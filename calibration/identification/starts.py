@@ -7,6 +7,7 @@ positions of their own; wires and contacts start where the arm is said to stand.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,10 +15,12 @@ from pickenv.arm import Arm, Geometry, Pose
 from pickenv.calibration.identification.alignment import align, refuse_another_arm
 from pickenv.calibration.identification.board_poses import board_poses
 from pickenv.calibration.identification.robust import robust_align, robust_identify
+from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel, frames_model, geometric_model
 from pickenv.calibration.model.finished_poses import CARRIER
+from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, ReflectorObservations
+from pickenv.calibration.model.observations import Observations, nearest_rotation
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.stacked import InstrumentStation, Stacked
 
@@ -51,7 +54,13 @@ def rough_start(nominal: Geometry, data: Observations) -> Geometry:
     one = Measurements(data.joints[rows], data.points[rows, which], None, nominal.prismatic, source=data.source)
     aligned = align(nominal, one, frames_model(nominal), judge=False).geometry
     refuse_another_arm(aligned, one, f"after fitting base and reflector {which + 1}", nominal)
-    return aligned
+    if data.places is None or len(data.places) < 3:
+        return aligned
+    local = data.seen_from(ArmModel.of(aligned))  # known places turn and shift the tool to where they are seen
+    middle, centre = data.places.mean(axis=0), local.mean(axis=0)
+    turn = nearest_rotation((local - centre).T @ (data.places - middle))
+    tool, shift = aligned.tool, centre - turn @ middle
+    return replace(aligned, tool=Pose(tool.position + tool.rotation @ shift, tool.rotation @ turn))
 
 
 def robust_frames(arm: Arm, data: Observations) -> Geometry:

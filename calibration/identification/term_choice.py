@@ -1,6 +1,6 @@
 """Which parametric terms an arm needs: chosen within the training rows, on contiguous blocks held out of each fit.
 
-Weight (joints that yield under the arm's own mass) and periodic drive errors need no data sheet, so they can be tried
+Weight (joints that yield under the arm's own mass) and the drives' harmonics need no data sheet, so they can be tried
 on any arm; they extrapolate where a learnt residual only interpolates. One that does not win on blocks stays out.
 """
 
@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pickenv.arm import Arm, Geometry
+from pickenv.arm import Arm
+from pickenv.calibration.identification.block_equations import BlockEquations, Linearised, Places, solved
+from pickenv.calibration.identification.harmonics import chosen_orders, every_order, nearby, refined
 from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import geometric_model, with_terms
 from pickenv.calibration.model.observations import Observations
@@ -31,7 +32,8 @@ ROWS = 1500
 WARM = 5.0
 """Temperatures that vary by less than this, K, say nothing about expansion."""
 
-NAMES = ("gravity", "periodic", "thermal", "none")
+NAMES = ("gravity", "periodic", "thermal")
+"""Terms that can be chosen, in the order in which they are tried."""
 
 
 @dataclass(frozen=True)
@@ -39,42 +41,14 @@ class TermChoice:
     """What was tried and chosen.
 
     Attributes:
-        chosen: Name of the terms, one of `NAMES` joined by "+".
+        chosen: Names of the terms, some of `NAMES` joined by "+", or "none".
         blocked_rms: Cross-validated blocked RMS of every candidate, m.
+        terms: The terms.
     """
 
     chosen: str
     blocked_rms: dict[str, float]
-
-
-def terms_of(name: str, arm: Arm, observations: Observations) -> tuple[Term, ...]:
-    """The terms that a name stands for, for an arm mounted upright as its nominal base says.
-
-    Raises:
-        InputError: If the name is unknown.
-    """
-    geometry = arm.nominal
-    terms: list[Term] = []
-    for part in name.split("+"):
-        if part == "gravity":
-            up = geometry.base.rotation.T @ np.array([0.0, 0.0, 1.0])
-            payload = observations.conditions.payload
-            varied = payload is not None and float(np.ptp(payload)) > 0
-            terms.append(GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), varied))
-        elif part == "periodic":
-            terms += [
-                PeriodicTerm(i, period)
-                for i in range(geometry.joints)
-                if not geometry.prismatic[i]
-                for period in (2 * np.pi, np.pi)
-            ]
-        elif part == "thermal":
-            terms.append(ThermalTerm())
-        elif part != "none":
-            raise InputError(
-                f"unknown terms '{part}'; give auto or some of {', '.join(NAMES[:-2])}, thermal, joined by +"
-            )
-    return tuple(terms)
+    terms: tuple[Term, ...] = ()
 
 
 def identify_terms(
@@ -83,42 +57,143 @@ def identify_terms(
     """Identify geometry and terms, from a geometry identified without them; coefficients have a prior."""
     start = ArmModel.of(bare.geometry, terms)
     model = with_terms(geometric_model(bare.geometry, known), start)
-    scatter = float(np.sqrt(bare.chi_square / max(bare.degrees_of_freedom, 1)))
-    return identify(model, start, [observations, coefficients_prior(start, scatter)], max_iterations=60)
+    return identify(model, start, [observations, coefficients_prior(start, bare.scatter)], max_iterations=60)
 
 
-def choose_terms(arm: Arm, aligned: Geometry, observations: Observations, known: bool = False) -> TermChoice:
+def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> TermChoice:
     """Choose terms by blocked cross-validation within training rows, in the order they were measured.
 
     One after the other, what every arm has first (weight), and each only if it wins over those before it. The order is
-    a decision: on the WAM's grid periodic terms alone score better than weight alone, and extrapolate worse.
+    a decision: on the WAM's grid harmonics alone score better than weight alone, and extrapolate worse. Weight stays
+    beside harmonics only if it wins over harmonics alone.
 
     Args:
         arm: The arm.
-        aligned: Its geometry with base and tool fitted, or known.
+        bare: Its geometry, identified without terms.
         observations: Training rows.
-        known: Whether base and tool are known.
     """
-    data = observations.select(equally_spaced(len(observations.joints), ROWS))
-    folds = []
-    for train, test in contiguous_folds(data.groups, FOLDS):
-        here = data.select(train)
-        folds.append((identify(geometric_model(aligned, known), aligned, [here]), here, data.select(test)))
+    trial = _Trial.of(arm, bare, observations)
+    chosen: tuple[str, ...] = ()
+    scores = {"none": trial.score(())}
 
-    def score(name: str) -> float:
+    def wins(wider: tuple[str, ...], than: tuple[str, ...]) -> bool:
+        for names in (wider, than):
+            if _joined(names) not in scores:
+                scores[_joined(names)] = trial.score(names)
+        return scores[_joined(wider)] < (1.0 - MARGIN) * scores[_joined(than)]
+
+    temperature = observations.conditions.temperature
+    warm = temperature is not None and float(np.ptp(temperature)) > WARM
+    for name in NAMES if warm else NAMES[:-1]:
+        if wins((*chosen, name), chosen):
+            chosen = (*chosen, name)
+    if set(chosen) >= {"gravity", "periodic"}:
+        lighter = tuple(name for name in chosen if name != "gravity")
+        if not wins(chosen, lighter):
+            chosen = lighter
+    return TermChoice(_joined(chosen), scores, trial.terms(chosen))
+
+
+def terms_of(names: str, arm: Arm, bare: Identification, observations: Observations) -> tuple[Term, ...]:
+    """The terms of these names joined by "+", as many harmonics among them as the training rows bear.
+
+    Args:
+        names: Some of `NAMES` joined by "+", or "none".
+        arm: The arm.
+        bare: Its geometry, identified without terms.
+        observations: Training rows.
+
+    Raises:
+        InputError: If a name is unknown.
+    """
+    wanted = [name for name in names.split("+") if name != "none"]
+    for name in wanted:
+        if name not in NAMES:
+            raise InputError(f"unknown terms '{name}'; give auto, none, or some of {', '.join(NAMES)} joined by +")
+    if "periodic" not in wanted:
+        return tuple(_plain_term(name, arm, observations) for name in wanted)
+    return _Trial.of(arm, bare, observations, tuple(wanted)).terms(tuple(wanted))
+
+
+def _plain_term(name: str, arm: Arm, observations: Observations) -> Term:
+    """Weight, of an arm mounted upright as its nominal base says, or warmth, or every harmonic."""
+    geometry = arm.nominal
+    if name == "periodic":
+        return every_order(geometry)
+    if name == "thermal":
+        return ThermalTerm()
+    up = geometry.base.rotation.T @ np.array([0.0, 0.0, 1.0])
+    payload = observations.conditions.payload
+    varied = payload is not None and float(np.ptp(payload)) > 0
+    return GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), varied)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Terms on trial, in blocks of the training rows.
+
+    Attributes:
+        bare: The geometry, identified without terms.
+        data: The rows.
+        names: Names of the terms.
+        equations: Normal equations of geometry and terms by block.
+    """
+
+    bare: Identification
+    data: Observations
+    names: tuple[str, ...]
+    equations: BlockEquations
+
+    @staticmethod
+    def of(arm: Arm, bare: Identification, observations: Observations, names: tuple[str, ...] | None = None) -> _Trial:
+        """These terms, or all that the data have conditions for."""
+        data = observations.select(equally_spaced(len(observations.joints), ROWS))
+        if names is None:
+            names = NAMES if data.conditions.temperature is not None else NAMES[:-1]
+        model = Linearised.of(bare, tuple(_plain_term(name, arm, data) for name in names))
+        blocks = [data.select(held) for _, held in contiguous_folds(data.groups, FOLDS)]
+        return _Trial(bare, data, names, BlockEquations.of(model, blocks))
+
+    def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
+        """Places of the parameters that take part with terms of these names: on all blocks but each, and on all."""
+        model = self.equations.model
+        others = [model.coefficients_of(self.names.index(name)) for name in names if name != "periodic"]
+        base = np.concatenate([model.fitted, *others])
+        if "periodic" not in names:
+            return [base] * len(self.equations.blocks), base
+        every = model.coefficients_of(self.names.index("periodic")).reshape(-1, 2)
+        paths, whole = chosen_orders(self.equations, base, every)
+        return [np.r_[base, path] for path in paths], np.r_[base, whole]
+
+    def score(self, names: tuple[str, ...]) -> float:
+        """RMS that they leave on blocks, each judged by a fit to the others, m."""
         missed = []
-        for bare, here, there in folds:
-            terms = terms_of(name, arm, data)
-            found = identify_terms(terms, bare, here, known) if terms else bare
-            missed.append(there.misses(found.arm_model, unknowns_of(found, there)))
+        for number, (block, places) in enumerate(zip(self.equations.blocks, self.places(names)[0], strict=True)):
+            solution = solved(*self.equations.without(number), places)
+            missed.append(self.equations.model.misses(block, solution))
         return float(np.sqrt(np.mean(np.sum(np.concatenate(missed) ** 2, axis=1))))
 
-    chosen, scores = "none", {"none": score("none")}
-    temperature = data.conditions.temperature
-    warm = temperature is not None and float(np.ptp(temperature)) > WARM
-    for name in ("gravity", "periodic", *(("thermal",) if warm else ())):
-        wider = name if chosen == "none" else f"{chosen}+{name}"
-        scores[wider] = score(wider)
-        if scores[wider] < (1.0 - MARGIN) * scores[chosen]:
-            chosen = wider
-    return TermChoice(chosen, scores)
+    def terms(self, names: tuple[str, ...]) -> tuple[Term, ...]:
+        """The terms of these names, with the orders of the harmonics refined."""
+        every = self.equations.model.arm.terms
+        found = {name: every[self.names.index(name)] for name in names}
+        if "periodic" in names:
+            wave = found.pop("periodic")
+            assert isinstance(wave, PeriodicTerm)
+            others, first = tuple(found.values()), self.equations.model.coefficients_of(self.names.index("periodic"))[0]
+            wave = wave.some((np.setdiff1d(self.places(names)[1], np.arange(first))[::2] - first) // 2)
+            if wave.orders:
+                near = nearby(wave)
+                model = Linearised.of(self.bare, (*others, near))
+                fine = BlockEquations.of(model, self.equations.blocks)
+                places = model.coefficients_of(len(others))
+                base = np.arange(places[0])
+                _, whole = chosen_orders(fine, base, places.reshape(-1, 2))
+                wave = near.some(np.sort(whole[::2] - places[0]) // 2)
+                if wave.orders:
+                    found["periodic"] = refined(wave, others, self.bare, self.data)
+        return tuple(found[name] for name in names if name in found)
+
+
+def _joined(names: tuple[str, ...]) -> str:
+    return "+".join(names) or "none"

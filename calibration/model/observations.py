@@ -1,4 +1,4 @@
-"""What a data set must answer, and its kinds beyond `Measurements`: reflector groups, draw-wire lengths, sockets.
+"""What a data set of any kind must answer; the kinds beyond `Measurements` stand in `pickenv.calibration.model.kinds`.
 
 Each kind brings unknowns of its own (where the reflectors sit, the wire is anchored, the sockets are), which are
 identified together with the arm. Rows are whitened by their covariance, so any mix may be stacked. SI units.
@@ -7,11 +7,11 @@ identified together with the arm. Rows are whitened by their covariance, so any 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
-from typing import Any, Protocol, Self, TypeVar
+from dataclasses import replace
+from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
@@ -45,6 +45,10 @@ class Equations(Protocol):
     def framed(self) -> bool:
         """Whether the instrument has a frame, so that the arm's base pose can be seen at all."""
 
+    @property
+    def sized(self) -> bool:
+        """Whether a known length takes part, without which nobody can say how large the arm is."""
+
     def unknowns(self) -> tuple[str, ...]:
         """Names of the kind's own unknowns."""
 
@@ -59,6 +63,14 @@ class Equations(Protocol):
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Whitened derivatives by the model ``(rows, 5n + 12 + k)`` and by the unknowns ``(rows, own)``."""
+
+
+@runtime_checkable
+class Imaginable(Equations, Protocol):
+    """Equations that can be asked at other poses before anything is measured there."""
+
+    def imagined(self, joints: Array) -> Equations:
+        """What such an instrument would be asked at other joints ``(M, n)``; only kind and uncertainties are real."""
 
 
 class Observations(Equations, Protocol):
@@ -80,6 +92,10 @@ class Observations(Equations, Protocol):
     def rows_of_misses(self) -> Rows:
         """The row that each of `misses` belongs to ``(R,)``."""
 
+    @property
+    def miss_unit(self) -> str:
+        """What screens show `misses` in: "mm" of metres, "deg" of radians."""
+
     def equations(self) -> tuple[Rows, Rows]:
         """Row and channel of each equation of `residual` ``(E,)``; the row is -1 where it belongs to none.
 
@@ -90,7 +106,7 @@ class Observations(Equations, Protocol):
         """The data set that holds only the given rows."""
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted positions ``(R, 3)``, or lengths ``(R, 1)``, m."""
+        """Measured minus predicted positions ``(R, 3)``, or lengths ``(R, 1)``, m; of directions ``(R, k)``, rad."""
 
     def readings(self) -> Array:
         """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
@@ -103,6 +119,16 @@ class OneGroup:
     """Rows that a split may part anywhere, each of which misses once."""
 
     joints: Array
+
+    @property
+    def miss_unit(self) -> str:
+        """Misses are lengths."""
+        return "mm"
+
+    @property
+    def sized(self) -> bool:
+        """Lengths are measured."""
+        return True
 
     def fingerprint(self) -> str:
         """Of joints and readings."""
@@ -135,226 +161,6 @@ class OneGroup:
         return one_channel(np.arange(len(self.joints)))
 
 
-@dataclass(frozen=True, eq=False)
-class ReflectorObservations(OneGroup):
-    """Positions of k reflectors fixed to the tool, some of them lost in some poses.
-
-    Attributes:
-        joints: ``(N, n)``, rad or m.
-        points: Measured positions ``(N, k, 3)``, m; values of lost reflectors are ignored.
-        seen: Whether each reflector was seen ``(N, k)``.
-        covariance: Of one point, m^2: ``(3, 3)``, or ``(N, k, 3, 3)`` for an anisotropic tracker.
-        conditions: Payload, temperature and torques, where known.
-        source: Where the data come from.
-        origins: File and line of each row; None where they come from no file.
-    """
-
-    joints: Array
-    points: Array
-    seen: NDArray[np.bool_]
-    covariance: Array
-    conditions: Conditions = NONE_KNOWN
-    source: str = "reflectors"
-    kind: str = "reflectors"
-    framed: bool = True
-    origins: Origins | None = None
-
-    @property
-    def rows_of_misses(self) -> Rows:
-        """One miss per reflector seen."""
-        return np.nonzero(self.seen)[0]
-
-    def select(self, rows: Rows) -> Self:
-        """The data set that holds only the given rows."""
-        return selected(self, rows, "points", "seen", *(["covariance"] if self.covariance.ndim > 2 else []))
-
-    def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """One per reflector seen."""
-        return np.asarray((self.points - self.predict(model, unknowns))[self.seen])
-
-    def readings(self) -> Array:
-        """The points seen."""
-        return np.where(self.seen[..., None], self.points, 0.0).reshape(len(self.joints), -1)
-
-    def equations(self) -> tuple[Rows, Rows]:
-        """Three for each reflector seen."""
-        return one_channel(np.repeat(self.rows_of_misses, 3))
-
-    def unknowns(self) -> tuple[str, ...]:
-        """Reflector positions in the tool's frame."""
-        return tuple(f"reflector{i + 1}_{axis}" for i in range(self.points.shape[1]) for axis in "xyz")
-
-    def start(self, model: ArmModel) -> Array:
-        """Mean of the measured points as the nominal tool sees them."""
-        tool = model.pose(self.joints, self.conditions)
-        local = np.einsum("nij,nki->nkj", tool.rotation, self.points - tool.position[:, None])
-        weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
-        return np.asarray(np.sum(np.where(self.seen[..., None], local, 0.0) * weight, axis=0).ravel())
-
-    def predict(self, model: ArmModel, unknowns: Array) -> Array:
-        """Predicted points ``(N, k, 3)``, m."""
-        tool = model.pose(self.joints, self.conditions)
-        return np.asarray(tool.position[:, None] + np.einsum("nij,kj->nki", tool.rotation, unknowns.reshape(-1, 3)))
-
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Whitened differences of the reflectors seen."""
-        error = self.points - self.predict(model, unknowns)
-        return np.asarray(np.einsum("nkij,nkj->nki", self._whitening(), error)[self.seen].ravel())
-
-    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Derivatives of the reflectors seen."""
-        tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
-        count = self.points.shape[1]
-        lever = np.einsum("nij,kj->nki", tool.rotation, unknowns.reshape(-1, 3))
-        by_geometry = point_jacobian(pose[:, None], lever)
-        by_unknown = np.einsum("nij,kl->nkilj", tool.rotation, np.eye(count)).reshape(len(self.joints), count, 3, -1)
-        whitening = self._whitening()
-        stacked = [np.einsum("nkij,nkjp->nkip", whitening, part)[self.seen] for part in (by_geometry, by_unknown)]
-        return stacked[0].reshape(-1, pose.shape[-1]), stacked[1].reshape(-1, 3 * count)
-
-    def _whitening(self) -> Array:
-        return np.broadcast_to(whitening_of(self.covariance), (*self.points.shape, 3))
-
-
-@dataclass(frozen=True, eq=False)
-class DistanceObservations(OneGroup):
-    """Lengths of a wire between the tool's origin and an unknown fixed anchor (draw-wire sensor, ball bar).
-
-    Attributes:
-        joints: ``(N, n)``, rad or m.
-        length: Measured lengths ``(N,)``, m.
-        std: Standard uncertainty of a length, m.
-        conditions: Payload, temperature and torques, where known.
-        source: Where the data come from.
-        origins: File and line of each row; None where they come from no file.
-    """
-
-    joints: Array
-    length: Array
-    std: float
-    conditions: Conditions = NONE_KNOWN
-    source: str = "wire lengths"
-    kind: str = "distance"
-    framed: bool = False
-    origins: Origins | None = None
-
-    def select(self, rows: Rows) -> Self:
-        """The data set that holds only the given rows."""
-        return selected(self, rows, "length")
-
-    def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted lengths."""
-        return np.asarray(self.residual(model, unknowns)[:, None] * self.std)
-
-    def readings(self) -> Array:
-        """The lengths."""
-        return self.length[:, None]
-
-    def unknowns(self) -> tuple[str, ...]:
-        """The anchor."""
-        return ("anchor_x", "anchor_y", "anchor_z")
-
-    def start(self, model: ArmModel) -> Array:
-        """Trilateration: |p|^2 - l^2 = 2 p.A - |A|^2 is linear in the anchor A and |A|^2."""
-        p = model.pose(self.joints, self.conditions).position
-        right = np.sum(p**2, axis=1) - self.length**2
-        solution = np.linalg.lstsq(np.column_stack([2 * p, -np.ones(len(p))]), right, rcond=None)[0]
-        return np.asarray(solution[:3])
-
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted length, in standard uncertainties."""
-        away = model.pose(self.joints, self.conditions).position - unknowns
-        return np.asarray((self.length - np.linalg.norm(away, axis=1)) / self.std)
-
-    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """The pose Jacobian along the wire."""
-        away = model.pose(self.joints, self.conditions).position - unknowns
-        along = away / np.linalg.norm(away, axis=1, keepdims=True) / self.std
-        pose = model.jacobian(self.joints, self.conditions)[:, :3]
-        return np.asarray(np.einsum("ni,nip->np", along, pose)), -along
-
-
-@dataclass(frozen=True, eq=False)
-class SocketObservations(OneGroup):
-    """A ball on the tool rests in sockets that do not move: no metrology but the known spacing of some sockets.
-
-    Attributes:
-        joints: ``(N, n)``, rad or m.
-        socket: Number of the socket that each pose rests in ``(N,)``, from 0.
-        pairs: Sockets of known spacing ``(M, 2)``; without them the scale of the arm is unobservable.
-        spacing: Their spacings ``(M,)``, m.
-        std: Standard uncertainty of a ball's rest, m.
-        spacing_std: Standard uncertainty of a spacing, m.
-        conditions: Payload, temperature and torques, where known.
-        source: Where the data come from.
-        origins: File and line of each row; None where they come from no file.
-    """
-
-    joints: Array
-    socket: NDArray[np.int64]
-    pairs: NDArray[np.int64]
-    spacing: Array
-    std: float = 1e-4
-    spacing_std: float = 1e-5
-    conditions: Conditions = NONE_KNOWN
-    source: str = "sockets"
-    kind: str = "sockets"
-    framed: bool = False
-    origins: Origins | None = None
-
-    @property
-    def groups(self) -> Rows:
-        """Each socket's rows are a group, so that each is trained on."""
-        return self.socket
-
-    def select(self, rows: Rows) -> Self:
-        """The data set that holds only the given rows."""
-        return selected(self, rows, "socket")
-
-    def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Socket minus ball."""
-        return np.asarray(self.residual(model, unknowns)[: 3 * len(self.joints)].reshape(-1, 3) * self.std)
-
-    def readings(self) -> Array:
-        """The sockets' numbers."""
-        return self.socket[:, None].astype(float)
-
-    def equations(self) -> tuple[Rows, Rows]:
-        """Three for each row, then the spacings."""
-        rows = np.repeat(np.arange(len(self.joints)), 3)
-        return one_channel(np.concatenate([rows, np.full(len(self.pairs), -1)]))
-
-    def unknowns(self) -> tuple[str, ...]:
-        """Positions of the sockets."""
-        return tuple(f"socket{i + 1}_{axis}" for i in range(int(self.socket.max()) + 1) for axis in "xyz")
-
-    def start(self, model: ArmModel) -> Array:
-        """Mean of the ball's positions in each socket."""
-        ball = model.pose(self.joints, self.conditions).position
-        count = np.bincount(self.socket)
-        return np.stack([np.bincount(self.socket, ball[:, i]) / count for i in range(3)], -1).ravel()
-
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Socket minus ball, and measured minus predicted spacings, in standard uncertainties."""
-        sockets = unknowns.reshape(-1, 3)
-        rest = (sockets[self.socket] - model.pose(self.joints, self.conditions).position) / self.std
-        apart = np.linalg.norm(sockets[self.pairs[:, 0]] - sockets[self.pairs[:, 1]], axis=1)
-        return np.concatenate([rest.ravel(), (self.spacing - apart) / self.spacing_std])
-
-    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Derivatives of ball minus socket and of the spacings."""
-        sockets = unknowns.reshape(-1, 3)
-        pose = model.jacobian(self.joints, self.conditions)[:, :3] / self.std
-        by_geometry = np.concatenate([pose.reshape(-1, pose.shape[-1]), np.zeros((len(self.pairs), pose.shape[-1]))])
-        chosen = np.eye(len(sockets))[self.socket]
-        rest = -np.einsum("ns,ij->nisj", chosen, np.eye(3)).reshape(-1, unknowns.size) / self.std
-        difference = sockets[self.pairs[:, 0]] - sockets[self.pairs[:, 1]]
-        along = difference / np.linalg.norm(difference, axis=1, keepdims=True) / self.spacing_std
-        signs = np.eye(len(sockets))[self.pairs[:, 0]] - np.eye(len(sockets))[self.pairs[:, 1]]
-        apart = np.einsum("ms,mj->msj", signs, along).reshape(-1, unknowns.size)
-        return by_geometry, np.concatenate([rest, apart])
-
-
 def hash_of(*parts: Array) -> str:
     """Hash of numbers to 1e-9 m and rad; a trip through a CSV file keeps it."""
     whole = [np.rint(part * 1e9).astype(np.int64) for part in parts]
@@ -375,6 +181,13 @@ def selected(data: Kind, rows: ArrayLike, *names: str) -> Kind:
     return replace(data, **changed)  # type: ignore[type-var]
 
 
+def repeated_at(data: Kind, joints: Array, *names: str) -> Kind:
+    """A data set at other joints ``(M, n)``, whose readings of these names are those it has, over and over."""
+    rows = np.resize(np.arange(len(data.joints)), len(joints))
+    changed: dict[str, Any] = {name: getattr(data, name)[rows] for name in names}
+    return replace(data, joints=joints, conditions=Conditions(), origins=None, **changed)  # type: ignore[type-var]
+
+
 def origins_of(data: Observations) -> Origins:
     """File and line of each row; rows that come from no file are counted from 1."""
     count = len(data.joints)
@@ -385,36 +198,6 @@ def point_jacobian(pose_jacobian: Array, lever: Array) -> Array:
     """Jacobian ``(..., 3, P)`` of a point that lies ``lever`` ``(..., 3)`` (world axes) from the tool's origin."""
     turn = pose_jacobian[..., 3:, :]
     return np.asarray(pose_jacobian[..., :3, :] + np.cross(turn, lever[..., :, None], axis=-2))
-
-
-def whitening_of(covariance: Array) -> Array:
-    """W with W C W^T = 1 for covariances C ``(..., 3, 3)``: inverse of the Cholesky factor."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
-
-
-def tracker_covariance(
-    points: Array,
-    station: Array,
-    *,
-    adm: tuple[float, float] = (10e-6, 0.3e-6),
-    angle: tuple[float, float] = (15e-6, 6e-6),
-) -> Array:
-    """Anisotropic covariance ``(..., 3, 3)`` of laser-tracker points ``(..., 3)`` seen from ``station`` ``(3,)``.
-
-    Radial and transverse maximum permissible errors grow with distance, a + b L each; half of them is taken as the
-    standard uncertainty (Leica AT500: 10 um + 0.3 um/m radial, 15 um + 6 um/m transverse).
-
-    Args:
-        points: m.
-        station: m.
-        adm: (a, b) of the distance meter, m and m/m.
-        angle: (a, b) of the angular encoders, m and m/m.
-    """
-    away = points - station
-    distance = np.linalg.norm(away, axis=-1)[..., None, None]
-    along = away[..., :, None] * away[..., None, :] / distance**2
-    radial, across = ((a + b * distance) / 2 for a, b in (adm, angle))
-    return np.asarray(radial**2 * along + across**2 * (np.eye(3) - along))
 
 
 def nearest_rotation(matrix: Array) -> Array:

@@ -8,6 +8,7 @@ on the flange. Only the lens, if it is to be fitted, is an unknown of this kind'
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model import lens
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.kinds.stated import Stated
 from pickenv.calibration.model.lens import Lens
 from pickenv.calibration.model.observations import OneGroup, one_channel, point_jacobian, selected
 from pickenv.calibration.model.origins import Origins
@@ -41,6 +43,7 @@ class PixelObservations(OneGroup):
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         origins: Picture or file and line of each view; None where they come from no file.
+        remarks: Why a view shows no corner ``(V,)``, empty where it shows some; None where nobody says.
     """
 
     joints: Array
@@ -56,11 +59,12 @@ class PixelObservations(OneGroup):
     kind: str = "pixels"
     framed: bool = True
     origins: Origins | None = None
+    remarks: NDArray[np.str_] | None = None
 
-    @property
-    def free(self) -> Rows:
-        """Which numbers of the lens are fitted."""
-        return np.flatnonzero(self.lens_std > 0.0)
+    @cached_property
+    def _lens(self) -> Stated:
+        """The numbers of the lens, as far as they are known."""
+        return Stated(lens.LENS_NAMES, self.camera.values, self.lens_std, lens.SCALES)
 
     @property
     def rows_of_misses(self) -> Rows:
@@ -69,25 +73,23 @@ class PixelObservations(OneGroup):
 
     def select(self, rows: Rows) -> Self:
         """The views of the given rows."""
-        return selected(self, rows, "corners", "seen", "std")
+        return selected(self, rows, "corners", "seen", "std", "remarks")
 
     def unknowns(self) -> tuple[str, ...]:
         """The fitted numbers of the lens."""
-        return tuple(lens.LENS_NAMES[i] for i in self.free)
+        return self._lens.unknowns()
 
     def tolerances(self) -> Array:
         """Their scales."""
-        return lens.SCALES[self.free]
+        return self._lens.tolerances()
 
     def start(self, model: ArmModel) -> Array:
         """The lens as it is known."""
-        return self.camera.values[self.free]
+        return self._lens.start()
 
     def lens_values(self, unknowns: Array) -> Array:
         """All numbers of the lens ``(9,)``, the fitted ones as given."""
-        values = self.camera.values.copy()
-        values[self.free] = unknowns
-        return values
+        return self._lens.whole(unknowns)
 
     def in_camera(self, model: ArmModel) -> Array:
         """The board's corners in the camera's frame ``(V, K, 3)``, m."""
@@ -115,14 +117,13 @@ class PixelObservations(OneGroup):
 
     def equations(self) -> tuple[Rows, Rows]:
         """Two for each corner found, then what is known of the lens."""
-        known = np.full(int(np.isfinite(self.lens_std[self.free]).sum()), -1)
+        known = np.full(len(self._lens.jacobian()), -1)
         return one_channel(np.concatenate([np.repeat(self.rows_of_misses, 2), known]))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Pixel errors in standard uncertainties, then what is known of the lens, likewise."""
         errors = self.pixel_errors(model, unknowns) / self.std[self.seen][:, None]
-        prior = (self.camera.values[self.free] - unknowns) / self.lens_std[self.free]
-        return np.concatenate([errors.ravel(), prior[np.isfinite(self.lens_std[self.free])]])
+        return np.concatenate([errors.ravel(), self._lens.residual(unknowns)])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Derivatives of `predict` by the pose, and by the lens."""
@@ -138,9 +139,8 @@ class PixelObservations(OneGroup):
             moved = -np.swapaxes(tool.rotation, 1, 2)[rows] @ point_jacobian(pose[rows], lever)
         weight = 1.0 / self.std[self.seen][:, None, None]
         by_arm = (lens.by_point(values, points) @ moved * weight).reshape(-1, pose.shape[-1])
-        by_lens = (lens.by_values(values, points)[..., self.free] * weight).reshape(len(by_arm), len(self.free))
-        known = np.isfinite(self.lens_std[self.free])
-        prior = np.diag(1.0 / self.lens_std[self.free])[known]
+        by_lens = (lens.by_values(values, points)[..., self._lens.free] * weight).reshape(len(by_arm), len(unknowns))
+        prior = self._lens.jacobian()
         return (
             np.concatenate([by_arm, np.zeros((len(prior), by_arm.shape[1]))]),
             np.concatenate([by_lens, prior]),

@@ -34,6 +34,7 @@ class Prior:
     source: str = "prior"
     kind: str = "prior"
     framed: bool = False
+    sized: bool = False
 
     @property
     def joints(self) -> Array:

@@ -54,10 +54,14 @@ class InstrumentStation:
         """Its own frames, by name."""
         return {name: pose for name in OWN if (pose := getattr(self, name)) is not None}
 
+    @property
+    def suffix(self) -> str:
+        """What the names of its unknowns end with."""
+        return "" if self.number == 1 else f"_{self.number}"
+
     def unknowns(self) -> tuple[str, ...]:
         """The data's own, then those of the frames: base2_x."""
-        suffix = "" if self.number == 1 else f"_{self.number}"
-        own = tuple(f"{name}{suffix}" for name in self.data.unknowns())
+        own = tuple(f"{name}{self.suffix}" for name in self.data.unknowns())
         return own + tuple(f"{frame}{self.number}_{name}" for frame in self.frames for name in FRAME_PARAMETERS)
 
     def tolerances(self) -> Array:
@@ -139,6 +143,17 @@ class Stacked:
     def framed(self) -> bool:
         """Whether any instrument has a frame."""
         return any(part.framed for part in self.parts)
+
+    @property
+    def sized(self) -> bool:
+        """Whether any knows a length."""
+        return any(part.sized for part in self.parts)
+
+    @property
+    def miss_unit(self) -> str:
+        """Angles beside lengths count as what they move at a metre."""
+        units = {part.miss_unit for part in self.parts}
+        return units.pop() if len(units) == 1 else "mm"
 
     @property
     def conditions(self) -> Conditions:

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pickenv.arm import Geometry, forward, joint_jacobian, parameter_jacobian
 from pickenv.arm.effects.structure import Load, gravity_torques
@@ -130,25 +131,40 @@ class LeadTerm:
 
 @dataclass(frozen=True)
 class PeriodicTerm:
-    """A drive's periodic error: sine and cosine coefficients (rad or m) of one period of one joint."""
+    """Drives' periodic errors: sine and cosine coefficients (rad or m) of sin(order q) and cos(order q).
 
-    joint: int
-    period: float
+    Attributes:
+        joints: The joint of each harmonic, from 0; one may have several.
+        orders: The order of each: cycles per turn of a revolute joint, also fractional; 2 pi over the period (1/m) of a
+            prismatic one.
+        order_std: Standard uncertainties of the orders; empty where they were given, not found.
+    """
+
+    joints: tuple[int, ...]
+    orders: tuple[float, ...]
+    order_std: tuple[float, ...] = ()
+
+    def some(self, numbers: NDArray[np.int64]) -> PeriodicTerm:
+        """Some of the harmonics, counted from 0."""
+        return PeriodicTerm(tuple(self.joints[i] for i in numbers), tuple(self.orders[i] for i in numbers))
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Sine and cosine."""
-        unit, value = ("mm", self.period * 1e3) if geometry.prismatic[self.joint] else ("deg", np.degrees(self.period))
-        return tuple(f"periodic{self.joint + 1}_{value:.0f}{unit}_{part}" for part in ("sin", "cos"))
+        """Joint, order and part: periodic1_13.5_sin."""
+        pairs = zip(self.joints, self.orders, strict=True)
+        return tuple(f"periodic{i + 1}_{order:.5g}_{part}" for i, order in pairs for part in ("sin", "cos"))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """1 mm or 1 mrad."""
-        return np.full(2, 1e-3)
+        """1 mm, or 3 mrad at one cycle per turn and less for higher orders: equally steep."""
+        pairs = zip(self.joints, self.orders, strict=True)
+        return 1e-3 * np.repeat([1.0 if geometry.prismatic[i] else 3.0 / order for i, order in pairs], 2)
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """The joint Jacobian's column times sine and cosine."""
-        angle = joints[:, self.joint] * (2 * np.pi / self.period)
+        """The joint Jacobian's columns times sine and cosine."""
+        chosen = list(self.joints)
+        angle = joints[:, chosen] * np.array(self.orders)
         wave = np.stack([np.sin(angle), np.cos(angle)], -1)
-        return np.asarray(joint_jacobian(geometry, joints)[..., [self.joint]] * wave[:, None])
+        moved = np.asarray(joint_jacobian(geometry, joints)[..., chosen])
+        return np.asarray((moved[..., None] * wave[:, None]).reshape(len(joints), 6, -1))
 
 
 @dataclass(frozen=True)

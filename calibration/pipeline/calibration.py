@@ -23,7 +23,7 @@ from pickenv.errors import InputError
 from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
 
 KIND = "calibration"
-FORMAT = 2
+FORMAT = 3
 """Version of the file's content."""
 
 REMAKE = "run `pickenv calibrate` (or `pickenv demo`) to make one anew"

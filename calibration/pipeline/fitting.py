@@ -13,14 +13,16 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, forward
+from pickenv.calibration.assessment.screen import MISS_UNITS
 from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.identification.starts import fitted_model, rough_start
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import frames_model, with_terms
+from pickenv.calibration.model.kinds.sockets import SocketObservations
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, SocketObservations
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, QUICK_FITTERS, fit_residual
@@ -175,10 +177,13 @@ def _refuse_misfit(found: Identification, data: Observations) -> None:
     span = float(np.linalg.norm(tool.std(axis=0)))
     if isinstance(data, SocketObservations):
         span = float(np.linalg.norm(tool - tool.mean(axis=0), axis=1).max())
+    if data.miss_unit == "deg":
+        span = 1.0
     if rms > MISFIT * max(span, 0.1):
+        missed = f"{rms * MISS_UNITS[data.miss_unit]:.0f} {data.miss_unit}"
         raise InputError(
-            f"{data.source}: after fitting the frames the arm still misses by {rms * 1e3:.0f} mm RMS; check "
-            "the arm, the units, the joint order and signs, and which row belongs to what"
+            f"{data.source}: after fitting the frames the arm still misses by {missed} RMS; check the arm, the units, "
+            "the joint order and signs, and which row belongs to what"
         )
 
 

@@ -18,6 +18,7 @@ from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.splits import Rows
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.fitting import Fit
@@ -40,6 +41,7 @@ class HeldOut:
         used: Name of the model that each part of the rows was judged by: one, or one per block.
         blocks: The block of each error ``(M,)``; None where rows were held out once.
         refit: How frames were found anew for these rows, in words; empty where they are those of the fit.
+        pixels: Of pictures the geometry's errors in px too, view by view; empty for other kinds.
     """
 
     errors: dict[str, Array]
@@ -47,6 +49,7 @@ class HeldOut:
     used: tuple[str, ...]
     blocks: Rows | None = None
     refit: str = ""
+    pixels: tuple[Array, ...] = ()
 
     def text(self, rows: int, fitted: int) -> str:
         """How these rows were held out, in words.
@@ -96,7 +99,11 @@ def held_out_of(fits: Mapping[str, Fit], train: Observations, test: Observations
         before = test.misses(bare.aligned.arm_model, unknowns_of(bare.aligned, train))
     names = (GEOMETRIC, *list(fits)[1:])
     errors = {name: what_is_left(fit, test) for name, fit in zip(names, fits.values(), strict=True)}
-    return HeldOut({NOMINAL: before, **errors}, what_is_left(without_residual(best), test), (used,))
+    pixels: tuple[Array, ...] = ()
+    if isinstance(test, PixelObservations):
+        found, views = bare.identification, [test.select(np.array([view])) for view in range(len(test.joints))]
+        pixels = tuple(view.pixel_errors(found.arm_model, unknowns_of(found, view)) for view in views)
+    return HeldOut({NOMINAL: before, **errors}, what_is_left(without_residual(best), test), (used,), pixels=pixels)
 
 
 def held_out_elsewhere(
@@ -149,7 +156,8 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
     if added:
         errors[added[-1]] = np.concatenate([list(part.errors.values())[-1] for part in parts])
     blocks = np.repeat(np.arange(len(parts)), [len(part.parametric) for part in parts])
-    return HeldOut(errors, parametric, tuple(name for part in parts for name in part.used), blocks)
+    used = tuple(name for part in parts for name in part.used)
+    return HeldOut(errors, parametric, used, blocks, pixels=tuple(view for part in parts for view in part.pixels))
 
 
 def without_residual(fit: Fit) -> Fit:

@@ -9,13 +9,12 @@ import numpy as np
 
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.screen import Block, figure
-from pickenv.calibration.identification.least_squares import identify_converged
 from pickenv.calibration.identification.rows import unknowns_of
-from pickenv.calibration.identification.starts import fitted_model
 from pickenv.calibration.model.lens import LENS_NAMES, Lens
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.pipeline.fitting import Fit
+from pickenv.calibration.pipeline.held_out import GEOMETRIC, HeldOut
 from pickenv.errors import InputError
 from pickenv.intervals import Ends, mean_interval
 
@@ -28,8 +27,8 @@ class PixelFigures:
         views: Pictures.
         corners: Corners in all of them.
         rms_px: RMS of the distance between corner and prediction, of the fit to all views.
-        leave_one_out_px: The same in each view, by a fit to the others.
-        view_rms_px: Of each view, by a fit to the others ``(V,)``.
+        leave_one_out_px: The same in views that the fit never saw: each by itself, or its block where they are many.
+        view_rms_px: Of each of them ``(V,)``.
         board_mm: The same errors at the board.
         lens: The lens, by the names of its numbers.
         names: Of the views.
@@ -78,34 +77,29 @@ class PixelFigures:
         return Block("Pictures", (), tuple(rows), "distance of the corners from where they are predicted")
 
 
-def pixel_figures(fit: Fit, data: PixelObservations) -> PixelFigures:
-    """Judge a fit of views, and fits without one view each, started from it.
+def pixel_figures(fit: Fit, data: PixelObservations, test: PixelObservations, held_out: HeldOut) -> PixelFigures:
+    """Judge a fit of views, and what fits left of views that they never saw.
 
     Args:
         fit: The fit of all these views, of geometry alone.
         data: The views.
+        test: The views held out, in the order of their errors.
+        held_out: Those errors.
     """
     found = fit.identification
-    model = fitted_model(fit.calibration.arm_name, fit.calibration.nominal, fit.aligned is None)
-    whole = data.pixel_errors(found.arm_model, unknowns_of(found, data))
-    every = np.arange(len(data.joints))
-    pixels, metres = [], []
-    for view in every:
-        rest, alone = data.select(np.delete(every, view)), data.select(every[[view]])
-        without = identify_converged(model, found.arm_model, [rest])
-        values = unknowns_of(without, alone)
-        pixels.append(alone.pixel_errors(without.arm_model, values))
-        metres.append(alone.misses(without.arm_model, values))
-    blocks = np.repeat(every, [len(part) for part in metres])
+    metres, views = (
+        held_out.errors[GEOMETRIC],
+        np.repeat(np.arange(len(test.joints)), [len(e) for e in held_out.pixels]),
+    )
     return PixelFigures(
-        views=len(every),
+        views=len(data.joints),
         corners=int(data.seen.sum()),
-        rms_px=_rms(whole),
-        leave_one_out_px=_rms(np.concatenate(pixels)),
-        view_rms_px=tuple(_rms(part) for part in pixels),
-        board_mm=error_statistics(1e3 * np.concatenate(metres), blocks),
+        rms_px=_rms(data.pixel_errors(found.arm_model, unknowns_of(found, data))),
+        leave_one_out_px=_rms(np.concatenate(held_out.pixels)),
+        view_rms_px=tuple(_rms(view) for view in held_out.pixels),
+        board_mm=error_statistics(1e3 * metres, views),
         lens=dict(zip(LENS_NAMES, data.lens_values(unknowns_of(found, data)).tolist(), strict=True)),
-        names=tuple(f"{file}: row {line}" for file, line in (origins_of(data).place(int(view)) for view in every)),
+        names=tuple(f"{file}: row {line}" for file, line in map(origins_of(test).place, range(len(test.joints)))),
     )
 
 

@@ -17,24 +17,19 @@ import numpy as np
 
 from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.assessment.base_frame import BaseFrameError, base_frame_error
+from pickenv.calibration.assessment.base_frame import BaseFrameError
+from pickenv.calibration.assessment.harmonic_table import OWN, harmonic_block, harmonic_rows
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
-from pickenv.calibration.assessment.quality import Quality, grade_quality
-from pickenv.calibration.assessment.screen import Block, figure, main_parts, unit_of
+from pickenv.calibration.assessment.quality import Quality
+from pickenv.calibration.assessment.screen import MISS_UNITS, Block, figure, main_parts, unit_of, unknowns_in
 from pickenv.calibration.assessment.states import LOST, MEASURED
 from pickenv.calibration.compensation.compensator import Compensator
-from pickenv.calibration.identification.diagnosis import LeftOut, said_of_rows
+from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.least_squares import describe_absorption
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.coverage import Coverage, pose_coverage
-from pickenv.calibration.model.error_model import geometric_model
-from pickenv.calibration.model.finished_poses import CARRIER
-from pickenv.calibration.model.lens import LENS_NAMES
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.export import export
 from pickenv.calibration.pipeline.fitting import Fit
@@ -43,12 +38,9 @@ from pickenv.calibration.pipeline.held_out import (
     GEOMETRIC,
     NOMINAL,
     HeldOut,
-    held_out_of,
-    what_is_left,
-    without_residual,
 )
-from pickenv.calibration.pipeline.pixel_figures import PixelFigures, pixel_figures
-from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, pose_uncertainty
+from pickenv.calibration.pipeline.pixel_figures import PixelFigures
+from pickenv.calibration.pipeline.uncertainty import PoseUncertainty
 from pickenv.calibration.reading.read import NoiseFloor
 from pickenv.calibration.residuals.gate import GateReport
 from pickenv.intervals import Ends
@@ -103,6 +95,11 @@ class Result:
         return self.held_out.errors
 
     @property
+    def miss_unit(self) -> str:
+        """What held-out errors are shown in: "mm", or "deg" where only directions were measured."""
+        return self.train.miss_unit
+
+    @property
     def best_model(self) -> str:
         """Name of the model that will be used."""
         last = list(self.errors)[-1]
@@ -110,14 +107,15 @@ class Result:
 
     @property
     def best(self) -> ErrorStatistics:
-        """Held-out position errors of the model that will be used, mm."""
+        """Held-out position errors of the model that will be used, in `miss_unit`."""
         return list(self.position.values())[-1]
 
     @cached_property
     def position(self) -> dict[str, ErrorStatistics]:
-        """Held-out position errors by model, mm."""
+        """Held-out position errors by model, in `miss_unit`."""
         blocks = self.held_out.blocks
-        return {name: error_statistics(values[:, :3] * 1e3, blocks) for name, values in self.errors.items()}
+        scale = MISS_UNITS[self.miss_unit]
+        return {name: error_statistics(values[:, :3] * scale, blocks) for name, values in self.errors.items()}
 
     @cached_property
     def attitude(self) -> dict[str, ErrorStatistics]:
@@ -137,11 +135,18 @@ class Result:
             record["unit"] = self.unit
         record["held_out"] = {
             "how": self.held_out.text(len(self.test.joints), len(self.train.joints)),
-            "mean_mm": self.best.mean,
-            "mean_ci95_mm": self.best.mean_ci95,
+            f"mean_{self.miss_unit}": self.best.mean,
+            f"mean_ci95_{self.miss_unit}": self.best.mean_ci95,
         }
+        if self.harmonics:
+            record["harmonics"] = {"note": OWN, "found": self.harmonics}
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
         return replace(self.fit.calibration, record=record)
+
+    @cached_property
+    def harmonics(self) -> list[dict[str, Any]]:
+        """The drives' harmonics in it, the largest first, in screens' units; empty where there are none."""
+        return harmonic_rows(self.fit.identification)
 
     @property
     def own_mean_ci95(self) -> Ends | None:
@@ -180,9 +185,11 @@ class Result:
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
             found.append(Block("Rows far off, and kept" if kept else "Rows left out", (), places, note))
         if self.terms is not None:
-            rows = tuple((name, figure(value * 1e3)) for name, value in self.terms.blocked_rms.items())
+            scale = MISS_UNITS[self.miss_unit]
+            rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
             note = f"{self.terms.chosen}, chosen on blocks of the training rows"
-            found.append(Block("Further terms", ("terms", "RMS on blocks (mm)"), rows, note))
+            found.append(Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note))
+        found.append(harmonic_block(self.harmonics))
         if self.gate is not None:
             found.append(self._gate(self.gate))
         if self.pixels is not None:
@@ -226,7 +233,8 @@ class Result:
         return labels.get(name, name)
 
     def _errors(self) -> Block:
-        header: tuple[str, ...] = ("model", "RMS (mm)", "mean (mm)", "95 % interval (mm)", "p95 (mm)", "max (mm)")
+        figures = ("RMS", "mean", "95 % interval", "p95", "max")
+        header: tuple[str, ...] = ("model", *(f"{name} ({self.miss_unit})" for name in figures))
         header += ("attitude mean (deg)",) if self.attitude else ()
         rows = []
         for name, s in self.position.items():
@@ -257,7 +265,7 @@ class Result:
         rows = [
             (row["name"], figure(row["change"]), figure(row["std"]), row["unit"])
             for row in self.parameters()
-            if row["state"] == MEASURED
+            if row["state"] == MEASURED and not row["name"].startswith("periodic")
         ]
         return Block(
             "Parameters", ("parameter", "change", "± 1 sigma", "unit"), tuple(rows), self.quality.states.text()
@@ -299,21 +307,23 @@ class Result:
         """For JSON."""
         found = self.geometric.identification
         nominal, geometric, best = self.position[NOMINAL], self.position[GEOMETRIC], self.best
+        unit = self.miss_unit
         held_out: dict[str, Any] = {
-            "nominal_rms_mm": nominal.rms,
-            "geometric_rms_mm": geometric.rms,
-            "geometric_mean_mm": geometric.mean,
-            "geometric_mean_ci95_mm": geometric.mean_ci95,
-            "best_rms_mm": best.rms,
-            "best_mean_mm": best.mean,
-            "best_mean_ci95_mm": best.mean_ci95,
-            "own_mean_ci95_mm": self.own_mean_ci95,
+            f"nominal_rms_{unit}": nominal.rms,
+            f"geometric_rms_{unit}": geometric.rms,
+            f"geometric_mean_{unit}": geometric.mean,
+            f"geometric_mean_ci95_{unit}": geometric.mean_ci95,
+            f"best_rms_{unit}": best.rms,
+            f"best_mean_{unit}": best.mean,
+            f"best_mean_ci95_{unit}": best.mean_ci95,
+            f"own_mean_ci95_{unit}": self.own_mean_ci95,
             "best_model": self.best_model,
             "how": self.held_out.text(len(self.test.joints), len(self.train.joints)),
-            **{f"{name}_mm": statistics.as_dict() for name, statistics in self.position.items()},
+            **{f"{name}_{unit}": statistics.as_dict() for name, statistics in self.position.items()},
             **{f"{name}_deg": statistics.as_dict() for name, statistics in self.attitude.items()},
         }
         terms = self.terms
+        tried = {} if terms is None else {name: value * MISS_UNITS[unit] for name, value in terms.blocked_rms.items()}
         return {
             "verdict": self.quality.as_dict(),
             "arm": self.arm.name,
@@ -333,105 +343,12 @@ class Result:
             "condition": self.quality.observability.condition,
             "converged": self.fit.identification.converged,
             "solve_seconds": found.solve_seconds,
-            "unknowns_mm": _in_mm({name: value for name, value in found.unknowns.items() if name not in LENS_NAMES}),
+            "unknowns_mm": unknowns_in("mm", found.unknowns),
+            "directions": unknowns_in("1", found.unknowns),
             "held_out": held_out,
-            "noise_floor_mm": None if self.floor is None else _in_mm(vars(self.floor)),
-            "terms": None if terms is None else {"chosen": terms.chosen, "blocked_rms_mm": _in_mm(terms.blocked_rms)},
+            "noise_floor_mm": None if self.floor is None else self.floor.as_dict(),
+            "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
+            "harmonics": {"note": OWN, "found": self.harmonics} if self.harmonics else None,
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
             **({} if self.pixels is None else self.pixels.as_dict()),
         }
-
-
-def _pixels(fit: Fit, train: Observations) -> PixelFigures | None:
-    """Reprojection errors of the views that were fitted, where there are pictures."""
-    return pixel_figures(fit, train) if isinstance(train, PixelObservations) else None
-
-
-def _in_mm(lengths: Mapping[str, float | None]) -> dict[str, float | None]:
-    return {name: None if value is None else value * 1e3 for name, value in lengths.items()}
-
-
-def assess(
-    arm: Arm,
-    fit: Fit,
-    train: Observations,
-    test: Observations,
-    *,
-    fits: Mapping[str, Fit] | None = None,
-    held_out: HeldOut | None = None,
-    terms: TermChoice | None = None,
-    gate: GateReport | None = None,
-    left_out: tuple[LeftOut, ...] = (),
-    coverage: Coverage | None = None,
-) -> Result:
-    """Judge a calibration on rows that it never saw.
-
-    Args:
-        arm: The arm.
-        fit: The calibration that will be used.
-        train: Rows it was fitted to.
-        test: Rows held out.
-        fits: The calibration of the geometry alone and what was added to it, step by step, by name; the last is
-            ``fit``. When left out ``fit`` without and with its learnt residual.
-        held_out: Errors on the rows held out; what the fits leave there when left out.
-        terms: How terms were chosen.
-        gate: The residual models' verdicts.
-        left_out: Rows left out.
-        coverage: What the poses hide, where it was computed already.
-    """
-    unlearnt = without_residual(fit)
-    learnt = fit.calibration.learnt
-    if fits is None:
-        fits = {GEOMETRIC: unlearnt} if learnt is None else {GEOMETRIC: unlearnt, f"geometry+{learnt.kind}": fit}
-    bare = next(iter(fits.values()))
-    aligned = bare.aligned
-    held_out = held_out or held_out_of(fits, train, test)
-    after = list(held_out.errors.values())[-1]
-    before = None if arm.name == CARRIER else held_out.errors[NOMINAL]
-    if isinstance(test, Measurements) and isinstance(train, Measurements):
-        if coverage is None:
-            start = bare.calibration.nominal
-            coverage = pose_coverage(geometric_model(start, aligned is None), start, train)
-        said = "stated noise" if train.std_stated else "noise assumed, since none is stated,"
-        noise = f"{said} of {train.position_std * 1e3:.4g} mm"
-    else:
-        noise = "noise stated or assumed"
-    joints, conditions = None, None
-    if not isinstance(test, Stacked):  # whose rows stand by station, and errors by block
-        rows_of = test.rows_of_misses
-        joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
-    uncertainty = pose_uncertainty(fit.identification, after, joints, held_out.blocks, conditions)
-    base_frame = None
-    rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
-    if aligned is not None:
-        left, tracked = after, isinstance(test, Measurements)
-        if not tracked:  # then the misses are not one per row: any may go with any pose
-            drawn = np.random.default_rng(0).integers(0, len(after), len(test.joints))
-            left = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[drawn]
-        base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left, tracked)
-    return Result(
-        arm=arm,
-        fit=fit,
-        geometric=bare,
-        train=train,
-        test=test,
-        held_out=held_out,
-        quality=grade_quality(
-            fit.identification,
-            what_is_left(unlearnt, train),
-            before,
-            after,
-            coverage,
-            geometric=bare.identification,
-            parametric=held_out.parametric,
-            blocks=held_out.blocks,
-            noise=noise,
-            said=said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
-        ),
-        uncertainty=uncertainty,
-        base_frame=base_frame,
-        terms=terms,
-        gate=gate,
-        left_out=left_out,
-        pixels=_pixels(bare, train),
-    )

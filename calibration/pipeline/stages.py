@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,19 +23,21 @@ from pickenv.calibration.identification.term_choice import TermChoice, choose_te
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
 from pickenv.calibration.model.error_model import geometric_model
+from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import FRAMES, Frames, Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
+from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
 from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows
 from pickenv.calibration.pipeline.held_out import HeldOut, held_out_elsewhere, held_out_of, pooled
 from pickenv.calibration.pipeline.restation import REFIT_ROWS, near_rows
-from pickenv.calibration.pipeline.result import Result, assess
+from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
-from pickenv.calibration.residuals.residual_models import FITTERS, QUICK_FITTERS
+from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals, position_rms
+from pickenv.calibration.residuals.residual_models import FITTERS, TRIAL_FITTERS
 from pickenv.errors import InputError
 
 GATE_ROWS = 3000
@@ -93,7 +96,7 @@ class Draft:
         train: Rows to fit, in the order measured.
         test: Rows to judge by.
         rng: Draws for the residual model that will be used.
-        progress: Called with (epochs done, epochs in all) while the paper's network trains.
+        progress: Called with (what is done, how many are done, how many there are).
         left_out: Rows far off that were left out.
         aligned: Evidence of the base and tool fit; None where they are known.
         coverage: What the poses hide; None for measurements of other kinds.
@@ -108,7 +111,7 @@ class Draft:
     train: Observations
     test: Observations
     rng: np.random.Generator
-    progress: Callable[[int, int], None] | None = None
+    progress: Callable[[str, int, int], None] | None = None
     left_out: tuple[LeftOut, ...] = ()
     aligned: Identification | None = None
     coverage: Coverage | None = None
@@ -146,7 +149,7 @@ def calibrate(
     choices: Choices | None = None,
     unit: str | None = None,
     rng: np.random.Generator | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> Result:
     """Calibrate an arm from measurements of any kind, and judge the result on rows that it never saw.
 
@@ -169,7 +172,8 @@ def calibrate(
         choices: Terms, residual model, frames, robustness and seed; the defaults choose by the data.
         unit: Serial number of the robot, kept in the calibration.
         rng: Draws for the residual model; from the seed when left out.
-        progress: Called with (done, in all): blocks judged, or epochs while the paper's network trains.
+        progress: Called with (what is done, how many are done, how many there are): residual models or blocks judged,
+            epochs of the network that learns from poses of its own.
 
     Raises:
         InputError: Names the file, row, column, unit or joint at fault: if a file cannot be read, rows are not numbers
@@ -190,7 +194,7 @@ def calibrate(
     if test is None and (split == "blocked" or isinstance(train, PixelObservations)):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
-        result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng), progress)
+        result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
         return replace(result, floor=floor, unit=unit)
     if test is None:
         rows = choose(train, test_rows, np.random.default_rng(choices.seed))
@@ -225,11 +229,11 @@ def _assessed(draft: Draft, held_out: HeldOut) -> Result:
     )
 
 
-def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None) -> Result:
+def _judged_by_blocks(draft: Draft) -> Result:
     """The calibration of all rows, judged on each block by what the same stages make of the other blocks.
 
-    Terms and residual model of a block are chosen on every other block, that one never among them, for to choose among
-    residual models anew for every block takes ten times as long.
+    Terms are chosen anew without each block. The residual model of a block is chosen on every other block, that one
+    never among them, for to choose among residual models anew for every block takes ten times as long.
     """
     checked = _check(draft)
     whole = _through(STAGES[1:], checked)
@@ -239,20 +243,18 @@ def _judged_by_blocks(draft: Draft, progress: Callable[[int, int], None] | None)
     parts = []
     for number, ((rows, held), seed) in enumerate(zip(folds, seeds, strict=True)):
         here, there = checked.train.select(rows), checked.train.select(held)
-        terms, residual = chosen[number % 2]
-        choices = replace(checked.choices, terms=terms)
-        fold = replace(checked, choices=choices, train=here, test=there, rng=np.random.default_rng(seed))
+        fold = replace(checked, train=here, test=there, rng=np.random.default_rng(seed), progress=None)
         try:
             fold = _through((_align, _identify, _check_again, _add_terms), fold)
-            if choices.learn_from is not None:
+            if fold.choices.learn_from is not None:
                 fold = _learn(fold)
-            elif residual is not None and isinstance(here, Measurements):
+            elif (residual := chosen[number % 2]) is not None and isinstance(here, Measurements):
                 fold = _with_residual(fold, residual, here, None)
         except InputError as error:
             raise InputError(f"without block {number + 1} of {len(folds)}: {error}") from None
         parts.append(held_out_of(fold.fits, here, there))
-        if progress is not None:
-            progress(number + 1, len(folds))
+        if draft.progress is not None:
+            draft.progress("judging blocks", number + 1, len(folds))
     judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
     return _assessed(judged, pooled(list(whole.fits), parts))
 
@@ -276,18 +278,17 @@ def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
     return contiguous_folds(train.groups, BLOCKS)
 
 
-def _chosen(checked: Draft, rows: Rows) -> tuple[str, str | None]:
-    """Names of the terms and of the residual model that the stages choose on these rows."""
+def _chosen(checked: Draft, rows: Rows) -> str | None:
+    """Name of the residual model that the stages choose on these rows."""
     choices, train = checked.choices, checked.train.select(rows)
-    if choices.terms != "auto" and (choices.residual == "none" or choices.learn_from is not None):
-        return choices.terms, None
+    if choices.residual == "none" or choices.learn_from is not None:
+        return None
     try:
         found = _through(STAGES[1:], replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
     except InputError:
-        return "none", None
-    calibration = found.best[1].calibration
-    terms = "+".join(calibration.record.get("terms", [])) or "none"
-    return terms, None if calibration.learnt is None else calibration.learnt.kind
+        return None
+    learnt = found.best[1].calibration.learnt
+    return None if learnt is None else learnt.kind
 
 
 def _check(draft: Draft) -> Draft:
@@ -353,23 +354,23 @@ def _check_again(draft: Draft) -> Draft:
 
 def _add_terms(draft: Draft) -> Draft:
     """As many of the wanted terms, in their order, as converge; "auto" chooses them within the training rows."""
-    (name, geometric), wanted, choice = draft.best, draft.choices.terms, None
-    known = draft.aligned is None
-    if wanted == "auto":
-        wanted = "none"
-        if len(draft.train.joints) >= ENOUGH_FOR_BLOCKS:
-            choice = choose_terms(draft.arm, geometric.calibration.nominal, draft.train, known)
-            wanted = choice.chosen
-    names = wanted.split("+")
-    while terms := terms_of("+".join(names) or "none", draft.arm, draft.train):
-        found = identify_terms(terms, geometric.identification, draft.train, known)
+    (name, geometric), choice = draft.best, None
+    bare, known = geometric.identification, draft.aligned is None
+    if draft.choices.terms != "auto":
+        terms = terms_of(draft.choices.terms, draft.arm, bare, draft.train)
+    else:
+        if len(draft.train.joints) >= ENOUGH_FOR_BLOCKS and draft.arm.name != CARRIER:
+            choice = choose_terms(draft.arm, bare, draft.train)
+        terms = () if choice is None else choice.terms
+    while terms:
+        found = identify_terms(terms, bare, draft.train, known)
         if found.converged:
-            kinds = sorted({kind_of_term(term) for term in terms})
-            record = {**geometric.calibration.record, "terms": kinds}
+            kinds = [kind_of_term(term) for term in terms]
+            record = {**geometric.calibration.record, "terms": sorted(kinds)}
             calibration = replace(geometric.calibration, model=found.arm_model, record=record)
-            draft = draft.with_fit(f"{name}+{'+'.join(names)}", Fit(calibration, found, geometric.aligned))
+            draft = draft.with_fit(f"{name}+{'+'.join(kinds)}", Fit(calibration, found, geometric.aligned))
             break
-        names.pop()
+        terms = terms[:-1]
     return replace(draft, terms=terms, term_choice=choice)
 
 
@@ -396,7 +397,8 @@ def _learn(draft: Draft) -> Draft:
 
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
     name, best = draft.best
-    return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, draft.progress))
+    told = None if draft.progress is None else partial(draft.progress, "training network")
+    return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, told))
 
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
@@ -410,8 +412,13 @@ def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> Gate
             return bare.arm_model
         return identify_terms(draft.terms, bare, rows, known).arm_model
 
+    told = None
+    if draft.progress is not None:
+        name, best = draft.best
+        rms = 1e3 * position_rms(draft.train.misses(best.identification.arm_model, np.zeros(0)))
+        told = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
-    return gate_residuals(data, refit, rng, models=names, fitters=QUICK_FITTERS, rank=_error_on_both)
+    return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, rank=_error_on_both, progress=told)
 
 
 def _error_on_both(verdict: GateVerdict) -> float:

@@ -128,6 +128,7 @@ def pose_uncertainty(
     joints: Array | None = None,
     blocks: Rows | None = None,
     conditions: Conditions | None = None,
+    unit: str = "mm",
 ) -> PoseUncertainty:
     """Uncertainty from an identification and the errors that it leaves.
 
@@ -138,14 +139,17 @@ def pose_uncertainty(
         joints: Where each error was found ``(N, n)``; then its size may differ from pose to pose.
         blocks: The block of each error, where errors of one block are alike.
         conditions: Payload and temperature of each, where known.
+        unit: "deg" where the errors are misses of directions ``(N, k)``, rad: of positions no more is known then than
+            what the parameters say.
     """
+    positions, attitudes = (np.zeros((0, 3)), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
     own = set(found.arm_model.parameter_names)
     places = [i for i, name in enumerate(found.identifiability.kept_names) if name in own]
     sure = PoseUncertainty(
         names=tuple(found.identifiability.kept_names[i] for i in places),
         covariance=found.covariance[np.ix_(places, places)],
-        position_repeat=float(np.sqrt(np.mean(errors[:, :3] ** 2))),
-        attitude_repeat=float(np.sqrt(np.mean(errors[:, 3:] ** 2))) if errors.shape[1] == 6 else None,
+        position_repeat=float(np.sqrt(np.mean(positions**2))) if positions.size else 0.0,
+        attitude_repeat=float(np.sqrt(np.mean(attitudes**2))) if attitudes.size else None,
     )
     if joints is None or not np.isfinite(sure.covariance).all():
         return sure
@@ -154,9 +158,10 @@ def pose_uncertainty(
     variance = np.diagonal(model.pose_covariance(columns, sure.covariance, joints, conditions), axis1=1, axis2=2)
     parts: dict[str, Any] = {}
     for first, local, within in zip((0, 3), LOCAL, WITHIN, strict=True):
-        if errors.shape[1] <= first:
+        part = positions if first == 0 else attitudes
+        if not part.size:
             continue
-        squares = np.sum(errors[:, first : first + 3] ** 2, axis=1)
+        squares = np.sum(part**2, axis=1)
         parts[local] = local_scatter(joints, squares, slides)
         parts[within] = within95(joints, squares, variance[:, first : first + 3].sum(axis=1), slides, blocks)
     return replace(sure, **parts)

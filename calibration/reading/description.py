@@ -1,7 +1,7 @@
 """Column descriptions: a small TOML file that says how a foreign measurement file is laid out.
 
 It names separator, decimal sign, units, conventions and uncertainties; which section it has says what was measured:
-[position] (with [rotation]: poses), [reflectors], [distance] or [sockets]. Shipped ones lie in `descriptions`.
+[position] (with [rotation]: poses), [reflectors], [wire], [touches] and so on. Shipped ones lie in `descriptions`.
 """
 
 from __future__ import annotations
@@ -16,11 +16,16 @@ from pickenv.arm import Geometry
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
 from pickenv.calibration.reading import description_file
 from pickenv.calibration.reading.csv_table import expression_tree
+from pickenv.calibration.reading.kind_tables import ANGLES, LENGTHS
 from pickenv.errors import InputError
 from pickenv.texts import is_file, shortened
 from pickenv.toml_tables import TO_SI, read
 
 DESCRIPTIONS = Path(__file__).parent / "descriptions"
+
+
+MEASURED = ("position_unit", "position_std", "position_std_columns")
+"""What a section says in words of its own for any kind."""
 
 
 @dataclass(frozen=True)
@@ -44,18 +49,16 @@ class ColumnDescription:
         joints: Expressions of the joint columns, in joint order.
         joint_units: Their units.
         kind: What was measured, one of `KINDS`.
-        position: Expressions of x, y, z; of all reflectors' x, y, z; of the length; or of the socket's number.
-        position_unit: mm or m.
-        position_std: Standard uncertainty of a coordinate, of a length, or of a ball's rest, m.
+        position: Expressions of x, y, z; of all reflectors' x, y, z; of a length or a tilt; or of the socket's number.
+        position_unit: mm or m; of a tilt deg, rad or g.
+        position_std: Standard uncertainty of a coordinate, of a length, or of a ball's rest, m; of a tilt, rad.
+        section: The file's whole section of that kind.
         std_stated: Whether the description says it, or the default is assumed.
         position_std_columns: Columns of the repeat sigma of each coordinate, in the position's unit; may be empty.
         rotation: Expressions of the attitude's columns; empty for positions only.
         convention: Attitude convention, a key of `CONVENTIONS`; None where the description names none.
         rotation_unit: deg or rad.
         attitude_std: Standard uncertainty of an attitude coordinate, rad.
-        lost: How lost reflectors are marked, of `LOST`.
-        spacing: Known distance of the two sockets of a pair, m; None where it is not known.
-        spacing_std: Its standard uncertainty, m.
         conditions: Recorded temperature, payload and torques.
         views: The whole file where it is about views of a board.
     """
@@ -76,11 +79,9 @@ class ColumnDescription:
     convention: str | None = "rotation_vector"
     rotation_unit: str = "rad"
     attitude_std: float = ATTITUDE_STD
-    lost: tuple[str, ...] = ()
-    spacing: float | None = None
-    spacing_std: float = 5e-5
     conditions: Mapping[str, Condition] | None = None
     views: description_file.DescriptionFile | None = None
+    section: description_file.Section | None = None
 
 
 def shipped_descriptions() -> list[str]:
@@ -103,10 +104,9 @@ def load_description(name: str | Path) -> ColumnDescription:
             f"unknown column description '{given}'; give one of {shipped_descriptions()} or a path (.toml)"
         )
     file = read(description_file.DescriptionFile, path)
-    measured: dict[str, Any] = dict(vars(file.measured))
-    if file.pixels is not None:
-        measured = {"position": file.pixels.position, "position_std": None}
-    stated = measured["position_std"] is not None and file.kind != "sockets"
+    section = file.measured
+    own: dict[str, Any] = {key: value for key, value in vars(section).items() if key in MEASURED}
+    std = own.pop("position_std", None)
     found = ColumnDescription(
         where=str(path),
         separator=file.separator,
@@ -116,8 +116,10 @@ def load_description(name: str | Path) -> ColumnDescription:
         joint_units=() if file.joints is None else file.joints.each,
         kind=file.kind,
         views=None if file.pixels is None else file,
-        **{"position_unit": "mm", **measured, "position_std": measured["position_std"] or POSITION_STD},
-        std_stated=stated,
+        **{"position_unit": "mm", **own, "position": section.position},
+        position_std=std or POSITION_STD,
+        std_stated=std is not None,
+        section=section,
         **({} if file.rotation is None else {**vars(file.rotation), "rotation_unit": file.rotation.unit()}),
         conditions=_conditions(file.conditions, () if file.joints is None else file.joints.each),
     )
@@ -136,7 +138,7 @@ def _conditions(table: description_file.ConditionsTable, joint_units: tuple[str,
     if (mass := table.payload) is not None:
         found["payload"] = Condition((mass.column,), (description_file.MASSES[mass.unit],), mass.reference)
     if (torques := table.torques) is not None:
-        units = torques.units or tuple("N" if unit in description_file.LENGTHS else "N*m" for unit in joint_units)
+        units = torques.units or tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
         found["torque"] = Condition(torques.columns, tuple(description_file.TORQUES[unit] for unit in units))
     return found
 
@@ -169,7 +171,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Column
     for name in expected:
         stem = name.rpartition("_")[0]
         found = [column for column in header if column.rpartition("_")[0] == stem]
-        if len(found) != 1 or found[0].rpartition("_")[2] not in description_file.LENGTHS + description_file.ANGLES:
+        if len(found) != 1 or found[0].rpartition("_")[2] not in LENGTHS + ANGLES:
             unit = found[0].rpartition("_")[2] if found else ""
             fault = "is given twice" if len(found) > 1 else f"has the unknown unit '{unit}'" if found else "is missing"
             raise InputError(
@@ -214,7 +216,7 @@ def joint_scales(description: ColumnDescription, geometry: Geometry) -> tuple[fl
             f"{description.where}: {len(description.joints)} joint columns are named, but the arm has {n} joints"
         )
     for i, unit in enumerate(description.joint_units):
-        wanted = description_file.LENGTHS if geometry.prismatic[i] else description_file.ANGLES
+        wanted = LENGTHS if geometry.prismatic[i] else ANGLES
         if unit not in wanted:
             kind = "prismatic" if geometry.prismatic[i] else "revolute"
             raise InputError(

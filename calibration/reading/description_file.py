@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import KW_ONLY
 from typing import Annotated, Any, get_args
 
@@ -10,50 +10,52 @@ from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.measurements import ATTITUDE_STD
 from pickenv.calibration.model.pixels import Mount
 from pickenv.calibration.reading.conventions import CONVENTIONS
+from pickenv.calibration.reading.kind_tables import (
+    ANGLES,
+    COLUMN,
+    COLUMNS,
+    LENGTHS,
+    BarTable,
+    ContactTable,
+    DialTable,
+    LengthsTable,
+    RadiusTable,
+    ReflectorsTable,
+    SocketsTable,
+    TiltTable,
+    WireTable,
+    one_of,
+)
 from pickenv.errors import InputError
 from pickenv.texts import shortened
-from pickenv.toml_tables import DEG, MM, NUMBER, WHOLE, Check, Key, Then, Unit, fault, toml_table
+from pickenv.toml_tables import DEG, NUMBER, WHOLE, Check, Key, Unit, toml_table
 
-LENGTHS, ANGLES = ("mm", "m"), ("deg", "rad")
-KINDS = ("position", "reflectors", "distance", "sockets", "pixels")
-LOST = ("zeros", "empty")
+KINDS = (
+    *("position", "reflectors", "wire", "bar", "sphere", "edge", "plane", "dial", "touches", "sockets", "tilt"),
+    "pixels",
+)
 LENSES = ("fixed", "free", "prior")
 PIXELS = Unit(most=1e6).positive
 MASSES = {"kg": 1.0, "g": 1e-3}
 TORQUES = {"N*m": 1.0, "N": 1.0, "N*mm": 1e-3, "kN": 1e3}
 
 
-def _one_of(names: Iterable[str]) -> Check:
-    allowed = tuple(names)
-    return Check(allowed.__contains__, f"one of {', '.join(allowed)}")
-
-
-COLUMN = Check(lambda value: isinstance(value, str), "the name of a column or an expression")
-COLUMNS = Check(
-    lambda value: isinstance(value, list) and all(isinstance(item, str) for item in value),
-    "a list of column names or expressions",
-)
 COUNTS: dict[str, tuple[Callable[[int], bool], str]] = {
     "position": (lambda n: n == 3, "three columns, x, y and z"),
     "reflectors": (lambda n: n > 0 and n % 3 == 0, "three columns per reflector, x, y and z of each in turn"),
-    "distance": (lambda n: n == 1, "one column, the length"),
+    "wire": (lambda n: n == 1, "one column, the length"),
+    "dial": (lambda n: n == 1, "one column, the reading"),
+    "tilt": (lambda n: 1 <= n <= 3, "one to three columns, one for each axis of the sensor"),
     "sockets": (lambda n: n <= 1, "the column that numbers the sockets"),
     "pixels": (lambda n: n in (0, 2), "two columns, across and down, where corners and not pictures are given"),
 }
-"""How many columns each kind of section needs."""
-JOINT_UNIT = _one_of(LENGTHS + ANGLES)
+"""How many columns each kind of section needs; one that is not here has none."""
+JOINT_UNIT = one_of(LENGTHS + ANGLES)
 
 
 def _separates(value: Any) -> bool:
     fit = isinstance(value, str) and len(value) == 1 and (value == "\t" or value.isprintable())
     return fit and value not in '"+-.' and not value.isalnum()
-
-
-def _lost(found: Any, _context: Any) -> tuple[str, ...]:
-    marks = [found] if isinstance(found, str) else found
-    if not isinstance(marks, list) or any(mark not in LOST for mark in marks):
-        raise fault(f"how lost reflectors are marked, of {', '.join(LOST)}")
-    return tuple(marks)
 
 
 @toml_table
@@ -78,39 +80,11 @@ class JointsTable:
 
 
 @toml_table
-class LengthsTable:
-    """[position] or [distance]; fields are called as in `pickenv.calibration.reading.description.ColumnDescription`."""
-
-    _: KW_ONLY
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    position_unit: Annotated[str, _one_of(LENGTHS), Key("unit")]
-    position_std: Annotated[float, MM.positive, Key("std_mm")] | None = None
-    position_std_columns: Annotated[tuple[str, ...], COLUMNS, Key("std_columns")] = ()
-
-
-@toml_table
-class ReflectorsTable(LengthsTable):
-    """[reflectors]."""
-
-    lost: Annotated[tuple[str, ...], Then(_lost, Any)] = ()
-
-
-@toml_table
-class SocketsTable:
-    """[sockets]."""
-
-    position: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN]), Key("column")] = ()
-    position_std: Annotated[float, MM.positive, Key("std_mm")] = 1e-4
-    spacing: Annotated[float, MM.positive] | None = None
-    spacing_std: Annotated[float, MM.positive] = 5e-5
-
-
-@toml_table
 class PixelsTable:
     """[pixels]: views of a board, as pictures or as a table of corners found in them."""
 
     _: KW_ONLY
-    mount: Annotated[Mount, _one_of(get_args(Mount))]
+    mount: Annotated[Mount, one_of(get_args(Mount))]
     picture: Annotated[str, COLUMN] | None = None
     files: Annotated[str, COLUMN] | None = None
     position: Annotated[tuple[str, ...], COLUMNS, Key("columns")] = ()
@@ -123,6 +97,10 @@ class PixelsTable:
             raise InputError("[pixels] needs either picture, or columns, view and corner of a table of corners")
         if self.position and (self.view is None or self.corner is None):
             raise InputError("columns of [pixels] need view and corner: which picture, and which corner of the board")
+
+
+Section = LengthsTable | ContactTable | TiltTable | PixelsTable
+"""What was measured."""
 
 
 @toml_table
@@ -138,7 +116,7 @@ class LensTable:
     width: Annotated[int, WHOLE.at_least(1)] | None = None
     height: Annotated[int, WHOLE.at_least(1)] | None = None
     distortion: Annotated[tuple[float, ...], NUMBER] = ()
-    lens: Annotated[str, _one_of(LENSES)] = "fixed"
+    lens: Annotated[str, one_of(LENSES)] = "fixed"
     prior_px: Annotated[float, PIXELS, Key("prior_px")] = 10.0
     prior_distortion: Annotated[float, NUMBER] = 0.1
 
@@ -158,7 +136,7 @@ class RotationTable:
 
     rotation: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
     rotation_unit: Annotated[Any, Key("unit")] = None
-    convention: Annotated[str, _one_of(CONVENTIONS)] | None = None
+    convention: Annotated[str, one_of(CONVENTIONS)] | None = None
     attitude_std: Annotated[float, DEG.positive, Key("std_deg")] = ATTITUDE_STD
 
     def unit(self) -> str:
@@ -170,7 +148,7 @@ class RotationTable:
             return "rad"
         if self.rotation_unit not in ANGLES:
             given = "missing" if self.rotation_unit is None else shortened(repr(self.rotation_unit))
-            raise InputError(f"unit of [rotation] is {given}; give {_one_of(ANGLES).wanted}")
+            raise InputError(f"unit of [rotation] is {given}; give {one_of(ANGLES).wanted}")
         return str(self.rotation_unit)
 
 
@@ -180,10 +158,10 @@ class PosesTable:
 
     _: KW_ONLY
     position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    unit: Annotated[str, _one_of(LENGTHS)]
+    unit: Annotated[str, one_of(LENGTHS)]
     rotation: Annotated[tuple[str, ...], COLUMNS, Key("rotation_columns")]
-    rotation_unit: Annotated[str, _one_of(ANGLES)] = "rad"
-    convention: Annotated[str, _one_of(CONVENTIONS)]
+    rotation_unit: Annotated[str, one_of(ANGLES)] = "rad"
+    convention: Annotated[str, one_of(CONVENTIONS)]
 
 
 @toml_table
@@ -191,7 +169,7 @@ class TemperatureTable:
     """[conditions.temperature]."""
 
     column: Annotated[str, COLUMN]
-    unit: Annotated[str, _one_of(("degC", "K"))]
+    unit: Annotated[str, one_of(("degC", "K"))]
     reference: Annotated[float, NUMBER] | None = None
 
 
@@ -200,7 +178,7 @@ class PayloadTable:
     """[conditions.payload]."""
 
     column: Annotated[str, COLUMN]
-    unit: Annotated[str, _one_of(MASSES)]
+    unit: Annotated[str, one_of(MASSES)]
     reference: Annotated[float, NUMBER] = 0.0
 
 
@@ -209,7 +187,7 @@ class TorquesTable:
     """[conditions.torques]: N*m for joints that turn and N for those that slide where no units are given."""
 
     columns: Annotated[tuple[str, ...], COLUMNS]
-    units: Annotated[tuple[Annotated[str, _one_of(TORQUES)], ...], COLUMNS] | None = None
+    units: Annotated[tuple[Annotated[str, one_of(TORQUES)], ...], COLUMNS] | None = None
 
 
 @toml_table
@@ -228,12 +206,19 @@ class DescriptionFile:
     joints: JointsTable | None = None
     description: str = ""
     separator: Annotated[str, Check(_separates, "one character, such as ',' or ';' or '\\t'")] = ","
-    decimal: Annotated[str, _one_of((".", ","))] = "."
+    decimal: Annotated[str, one_of((".", ","))] = "."
     names: Annotated[tuple[str, ...], COLUMNS] | None = None
     position: LengthsTable | None = None
     reflectors: ReflectorsTable | None = None
-    distance: LengthsTable | None = None
+    wire: WireTable | None = None
+    bar: BarTable | None = None
+    sphere: RadiusTable | None = None
+    edge: RadiusTable | None = None
+    plane: ContactTable | None = None
+    dial: DialTable | None = None
+    touches: ContactTable | None = None
     sockets: SocketsTable | None = None
+    tilt: TiltTable | None = None
     pixels: PixelsTable | None = None
     board: Board | None = None
     camera: LensTable | None = None
@@ -250,7 +235,7 @@ class DescriptionFile:
         if not kinds:
             raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(KINDS))
         self._check_views()
-        fits, wanted = COUNTS[kinds[0]]
+        fits, wanted = COUNTS.get(kinds[0], (lambda _: True, ""))
         if not fits(len(self.measured.position)):
             raise InputError(f"[{kinds[0]}] needs {wanted}")
         stds = len(getattr(self.measured, "position_std_columns", ()))
@@ -284,7 +269,7 @@ class DescriptionFile:
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
 
     @property
-    def measured(self) -> LengthsTable | SocketsTable | PixelsTable:
+    def measured(self) -> Section:
         """The section of that kind."""
-        section: LengthsTable | SocketsTable | PixelsTable = getattr(self, self.kind)
+        section: Section = getattr(self, self.kind)
         return section

@@ -6,7 +6,7 @@ what the file itself says about noise: repeat sigma and the size of its last dig
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,7 @@ from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements
-from pickenv.calibration.model.observations import (
-    DistanceObservations,
-    Observations,
-    ReflectorObservations,
-    SocketObservations,
-)
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.reading import row_checks
 from pickenv.calibration.reading.conventions import columns_of, convention_table, rotations
@@ -33,6 +28,9 @@ from pickenv.calibration.reading.description import (
     load_description,
     own_description,
 )
+from pickenv.calibration.reading.kind_readers import KIND_READERS
+from pickenv.calibration.reading.kind_tables import LENGTHS
+from pickenv.calibration.reading.measured_files import Files
 from pickenv.calibration.reading.views import read_views
 from pickenv.errors import InputError
 from pickenv.toml_tables import TO_SI
@@ -49,6 +47,10 @@ class NoiseFloor:
 
     repeat: float | None
     digits: float | None
+
+    def as_dict(self) -> dict[str, float | None]:
+        """For JSON, in mm."""
+        return {name: None if value is None else value * 1e3 for name, value in vars(self).items()}
 
     def text(self) -> str:
         """For people, in mm."""
@@ -68,38 +70,6 @@ class FileReading:
 
     observations: Observations
     floor: NoiseFloor
-
-
-@dataclass(frozen=True, eq=False)
-class Files:
-    """Files of one layout, and what all kinds have in common.
-
-    Attributes:
-        tables: Their columns.
-        given: Their descriptions, one each.
-        geometry: The arm's nominal geometry.
-        joints: Joints of all rows ``(N, n)``, rad or m.
-        source: How messages name them.
-    """
-
-    tables: list[Table]
-    given: list[ColumnDescription]
-    geometry: Geometry
-    joints: Array
-    source: str
-
-    @property
-    def first(self) -> ColumnDescription:
-        """The description that they share, but for units."""
-        return self.given[0]
-
-    def values(self) -> Array:
-        """What was measured in all rows, as described under the kind ``(N, k)``, m."""
-        return np.concatenate([table.values(each.position) * TO_SI[each.position_unit] for table, each in self.pairs()])
-
-    def pairs(self) -> Iterator[tuple[Table, ColumnDescription]]:
-        """Each file and its description."""
-        return zip(self.tables, self.given, strict=True)
 
 
 def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> Measurements:
@@ -247,87 +217,15 @@ def _attitudes(table: Table, description: ColumnDescription) -> Array:
     return values
 
 
-def _reflectors(files: Files) -> ReflectorObservations:
-    """Reflector groups; a reflector counts as lost only as the description says that it is marked."""
-    first = files.first
-    points, seen = [], []
-    for table in files.tables:
-        blank = np.zeros((len(table.lines), len(first.position)), dtype=bool)
-        if "empty" in first.lost:
-            blank = np.stack([table.fill_blanks(name) for name in first.position], -1)
-        values = table.values(first.position).reshape(len(table.lines), -1, 3) * TO_SI[first.position_unit]
-        empty, zero = blank.reshape(values.shape).any(axis=2), (values == 0).all(axis=2)
-        if (zero & ~empty).any() and "zeros" not in first.lost:
-            row, which = np.argwhere(zero & ~empty)[0]
-            raise InputError(
-                f"{table.where}: row {table.lines[row]}: reflector {which + 1} lies at 0, 0, 0, which usually means "
-                "that the tracker lost it; say lost = 'zeros' in [reflectors], or remove the row"
-            )
-        points.append(values)
-        seen.append(~(empty | (zero if "zeros" in first.lost else empty)))
-    visible = np.concatenate(seen)
-    if (visible.sum(axis=0) < 3).any():
-        which = int(np.argmin(visible.sum(axis=0)))
-        raise InputError(f"{files.source}: reflector {which + 1} was seen in fewer than three poses; leave it out")
-    return ReflectorObservations(
-        joints=files.joints,
-        points=np.concatenate(points),
-        seen=visible,
-        covariance=np.eye(3) * first.position_std**2,
-    )
-
-
-def _distances(files: Files) -> DistanceObservations:
-    length = files.values()[:, 0]
-    if (length <= 0).any():
-        raise InputError(f"{files.source}: a length is not above zero; correct or remove the row")
-    return DistanceObservations(files.joints, length, files.first.position_std)
-
-
-def _sockets(files: Files) -> SocketObservations:
-    """Sockets by a column, in consecutive pairs of their numbers; or one per file, the files of a folder a pair."""
-    first = files.first
-    if first.position:
-        named = np.concatenate([table.value(first.position[0]) for table in files.tables])
-        labels, socket = np.unique(named, return_inverse=True)
-        folders = [str(i // 2) for i in range(len(labels))]
-    else:
-        socket = np.repeat(np.arange(len(files.tables)), [len(table.lines) for table in files.tables])
-        folders = [str(Path(table.where).parent) for table in files.tables]
-    sockets: dict[str, list[int]] = {}
-    for i, folder in enumerate(folders):
-        sockets.setdefault(folder, []).append(i)
-    pairs = [] if first.spacing is None else list(sockets.items())
-    for folder, members in pairs:
-        if len(members) != 2:
-            raise InputError(
-                f"{files.source}: a spacing is given for pairs of sockets, but '{folder}' holds {len(members)}; give "
-                "two files per folder, or leave spacing_mm out"
-            )
-    return SocketObservations(
-        joints=files.joints,
-        socket=np.asarray(socket, dtype=np.int64),
-        pairs=np.array([members for _, members in pairs], dtype=np.int64).reshape(-1, 2),
-        spacing=np.full(len(pairs), first.spacing or 0.0),
-        std=first.position_std,
-        spacing_std=first.spacing_std,
-    )
-
-
-READERS: dict[str, Callable[..., Observations]] = {
-    "position": _poses,
-    "reflectors": _reflectors,
-    "distance": _distances,
-    "sockets": _sockets,
-}
-"""How each kind of `pickenv.calibration.reading.description.KINDS` is read."""
+READERS: dict[str, Callable[[Files], Observations]] = {"position": _poses, **KIND_READERS}
+"""How each kind of `pickenv.calibration.reading.description_file.KINDS` but pictures is read."""
 
 
 def _floor(files: Files) -> NoiseFloor:
     """Repeat sigma and quantisation, over all files."""
     repeat, digits = [], []
     for table, description in files.pairs():
-        if description.kind == "sockets":
+        if description.position_unit not in LENGTHS or not description.position or description.kind == "sockets":
             continue
         unit = TO_SI[description.position_unit]
         if description.position_std_columns:

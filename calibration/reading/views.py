@@ -15,7 +15,7 @@ import numpy as np
 from pickenv.arm import Geometry, Pose
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.camera.boards import Board, Grey, opencv
-from pickenv.calibration.camera.corners import FoundCorners, find_corners
+from pickenv.calibration.camera.corners import FoundCorners, find_corners, no_corners
 from pickenv.calibration.camera.lens_files import read_lens
 from pickenv.calibration.model.finished_poses import joints_of_finished_poses
 from pickenv.calibration.model.lens import LENS_NAMES, Lens
@@ -37,6 +37,9 @@ from pickenv.toml_tables import TO_SI
 
 STEM = "{file}"
 """In the pattern of a picture's path: the name of the file that the view's pose stands in, without its ending."""
+
+MANY_BLIND = 0.25
+"""If more pictures than this share show no corner, something is wrong with all of them."""
 
 DEFAULT_STD = 0.3
 """px; of corners in a table that states none."""
@@ -86,6 +89,7 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
         ),
         mount=whole.pixels.mount,
         source=table.where,
+        remarks=np.array([view.remark for view in found]),
         origins=Origins(
             (table.where,), np.zeros(len(rows), dtype=np.int64), np.array(table.lines, dtype=np.int64)[rows]
         ),
@@ -144,18 +148,29 @@ def _joints(table: Table, geometry: Geometry, description: ColumnDescription) ->
 
 
 def _found_in_pictures(table: Table, pixels: PixelsTable, board: Board, home: Path) -> list[FoundCorners]:
-    """The corners in each row's picture."""
+    """The corners in each row's picture.
+
+    A few pictures that show no corner are kept, with the reason, to be listed; many mean another board.
+    """
     assert pixels.picture is not None
     if STEM in pixels.picture:
         names = [pixels.picture.replace(STEM, stem) for stem in table.texts("file")]
     else:
         names = table.texts(pixels.picture)
-    found = []
+    found, blind = [], []
     for name, line in zip(names, table.lines, strict=True):
         path = home / name
         if not name or not path.is_file():
             raise InputError(f"{table.where}: row {line}: picture {path} does not exist; correct or remove the row")
-        found.append(find_corners(board, _grey(path), str(path)))
+        picture = _grey(path)
+        try:
+            found.append(find_corners(board, picture, str(path)))
+        except InputError as error:
+            blind.append(error)
+            height, width = picture.shape
+            found.append(no_corners(board, (width, height), str(error)))
+    if len(blind) > MANY_BLIND * len(found):
+        raise blind[0]
     return found
 
 

@@ -17,7 +17,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, random_split
-from pickenv.calibration.residuals.residual_models import FITTERS, Fitter, fit_residual
+from pickenv.calibration.residuals.residual_models import FITTERS, PARTS, Fitter, fit_residual
 from pickenv.errors import InputError
 
 MARGIN = 0.02
@@ -104,6 +104,7 @@ def gate_residuals(
     models: Sequence[str] = tuple(FITTERS),
     fitters: Mapping[str, Fitter] | None = None,
     rank: Callable[[GateVerdict], float] = inner_error,
+    progress: Callable[[int, int], None] | None = None,
 ) -> GateReport:
     """Judge residual models on random and on blocked hold-out, and choose one honestly.
 
@@ -120,6 +121,7 @@ def gate_residuals(
         models: Names of `FITTERS`.
         fitters: Other ways to fit a named model, such as with other settings.
         rank: Selects among accepted models the one with the smallest value; the inner RMS when left out.
+        progress: Called with (models judged, models in all).
 
     Raises:
         InputError: If there are no models, or too few rows to hold blocks out.
@@ -128,29 +130,43 @@ def gate_residuals(
         raise InputError(f"no residual model was named; give some of {', '.join(FITTERS)}")
     fitters = fitters or {}
     test_rows = len(measurements) // 5
-    seeds = {name: int(rng.integers(2**63)) for name in models}
+    every = dict.fromkeys([*models, *(part for name in models for part in PARTS.get(name, ()))])
+    seeds = {name: int(rng.integers(2**63)) for name in every}
+    known: dict[tuple[str, int], Array] = {}
 
-    def fitted(name: str, data: Measurements, residuals: Array) -> Callable[[Measurements], Array]:
-        own = np.random.default_rng(seeds[name])
-        conditions = data.conditions.inputs()
-        model = fit_residual(
-            name, data.joints, residuals, data.prismatic, own, conditions=conditions, fitter=fitters.get(name)
-        )
-        return lambda other: model.predict(other.joints, other.conditions.inputs())
+    def predicted(name: str, trial: _Trial) -> Array:
+        """What a model learnt from the trial's training rows says of its other rows; parts are fitted once."""
+        if (name, id(trial)) not in known:
+            if name in PARTS and name not in fitters:
+                known[name, id(trial)] = np.mean([predicted(part, trial) for part in PARTS[name]], axis=0)
+            else:
+                own, train, test = np.random.default_rng(seeds[name]), trial.train, trial.test
+                given = train.conditions.inputs()
+                model = fit_residual(
+                    name,
+                    train.joints,
+                    trial.train_residual,
+                    train.prismatic,
+                    own,
+                    conditions=given,
+                    fitter=fitters.get(name),
+                )
+                known[name, id(trial)] = model.predict(test.joints, test.conditions.inputs())
+        return known[name, id(trial)]
 
     blocked = _Trial.of(measurements, refit, *blocked_split(len(measurements), test_rows))
     shuffled = _Trial.of(measurements, refit, *random_split(len(measurements), test_rows, rng))
     without = _verdict_without(blocked, shuffled)
     inner: list[_Trial] | None = None
     verdicts = []
-    for name in models:
+    for number, name in enumerate(models):
+        if progress is not None:
+            progress(number, len(models))
         try:
-            predict_blocked = fitted(name, blocked.train, blocked.train_residual)
-            predict_random = fitted(name, shuffled.train, shuffled.train_residual)
+            left, random_left = (trial.test_residual - predicted(name, trial) for trial in (blocked, shuffled))
         except InputError as error:
             verdicts.append(replace(without, model=name, reason=f"not fitted: {error}"))
             continue
-        left = blocked.test_residual - predict_blocked(blocked.test)
         accepted, reason = _compared(blocked.test_residual, left)
         inner_rms = geometric_inner = None
         if accepted:
@@ -158,9 +174,7 @@ def gate_residuals(
                 folds = contiguous_folds(blocked.train.groups, FOLDS)
                 inner = [_Trial.of(blocked.train, refit, *rows) for rows in folds]
             untouched = np.concatenate([trial.test_residual for trial in inner])
-            remaining = np.concatenate(
-                [trial.test_residual - fitted(name, trial.train, trial.train_residual)(trial.test) for trial in inner]
-            )
+            remaining = np.concatenate([trial.test_residual - predicted(name, trial) for trial in inner])
             inner_rms, geometric_inner = position_rms(remaining), position_rms(untouched)
             wins_inside, inside = _compared(untouched, remaining)
             if not wins_inside:
@@ -168,7 +182,7 @@ def gate_residuals(
         verdict = replace(
             without,
             model=name,
-            random_rms=position_rms(shuffled.test_residual - predict_random(shuffled.test)),
+            random_rms=position_rms(random_left),
             blocked_rms=position_rms(left),
             blocked_attitude_rms=_attitude_rms(left),
             inner_rms=inner_rms,
@@ -177,6 +191,8 @@ def gate_residuals(
             reason=reason,
         )
         verdicts.append(verdict)
+    if progress is not None:
+        progress(len(models), len(models))
     chosen = min((verdict for verdict in verdicts if verdict.accepted), key=rank, default=None)
     return GateReport(
         verdicts=tuple(verdicts),

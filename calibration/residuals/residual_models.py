@@ -19,7 +19,11 @@ from pickenv.calibration.model.splits import equally_spaced
 from pickenv.calibration.residuals.blend import Blend, fit_blend
 from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.extra_trees import ExtraTrees, fit_extra_trees
-from pickenv.calibration.residuals.gaussian_process import GaussianProcess, fit_gaussian_process
+from pickenv.calibration.residuals.gaussian_process import (
+    GaussianProcess,
+    GaussianProcessSettings,
+    fit_gaussian_process,
+)
 from pickenv.calibration.residuals.rbf import Rbf, fit_rbf
 from pickenv.calibration.residuals.saved_arrays import named_part, part_of
 from pickenv.calibration.residuals.standardising import column_std
@@ -173,6 +177,11 @@ def _fit_some_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> B
     return _fit_bpnn(inputs[chosen], targets[chosen], rng)
 
 
+def _fit_trial_process(inputs: Array, targets: Array, rng: np.random.Generator) -> GaussianProcess:
+    """The process with a shorter search: a fifth of the time, and on measured arms within 6 % of the error."""
+    return fit_gaussian_process(inputs, targets, rng, GaussianProcessSettings(likelihood_rows=200, starts=4))
+
+
 MODELS: Mapping[str, tuple[Fitter, Callable[[Mapping[str, NDArray[Any]]], Regressor]]] = MappingProxyType(
     {
         "bpnn": (_fit_bpnn, Bpnn.from_arrays),
@@ -189,6 +198,12 @@ FITTERS: Mapping[str, Fitter] = MappingProxyType({name: fitter for name, (fitter
 
 QUICK_FITTERS: Mapping[str, Fitter] = MappingProxyType({"bpnn": _fit_some_bpnn})
 """The slow residual models, trained on rows taken evenly where there are too many."""
+
+TRIAL_FITTERS: Mapping[str, Fitter] = MappingProxyType({**QUICK_FITTERS, "gp": _fit_trial_process})
+"""How models are fitted that are only to be compared, on split after split, in a time that does not grow with rows."""
+
+PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType({"blend": ("gp", "trees")})
+"""Models that are the mean of others."""
 
 
 def fit_residual(

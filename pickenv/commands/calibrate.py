@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -71,7 +71,11 @@ def calibrate(
     ] = None,
     refit_rows: Annotated[int, typer.Option(help="Rows to find them from.", min=3)] = 6,
     terms: Annotated[
-        str, typer.Option(help="Parametric terms: auto, none, or gravity, periodic, thermal joined by +.")
+        str,
+        typer.Option(
+            help="Parametric terms: auto, none, or gravity (the arm's own weight), periodic (harmonics of the "
+            "drives, of the orders that the data show), thermal joined by +."
+        ),
     ] = "auto",
     residual: Annotated[
         Literal["auto", "none", "bpnn", "rbf", "gp", "trees", "blend"], typer.Option(help="Residual model.")
@@ -127,8 +131,7 @@ def calibrate(
         refit=frames_of(refit) if refit else (),
         refit_rows=refit_rows,
     )
-    blocked = split == "blocked" and not test
-    with progress_bars() if blocked else nullcontext() as told:
+    with progress_bars() if sys.stderr.isatty() else nullcontext() as told:
         result = calibrated(
             arm,
             files,
@@ -139,7 +142,7 @@ def calibrate(
             test_rows=test_rows,
             choices=choices,
             unit=unit,
-            progress=None if told is None else partial(told, "judging blocks"),
+            progress=told,
         )
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
     options: dict[str, Any] = {

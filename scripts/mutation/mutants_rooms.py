@@ -156,7 +156,7 @@ ROOMS = {
     ),
     "pipeline": room(
         "calibration/pipeline",
-        "apply uncertainty result fitting stages calibration export",
+        "apply uncertainty result assess fitting stages calibration export",
         "tests/calibration/pipeline",
         "command_figures apply export stage_choices stages calibration_file",
     ),

@@ -41,6 +41,7 @@ FURTHER = (
     "Rows left out",
     "Rows far off, and kept",
     "Further terms",
+    "Harmonics of the drives",
     "Learnt residual models",
 )
 MAP_POSES = 6000
@@ -107,12 +108,15 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
     seen = (
         "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the block that it is judged on"
     )
+    rows, stood = (
+        ("measured poses", "the tool stood") if isinstance(test, Measurements) else ("rows", "what was read lay")
+    )
     sentence = (
-        f"On {len(test.joints)} rows {seen}, what was measured lay {figure(final.mean)} mm (mean; {interval}) from "
-        f"where the calibrated model says."
+        f"On {len(test.joints)} {rows} {seen}, {stood} {figure(final.mean)} {r.miss_unit} (mean; {interval}) from "
+        f"where the calibrated model says{' it stands' * isinstance(test, Measurements)}."
     )
     if r.arm.name != CARRIER:
-        sentence += f" With the nominal model it is {figure(r.position[NOMINAL].mean)} mm."
+        sentence += f" With the nominal model it is {figure(r.position[NOMINAL].mean)} {r.miss_unit}."
     attitudes = list(r.attitude.values())
     if attitudes:
         was, now = attitudes[0].mean, attitudes[-1].mean
@@ -123,10 +127,12 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
 
 
 def _tiles(r: Result) -> dict[str, str]:
+    nominal = figure(r.position[NOMINAL].mean)
+    what = "position" if r.miss_unit == "mm" else "angular"
     noise, states = r.quality.completeness, list(r.quality.states.geometry.values())
     return {
-        "mean position error, nominal → calibrated": f"{figure(r.position[NOMINAL].mean)} → {figure(r.best.mean)} mm",
-        "95 of 100 poses are better than this": f"{figure(r.best.p95)} mm",
+        f"mean {what} error, nominal → calibrated": f"{nominal} → {figure(r.best.mean)} {r.miss_unit}",
+        "95 of 100 poses are better than this": f"{figure(r.best.p95)} {r.miss_unit}",
         "parameters of the geometry measured": f"{states.count(MEASURED)} of {len(states)}",
         f"what remains, in units of the {noise.noise} (1 is perfect)": f"{np.sqrt(noise.reduced):.2g} ×"
         if np.isfinite(noise.reduced)
@@ -154,10 +160,10 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
         block.title,
         (
             _table(block),
-            captioned("error_cumulative", lambda: error_cumulative(mm)),
+            *([captioned("error_cumulative", lambda: error_cumulative(mm))] if r.miss_unit == "mm" else []),
             axis_table(
                 "Errors per degree of freedom: measured minus predicted, on poses that took no part in the fit.",
-                {label: axis_errors(r.errors[name]) for label, name in shown.items()},
+                {label: axis_errors(r.errors[name], r.miss_unit) for label, name in shown.items()},
                 figure,
             ),
         ),

@@ -25,7 +25,7 @@ from pickenv.calibration.assessment.quality import (
 )
 from pickenv.calibration.model.coverage import pose_coverage
 from pickenv.calibration.model.identifiability import Dropped, Identifiability
-from pickenv.calibration.pipeline.result import assess
+from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.uncertainty import held_out_errors, pose_uncertainty, uncertainty_from
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 
 from pickenv.calibration.camera.boards import load_board
 from pickenv.calibration.camera.lens_files import read_lens
+from pickenv.calibration.identification.diagnosis import without_blind_views
 from pickenv.calibration.model.finished_poses import pose_carrier
 from pickenv.calibration.reading.description import DESCRIPTIONS
 from pickenv.calibration.reading.read import read_observations
@@ -108,7 +110,14 @@ def test_a_mirrored_picture_is_named(ical: Path, tmp_path: Path) -> None:
     folder, description = views_folder(tmp_path, ical)
     picture = cv2.imread(str(folder / "images/3.jpg"))
     cv2.imwrite(str(folder / "images/3.jpg"), picture[:, ::-1])
-    with pytest.raises(InputError, match=r"3\.jpg: no corner of the board was found; it is mirrored"):
+    views = read_observations([folder], pose_carrier().nominal, description).observations
+    _, left = without_blind_views(views)
+    (said,) = [item.why for item in left if item.line == 4]
+    assert re.search(r"3\.jpg: no corner of the board was found; it is mirrored", said)
+    for other in (1, 4):  # three of six: no longer a slip
+        mirrored = cv2.imread(str(folder / f"images/{other}.jpg"))[:, ::-1]
+        cv2.imwrite(str(folder / f"images/{other}.jpg"), mirrored)
+    with pytest.raises(InputError, match=r"1\.jpg: no corner of the board was found; it is mirrored"):
         read_observations([folder], pose_carrier().nominal, description)
     (folder / "images/3.jpg").write_text("no picture")
     with pytest.raises(InputError, match=r"3\.jpg is no picture that OpenCV can read"):

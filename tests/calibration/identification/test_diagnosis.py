@@ -8,7 +8,8 @@ import pytest
 from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.calibration.identification.rows import choose
-from pickenv.calibration.model.observations import DistanceObservations, ReflectorObservations
+from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
 from pickenv.calibration.model.splits import contiguous_folds
 from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.errors import InputError

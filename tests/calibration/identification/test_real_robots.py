@@ -5,7 +5,7 @@ import pytest
 
 from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, complete_model, fit, identify, read_measurements
-from pickenv.calibration.model.splits import blocked_split, contiguous_folds
+from pickenv.calibration.model.splits import contiguous_folds
 from pickenv.calibration.pipeline.held_out import what_is_left
 from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.calibration.reading.read import read_observations
@@ -131,25 +131,44 @@ def test_ur5_solves_in_few_steps(tracker, ur5):
     assert len(found.residual_rms) - 1 <= 5 and found.solve_seconds > 0.0
 
 
+HARMONIC = {
+    "UR5": ("ur5", "ur5_jacobi2025", "ur5_wam_jacobi2025/UR5/*grid*.csv", 0.070),
+    "A": ("ur10", "ur10_landgraf2021", "ur10_ipa_landgraf2021/Series_A/measurements_grid.csv", 0.20),
+    "B": (
+        "ur10",
+        "ur10_landgraf2021_repeats",
+        "ur10_ipa_landgraf2021/Series_B/measurements_joint_configurations.csv",
+        0.29,
+    ),
+    "C": (
+        "ur10",
+        "ur10_landgraf2021_repeats",
+        "ur10_ipa_landgraf2021/Series_C/measurements_random_poses.csv",
+        0.20,
+    ),
+    "D": ("ur10", "ur10_landgraf2021_repeats", "ur10_ipa_landgraf2021/Series_D/measurements_iso_cubes.csv", 0.32),
+}
+"""Arm, columns, file, and what a plain linear fit with harmonics chosen by hand left over blocks, mm."""
+
+
 @pytest.mark.slow
-def test_ur5_with_terms_and_residual(data_folder):
-    """Over all ten blocks: 0.119 mm of geometry, 0.08 mm with terms and a residual chosen without the block judged."""
+@pytest.mark.parametrize("series", HARMONIC)
+def test_harmonics_chosen_without_each_block_leave_less_than_a_plain_fit_with_them_did(data_folder, series):
+    """Of 0.119 mm (UR5) and 0.44 to 0.49 mm (UR10) that geometry leaves."""
+    arm, columns, file, most = HARMONIC[series]
+    found = held_out(*read_set(data_folder, arm, columns, file), "blocked", terms="auto")
+    assert found.position[found.best_model].rms <= most < 0.75 * found.position["geometric"].rms
+    assert any("periodic" in used for used in found.held_out.used)
+
+
+@pytest.mark.slow
+def test_no_learnt_residual_wins_where_harmonics_were_taken(data_folder):
+    """UR5's 20 random poses: 0.062 mm (0.050 to 0.079) with geometry and harmonics alone, a process left 0.066."""
     arm, reading = read_set(data_folder, "ur5", "ur5_jacobi2025", "ur5_wam_jacobi2025/UR5/*grid*.csv")
-    found = held_out(arm, reading, "blocked", terms="auto", residual="auto")
-    assert found.position[found.best_model].rms <= 0.080
-
-
-@pytest.mark.slow
-def test_ur10_with_terms_and_residual(data_folder):
-    """Series A, blocks 3 and 7 of ten: 0.43 mm of geometry, about 0.3 mm with the automatic choice.
-
-    A process fitted to 2000 drawn rows scatters from 0.19 to 0.42 mm here with the rows drawn, so this is no figure to
-    two digits; extra trees alone leave 0.26 to 0.28 mm.
-    """
-    arm, reading = read_set(data_folder, "ur10", UR10["A"][0], f"ur10_ipa_landgraf2021/{UR10['A'][1]}")
-    parts = [reading.observations.select(rows) for rows in blocked_split(len(reading.observations.joints))]
-    found = calibrate(arm, parts[0], test=parts[1])
-    assert found.position[found.best_model].rms <= 0.8 * found.position["geometric"].rms
+    _, poses = read_set(data_folder, "ur5", "ur5_jacobi2025", "ur5_wam_jacobi2025/UR5/*random*.csv")
+    found = calibrate(arm, reading.observations, test=poses.observations)
+    assert found.best_model == "geometry+periodic" and found.gate.selected is None
+    assert found.position[found.best_model].mean <= 0.066
 
 
 def test_wam_yields_under_its_weight(data_folder):
@@ -223,10 +242,22 @@ def test_balls_in_sockets_need_no_tracker(data_folder):
         "mukca_sockets/data/panda_1/*/hole_*.csv",
     )
     assert len(reading.observations.joints) == 182 and len(reading.observations.pairs) == 3
-    found = held_out(arm, reading, terms="auto")
+    found = held_out(arm, reading)
     assert found.position["nominal"].mean == pytest.approx(7.8, abs=0.1)
     assert found.position["geometric"].mean < 0.53
-    assert found.position[found.best_model].mean <= 0.347
+
+
+@pytest.mark.slow
+def test_weight_takes_balls_in_sockets_to_the_published_error(data_folder):
+    """0.347 mm was published for one split; single splits leave 0.31 to 0.41 here, so ten are averaged."""
+    arm, reading = read_set(
+        data_folder,
+        "{}/mukca_sockets/urdf/panda.urdf#ball_link",
+        "mukca_sockets",
+        "mukca_sockets/data/panda_1/*/hole_*.csv",
+    )
+    found = [held_out(arm, reading, seed=seed, terms="auto") for seed in range(10)]
+    assert np.mean([each.position[each.best_model].mean for each in found]) <= 0.36
 
 
 def test_two_axes_before_a_camera(data_folder):

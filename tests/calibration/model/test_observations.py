@@ -9,14 +9,10 @@ from pickenv.arm import Pose, forward, joint_jacobian, load_arm, rotation_matrix
 from pickenv.calibration import Measurements, align, complete_model, frames_model, identify, random_joints
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
-from pickenv.calibration.model.observations import (
-    DistanceObservations,
-    ReflectorObservations,
-    SocketObservations,
-    nearest_rotation,
-    tracker_covariance,
-    whitening_of,
-)
+from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.kinds.reflectors import ReflectorObservations, tracker_covariance, whitening_of
+from pickenv.calibration.model.kinds.sockets import SocketObservations
+from pickenv.calibration.model.observations import nearest_rotation
 
 TRIAD = np.array([[50.0, 0.0, 20.0], [-40.0, 60.0, 0.0], [-30.0, -50.0, 35.0]]) * 1e-3
 STATION = np.array([4.0, -2.0, 1.0])

@@ -11,7 +11,8 @@ from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.identification.starts import stations_of
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.observations import DistanceObservations, Observations
+from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.stacked import InstrumentStation, Stacked
 from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.errors import InputError

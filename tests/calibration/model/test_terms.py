@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, forward, load_plant, rotation_matrix
+from pickenv.arm import Pose, forward, joint_jacobian, load_plant, rotation_matrix
 from pickenv.arm.effects.structure import GRAVITY
 from pickenv.calibration import Measurements, identify, link_model, random_joints, simulated_tracker
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
@@ -31,11 +31,17 @@ def plant():
     return load_plant("qiao2026")
 
 
+def drive_waves(plant):
+    """The plant's own harmonics."""
+    harmonics = plant.transmission_error.harmonics
+    return PeriodicTerm(tuple(h.joint for h in harmonics), tuple(2 * np.pi / h.period for h in harmonics))
+
+
 def all_terms(plant):
     load = plant.load
     boom = plant.boom_bending
-    waves = [PeriodicTerm(h.joint, h.period) for h in plant.transmission_error.harmonics]
-    return (ComplianceTerm(ALL, load), BendingTerm(boom.joint, boom.length, boom.end_mass), LeadTerm((1, 2, 4)), *waves)
+    waves = drive_waves(plant)
+    return (ComplianceTerm(ALL, load), BendingTerm(boom.joint, boom.length, boom.end_mass), LeadTerm((1, 2, 4)), waves)
 
 
 def conditions(count, rng):
@@ -78,7 +84,7 @@ def truth(plant):
     """Terms and coefficients of the plant's own effects."""
     boom, drive, stiffness = plant.boom_bending, plant.transmission_error, plant.joint_compliance.stiffness
     rigidity = boom.flexural_rigidity / GRAVITY
-    waves = [PeriodicTerm(h.joint, h.period) for h in drive.harmonics]
+    waves = drive_waves(plant)
     phases = [v for h in drive.harmonics for v in (h.amplitude * np.cos(h.phase), h.amplitude * np.sin(h.phase))]
     return {
         "joint_compliance": ((ComplianceTerm(tuple(range(6)), plant.load),), [1 / k for k in stiffness]),
@@ -87,7 +93,7 @@ def truth(plant):
             [boom.end_mass / rigidity, boom.mass_per_length / rigidity],
         ),
         "transmission_error": (
-            (LeadTerm((1, 2, 4)), *waves),
+            (LeadTerm((1, 2, 4)), waves),
             [drive.lead[1], drive.lead[2], drive.lead[4], *phases],
         ),
     }
@@ -158,8 +164,8 @@ def test_identified_bending_is_the_plants(plant):
 
 def test_drive_errors_and_thermal_growth_are_found_without_noise(plant):
     nominal, rng = plant.arm.nominal, np.random.default_rng(4)
-    waves = [PeriodicTerm(h.joint, h.period) for h in plant.transmission_error.harmonics]
-    terms = (LeadTerm((1, 2, 4)), *waves, ThermalTerm())
+    waves = drive_waves(plant)
+    terms = (LeadTerm((1, 2, 4)), waves, ThermalTerm())
     true = np.concatenate([[1e-4, -2e-4, 1.5e-4], rng.normal(size=12) * 3e-4, [23e-6]])
     arm = ArmModel(plant.geometry, terms, true)
     joints, given = random_joints(nominal, 200, rng), conditions(200, rng)
@@ -220,7 +226,29 @@ def test_terms_survive_a_file(plant):
         ThermalTerm(),
         ComplianceTerm((0,), None),
         GravityTerm((0, 3), (0.0, 0.0, 1.0), True),
+        PeriodicTerm((0, 0, 3), (1.0, 13.37, 2.5), (0.1, 0.02, 0.3)),
     ):
         again = term_from(json.loads(json.dumps(specification(term))))
         assert again == term
         assert again.names(plant.arm.nominal) == term.names(plant.arm.nominal)
+
+
+def test_several_harmonics_of_several_joints_are_those_of_one_term_each(plant):
+    geometry, rng = plant.arm.nominal, np.random.default_rng(8)
+    pairs = [(0, 13.5), (3, 1.0), (0, 2.25)]
+    joints = random_joints(geometry, 5, rng)
+    whole = PeriodicTerm(*(tuple(part) for part in zip(*pairs, strict=True)))
+    columns = whole.columns(geometry, joints, Conditions())
+    assert columns.shape == (5, 6, 6) and len(set(whole.names(geometry))) == 6
+    jacobian = joint_jacobian(geometry, joints)
+    for i, (joint, order) in enumerate(pairs):
+        angle = order * joints[:, joint]
+        for k, wave in enumerate((np.sin(angle), np.cos(angle))):
+            np.testing.assert_allclose(columns[..., 2 * i + k], jacobian[..., joint] * wave[:, None], atol=1e-15)
+
+
+def test_a_coefficients_tolerance_falls_with_the_order_of_a_revolute_joint_only(plant):
+    geometry = plant.arm.nominal
+    turning, sliding = geometry.prismatic.index(False), geometry.prismatic.index(True)
+    found = PeriodicTerm((turning, turning, sliding), (1.0, 20.0, 700.0)).tolerances(geometry)
+    np.testing.assert_allclose(found, np.repeat([3e-3, 1.5e-4, 1e-3], 2))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, pose_error, rotation_matrix, rotation_vector
 from pickenv.calibration import Compensator, fit, random_joints, simulated_tracker
 from pickenv.calibration.pipeline.apply import _carried, apply_calibration, toward
-from pickenv.calibration.pipeline.result import assess
+from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.uncertainty import held_out_errors
 from pickenv.calibration.reading.targets import Targets, joints_of, read_targets
 from pickenv.errors import InputError

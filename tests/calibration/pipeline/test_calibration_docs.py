@@ -14,6 +14,7 @@ from pickenv.arm import load_plant
 from pickenv.calibration import random_joints, read_measurements, simulated_tracker
 from pickenv.calibration.reading.conventions import CONVENTIONS
 from pickenv.calibration.reading.description import load_description
+from pickenv.calibration.reading.description_file import KINDS
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs/calibrating-a-robot.md").read_text(encoding="utf-8")
@@ -34,7 +35,7 @@ def test_every_block_is_run_or_written_to_a_named_file():
     assert kinds == {("sh", False), ("python", False), ("toml", True), ("csv", True)}
     lines = [line for kind, _, text in BLOCK.findall(PAGE) if kind == "sh" for line in text.splitlines()]
     assert {shlex.split(line)[0] for line in lines} == {"pickenv"}
-    assert {shlex.split(line)[1] for line in lines} == {"demo", "plan-poses", "calibrate", "apply", "export"}
+    assert {shlex.split(line)[1] for line in lines} == {"demo", "plan-poses", "calibrate", "verify", "apply", "export"}
 
 
 def test_files_linked_exist():
@@ -60,12 +61,19 @@ def test_every_block_runs_in_order(tmp_path):
     assert (tmp_path / "my_arm.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 
-@pytest.mark.parametrize("name", ["poses", "reflectors", "wire", "sockets", "pictures", "conditions"])
+DESCRIBED = {given: text for kind, given, text in BLOCK.findall(FORMATS) if kind == "toml"}
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
 def test_described_formats_are_read(tmp_path, name):
-    texts = {given: text for kind, given, text in BLOCK.findall(FORMATS) if kind == "toml"}
-    path = tmp_path / f"{name}.toml"
-    path.write_text(texts[f"{name}.toml"], encoding="utf-8")
+    path = tmp_path / name
+    path.write_text(DESCRIBED[name], encoding="utf-8")
     assert load_description(path).joint_units
+
+
+def test_every_kind_is_described_with_an_example():
+    shown = {kind for kind in KINDS if any(f"\n[{kind}]\n" in text for text in DESCRIBED.values())}
+    assert shown == set(KINDS)
 
 
 def test_every_convention_is_documented():

@@ -8,6 +8,7 @@ import pytest
 from pickenv.calibration import Choices, random_joints, simulated_tracker
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.term_choice import TermChoice
+from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict
 from pickenv.calibration.residuals.residual_models import FITTERS
@@ -31,28 +32,37 @@ def identified(dynamic, sets, rows=40, choices=AUTO):
     return draft
 
 
+def gravity(dynamic):
+    return GravityTerm(tuple(range(dynamic.geometry.joints)), (0.0, 0.0, 1.0))
+
+
 @pytest.mark.parametrize(("rows", "asked"), [(39, False), (40, True)])
 def test_forty_training_rows_are_enough_to_choose_terms_on_blocks(dynamic, sets, rows, asked, monkeypatch):
     calls = []
 
-    def choosing(arm, aligned, data, known):
-        calls.append((len(data), known))
-        return TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3})
+    weight = (gravity(dynamic),)
+
+    def choosing(arm, bare, data):
+        calls.append(len(data))
+        assert bare.poses == len(data) and not bare.arm_model.terms
+        return TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3}, weight)
 
     monkeypatch.setattr(stages, "choose_terms", choosing)
     draft = stages._add_terms(identified(dynamic, sets, rows))
-    assert calls == ([(rows, True)] if asked else [])
+    assert calls == ([rows] if asked else [])
     assert list(draft.fits) == ["geometry"] + ["geometry+gravity"] * asked
     assert (draft.term_choice is not None) == asked and len(draft.terms) == asked
     if asked:
         assert draft.best[1].calibration.record["terms"] == ["gravity"]
-        assert draft.best[1].calibration.model.terms == draft.terms
+        assert draft.best[1].calibration.model.terms == draft.terms == weight
     told = stages._add_terms(identified(dynamic, sets, 39, replace(AUTO, terms="gravity")))
     assert list(told.fits) == ["geometry", "geometry+gravity"] and told.term_choice is None
 
 
 def test_of_terms_that_do_not_converge_the_last_is_given_up_first(dynamic, sets, monkeypatch):
     draft = identified(dynamic, sets, choices=replace(AUTO, terms="gravity+periodic"))
+    wave = PeriodicTerm((0,), (4.0,))
+    monkeypatch.setattr(stages, "terms_of", lambda *_: (gravity(dynamic), wave))
     tried, real = [], stages.identify_terms
 
     def wandering(terms, *given):
@@ -76,7 +86,7 @@ def verdict(name, blocked=1e-3, inner=1e-3, accepted=True):
 def test_and_to_judge_residual_models(dynamic, sets, rows, asked, monkeypatch):
     calls = []
 
-    def judging(data, refit, rng, *, models, fitters, rank):
+    def judging(data, refit, rng, *, models, fitters, rank, progress):
         calls.append((len(data), models, rng.bit_generator.state, rank))
         assert refit(data).geometry is not None
         return GateReport((verdict("trees"),), "trees", 1e-3, ())
@@ -152,7 +162,7 @@ def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monke
 
 def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
     """Fits step by step, the choice of terms, the gate's verdicts, rows left out, and what the poses hide."""
-    choice = TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3})
+    choice = TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3}, (gravity(dynamic),))
     gate = GateReport((verdict("rbf"),), "rbf", 1e-3, ())
     monkeypatch.setattr(stages, "choose_terms", lambda *_: choice)
     monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: gate)

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix, rotation_vector
 from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.model.observations import DistanceObservations
+from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.pipeline.restation import frames_of, restationed
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import Choices, calibrate

@@ -163,7 +163,7 @@ def test_shipped_descriptions_are_sound():
     assert {"ur5_jacobi2025", "wam_jacobi2025"} <= set(shipped_descriptions())
     for name in shipped_descriptions():
         description = load_description(name)
-        counts = {"position": {3}, "reflectors": {3, 6, 9, 12}, "distance": {1}, "sockets": {0, 1}, "pixels": {0, 2}}
+        counts = {"position": {3}, "reflectors": {3, 6, 9, 12}, "wire": {1}, "sockets": {0, 1}, "pixels": {0, 2}}
         assert len(description.position) in counts[description.kind]
 
 

@@ -6,8 +6,10 @@ import pytest
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import random_joints
 from pickenv.calibration.identification.rows import choose
+from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
+from pickenv.calibration.model.kinds.sockets import SocketObservations
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import DistanceObservations, ReflectorObservations, SocketObservations
 from pickenv.calibration.model.splits import contiguous_folds
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
@@ -93,7 +95,7 @@ def test_draw_wire_lengths(read, moved):
     joints, pose = moved
     length = np.linalg.norm(pose.position - [1.0, 2.0, 0.5], axis=1) * 1e3
     rows = [[*np.degrees(q), value] for q, value in zip(joints, length, strict=True)]
-    description = JOINTS + 'distance.columns = ["L"]\ndistance.unit = "mm"\ndistance.std_mm = 0.1\n'
+    description = JOINTS + 'wire.columns = ["L"]\nwire.unit = "mm"\nwire.std_mm = 0.1\n'
     data = read(description, rows, [*NAMES, "L"]).observations
     assert isinstance(data, DistanceObservations) and data.std == pytest.approx(1e-4)
     np.testing.assert_allclose(data.length, length / 1e3)
@@ -217,10 +219,10 @@ def test_repeated_rows_are_refused(read, moved):
 
 BAD = {
     "two kinds": (
-        REFLECTORS + 'distance = { columns = ["L"], unit = "mm" }\n',
-        r"\[reflectors\] and \[distance\] are both",
+        REFLECTORS + 'wire = { columns = ["L"], unit = "mm" }\n',
+        r"\[reflectors\] and \[wire\] are both",
     ),
-    "two columns of a length": ('distance = { columns = ["L", "M"], unit = "mm" }\n', r"\[distance\] needs one column"),
+    "two columns of a length": ('wire = { columns = ["L", "M"], unit = "mm" }\n', r"\[wire\] needs one column"),
     "five columns of reflectors": (
         'reflectors = { columns = ["a", "b", "c", "d", "e"], unit = "mm" }\n',
         r"\[reflectors\] needs three columns per reflector",
@@ -230,15 +232,15 @@ BAD = {
         r"lost of \[reflectors\] is 'minus one'; give how",
     ),
     "attitudes of a wire": (
-        'distance = { columns = ["L"], unit = "mm" }\nrotation.columns = ["a"]\n',
+        'wire = { columns = ["L"], unit = "mm" }\nrotation.columns = ["a"]\n',
         r"belongs to \[pos",
     ),
     "torques of three joints": (
-        'distance = { columns = ["L"], unit = "mm" }\nconditions.torques.columns = ["a", "b", "c"]\n',
+        'wire = { columns = ["L"], unit = "mm" }\nconditions.torques.columns = ["a", "b", "c"]\n',
         r"one column, and one unit, per joint",
     ),
     "temperature in Fahrenheit": (
-        'distance = { columns = ["L"], unit = "mm" }\nconditions.temperature = { column = "T", unit = "degF" }\n',
+        'wire = { columns = ["L"], unit = "mm" }\nconditions.temperature = { column = "T", unit = "degF" }\n',
         r"unit of \[conditions.temperature\] is 'degF'; give one of degC, K",
     ),
     "negative spacing": (

@@ -1,0 +1,74 @@
+"""What a verdict says of the instruments: numbers of theirs that the rows contradict, and lengths that nobody measured.
+
+A wire whose zero is off by millimetres leaves small misses all the same, for anchor and links take it up; the arm is
+then wrong where nobody looks. So what is said to be known is tried as an unknown once the arm is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from pickenv.calibration.identification.least_squares import Identification, identify
+from pickenv.calibration.model.error_model import ErrorModel
+from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.stacked import Stacked
+
+CONTRADICTED = 5.0
+"""A number that lies so many standard deviations from what is said of it is wrong, or something else is."""
+
+MATTERS = 0.03
+"""It matters where the rows are missed by so much less without it."""
+
+
+def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObservations, Observations]]:
+    """Each wire's zero that is said to be known: its name as an unknown, the wire, and the data with it unknown."""
+    if isinstance(data, DistanceObservations):
+        if data.zero_std == 0.0 and data.surface != "plane" and np.ptp(data.length) > 0.0 and data.scale_std == 0.0:
+            yield "zero", data, replace(data, zero_std=np.inf)
+    elif isinstance(data, Stacked):
+        for i, station in enumerate(data.stations):
+            for name, part, other in with_zeros_fitted(station.data):
+                stations = (*data.stations[:i], replace(station, data=other), *data.stations[i + 1 :])
+                yield name + station.suffix, part, replace(data, stations=stations)
+
+
+def said_of_instruments(
+    model: ErrorModel, found: Identification, data: Observations
+) -> Iterator[tuple[Literal["fail", "caution"], str]]:
+    """What a reader must know of them, by weight.
+
+    Args:
+        model: What was identified, without further terms.
+        found: The identification.
+        data: What it was made from.
+    """
+    for name, wire, other in with_zeros_fitted(data):
+        freed = identify(model, found.arm_model, [other])
+        kept = freed.identifiability.kept_names
+        if name not in kept:
+            continue
+        value, std = freed.unknowns[name], float(np.sqrt(freed.covariance[kept.index(name), kept.index(name)]))
+        less = 1.0 - np.sqrt(freed.chi_square / max(found.chi_square, 1e-300))
+        if abs(value - wire.zero) > CONTRADICTED * std and less > MATTERS:
+            yield (
+                "fail",
+                f"{wire.source}: the wire's zero is taken as {wire.zero * 1e3:.4g} mm, but the rows say "
+                f"{value * 1e3:.4g} ± {std * 1e3:.2g} mm, and the links have taken up the difference; say zero = "
+                '"fitted" in [wire]',
+            )
+    if data.miss_unit == "deg":
+        yield (
+            "caution",
+            "directions tell no length: all lengths of the arm are nominal; add an instrument that sees some",
+        )
+    elif not data.sized:
+        yield (
+            "caution",
+            "no known length takes part, so the arm's size is that of its nominal longest link; add a known spacing, "
+            "radius or length, or another instrument",
+        )

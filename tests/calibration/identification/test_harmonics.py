@@ -1,0 +1,226 @@
+"""Harmonics of the drives: planted ones are found within their uncertainty, and none where there are none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.arm import forward, load_arm
+from pickenv.calibration import Calibration, Choices, Measurements, calibrate, complete_model, identify
+from pickenv.calibration.identification import term_choice
+from pickenv.calibration.identification.block_equations import BlockEquations, Linearised, solved
+from pickenv.calibration.identification.harmonics import (
+    HIGHEST,
+    MOST,
+    ROWS_EACH,
+    WITHIN,
+    chosen_orders,
+    every_order,
+    harmonics_of,
+    pursued,
+)
+from pickenv.calibration.identification.term_choice import choose_terms, identify_terms, terms_of
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.splits import contiguous_folds
+from pickenv.calibration.model.terms import PeriodicTerm, kind_of_term
+from pickenv.errors import InputError
+
+ARM = load_arm("ur5")
+NOISE = 2e-5
+PLANTED = PeriodicTerm((0, 1, 2), (13.37, 26.1, 4.72))
+"""Orders off the grid."""
+
+
+def tracked(rng, rows=240, coefficients=(2e-4, 1e-4, -1e-4, 5e-5, 3e-4, 0.0), wave=PLANTED):
+    """Positions of a UR5 that differs from its nominal geometry, in joint ranges of 100 degrees."""
+    true = ARM.nominal.displaced(rng.normal(size=len(ARM.nominal.parameter_names)) * 3e-4)
+    model = ArmModel(true, (wave,), np.array(coefficients, dtype=float))
+    joints = rng.uniform(-0.9, 0.9, (rows, 6)) + np.array([0.3, -1.2, 1.3, -0.8, 1.2, 0.2])
+    place = model.pose(joints).position + rng.normal(size=(rows, 3)) * NOISE
+    return Measurements(joints, place, None, ARM.nominal.prismatic, position_std=NOISE)
+
+
+def bare_of(data):
+    return identify(complete_model(ARM.nominal), ARM.nominal, data, max_iterations=60)
+
+
+@pytest.fixture(scope="module")
+def planted():
+    data = tracked(np.random.default_rng(0))
+    return data, bare_of(data)
+
+
+@pytest.fixture(scope="module")
+def chosen(planted):
+    return choose_terms(ARM, planted[1], planted[0])
+
+
+def test_planted_harmonics_are_found_with_orders_and_amplitudes_within_their_uncertainty(planted, chosen):
+    data, bare = planted
+    assert chosen.chosen == "periodic" and [kind_of_term(term) for term in chosen.terms] == ["periodic"]
+    found = identify_terms(chosen.terms, bare, data)
+    harmonics = harmonics_of(found)
+    sizes = [item.amplitude for item in harmonics]
+    assert sizes == sorted(sizes, reverse=True) and found.converged
+    assert {(item.joint, round(item.order)) for item in harmonics} == {(0, 13), (1, 26), (2, 5)}
+    for joint, order, amplitude in ((0, 13.37, np.hypot(2e-4, 1e-4)), (1, 26.1, np.hypot(1e-4, 5e-5)), (2, 4.72, 3e-4)):
+        item = next(item for item in harmonics if item.joint == joint)
+        assert 0.0 < item.order_std < 0.1 and abs(item.order - order) < 4 * item.order_std
+        assert item.amplitude_std < 0.1 * amplitude and abs(item.amplitude - amplitude) < 4 * item.amplitude_std
+    left = data.difference(found.arm_model)
+    assert np.sqrt(np.mean(left**2)) < 1.1 * NOISE < np.sqrt(np.mean(data.difference(bare.arm_model) ** 2)) / 2
+
+
+@pytest.mark.slow
+def test_uncertainties_of_orders_and_amplitudes_are_their_scatter():
+    """Over thirty measurements of one arm; that of sixty values in all is known to 10 %."""
+    off = []
+    for seed in range(30):
+        data = tracked(np.random.default_rng(seed), coefficients=(2e-4, 1e-4), wave=PeriodicTerm((0,), (13.37,)))
+        (item,) = harmonics_of(identify_terms(terms_of("periodic", ARM, bare_of(data), data), bare_of(data), data))
+        off.append([(item.order - 13.37) / item.order_std, (item.amplitude - 5**0.5 * 1e-4) / item.amplitude_std])
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(off), axis=0)), 1.0, atol=0.4)
+
+
+@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 22), marks=pytest.mark.slow)], ids=["two", "twenty"])
+def test_an_arm_without_harmonics_gets_none(seeds):
+    found = [tracked(np.random.default_rng(seed), rows=160, coefficients=[0.0] * 6) for seed in seeds]
+    taken = [choose_terms(ARM, bare_of(data), data).chosen for data in found]
+    assert taken.count("none") >= 0.9 * len(taken)
+    assert terms_of("periodic", ARM, bare_of(found[0]), found[0]) == ()
+
+
+def test_the_pursuit_takes_what_explains_most_each_time():
+    """As a search by least squares of every candidate in turn finds."""
+    rng = np.random.default_rng(1)
+    base, pairs = rng.normal(size=(300, 5)), rng.normal(size=(300, 12, 2))
+    pairs += 0.7 * pairs[:, [3]] + base[:, [1], None]
+    right = pairs[:, 7] @ [0.5, 1.0] + pairs[:, 2] @ [0.8, -0.1] + 0.3 * rng.normal(size=300)
+    columns = np.concatenate([base, pairs.reshape(300, -1)], axis=1)
+    candidates = 5 + np.arange(24).reshape(12, 2)
+    taken = pursued(columns.T @ columns, columns.T @ right, np.arange(5), candidates, 6)
+    slow = []
+    for _ in range(6):
+        left = {}
+        for number in set(range(12)) - set(slow):
+            chosen = columns[:, np.r_[:5, candidates[[*slow, number]].ravel()]]
+            left[number] = np.linalg.norm(right - chosen @ np.linalg.lstsq(chosen, right, rcond=None)[0])
+        slow.append(min(left, key=left.get))
+    assert taken == slow
+
+
+@pytest.fixture(scope="module")
+def equations(planted):
+    data, bare = planted
+    model = Linearised.of(bare, (PLANTED, every_order(ARM.nominal)))
+    return BlockEquations.of(model, [data.select(held) for _, held in contiguous_folds(data.groups, 5)])
+
+
+def test_equations_without_a_block_are_those_of_the_other_rows_with_the_prior(planted, equations):
+    data, bare = planted
+    model = equations.model
+    others = np.concatenate([np.arange(240)[:48], np.arange(240)[96:]])
+    columns, left = model.equations(data.select(others))
+    prior = np.diag(np.r_[np.zeros(len(model.fitted)), np.full(len(model.names) - len(model.fitted), bare.scatter)])
+    places = np.r_[model.fitted, model.coefficients_of(0)]
+    by_hand = np.linalg.lstsq(np.vstack([columns, prior])[:, places], np.r_[left, np.zeros(len(prior))], rcond=None)[0]
+    found = solved(*equations.without(1), places)
+    np.testing.assert_allclose(found[places], by_hand, rtol=1e-6, atol=1e-9)
+    assert not np.delete(found, places).any()
+    there, remains = model.equations(data.select(np.arange(48, 96)))
+    assert equations.left(1, found) == pytest.approx(np.sum((remains - there @ found) ** 2), rel=1e-6)
+
+
+def test_what_a_solution_misses_is_what_the_arm_misses_that_it_stands_for(planted, equations):
+    data, _ = planted
+    places = np.r_[equations.model.fitted, equations.model.coefficients_of(0)]
+    found = solved(*equations.without(None), places)
+    columns, left = equations.model.equations(data)
+    linear = (left - columns @ found).reshape(-1, 3) * NOISE
+    np.testing.assert_allclose(equations.model.misses(data, found), linear, atol=1e-6)
+
+
+def test_the_fewest_harmonics_within_three_per_cent_of_the_best_are_taken(equations):
+    """Judged by hand, count by count."""
+    model = equations.model
+    candidates = model.coefficients_of(1).reshape(-1, 2)
+    paths, whole = chosen_orders(equations, model.fitted, candidates)
+    errors = []
+    for count in range(31):
+        assert 240 // ROWS_EACH == 30 < MOST
+        left = 0.0
+        for block in range(5):
+            matrix, right = equations.without(block)
+            path = candidates[pursued(matrix, right, model.fitted, candidates, count)].ravel()
+            left += equations.left(block, solved(matrix, right, np.r_[model.fitted, path]))
+        errors.append(np.sqrt(left))
+    wanted = min(count for count in range(31) if errors[count] <= (1 + WITHIN) * min(errors))
+    assert len(whole) == 2 * wanted and all(len(path) == 2 * wanted for path in paths)
+
+
+def test_candidates_are_all_revolute_joints_and_half_orders_up_to_thirty(qiao):
+    term = every_order(qiao.nominal)
+    turning = [i for i, slides in enumerate(qiao.nominal.prismatic) if not slides]
+    wanted = {(i, order / 2) for i in turning for order in range(2, int(2 * HIGHEST) + 1)}
+    assert set(zip(term.joints, term.orders, strict=True)) == wanted and len(term.orders) == len(wanted)
+
+
+SCORES = {"none": 1.0, "gravity": 0.8, "gravity+periodic": 0.6, "periodic": 0.61, "thermal": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("changed", "wanted"),
+    [
+        ({}, "periodic"),
+        ({"periodic": 0.63}, "gravity+periodic"),
+        ({"gravity+periodic": 0.78}, "gravity"),
+        ({"gravity": 0.98, "periodic": 0.96}, "periodic"),
+        ({"gravity": 0.98, "periodic": 0.98}, "none"),
+    ],
+    ids=["weight no longer wins", "weight still wins", "no harmonics", "harmonics alone", "nothing"],
+)
+def test_each_term_stays_only_if_it_wins_by_three_per_cent(planted, monkeypatch, changed, wanted):
+    class Trial:
+        def score(self, names):
+            return (SCORES | changed)["+".join(names) or "none"]
+
+        def terms(self, names):
+            return names
+
+    monkeypatch.setattr(term_choice._Trial, "of", staticmethod(lambda *_: Trial()))
+    found = choose_terms(ARM, planted[1], planted[0])
+    assert found.chosen == wanted and found.terms == tuple(wanted.replace("none", "").split("+") if found.terms else ())
+    assert all((SCORES | changed)[name] == value for name, value in found.blocked_rms.items())
+
+
+def test_unknown_terms_are_refused(planted):
+    with pytest.raises(InputError, match="unknown terms 'magic'; give auto, none, or some of gravity, periodic"):
+        terms_of("gravity+magic", ARM, planted[1], planted[0])
+
+
+def test_weight_and_harmonics_are_named_together(planted):
+    data, bare = planted
+    terms = terms_of("gravity+periodic", ARM, bare, data)
+    assert [kind_of_term(term) for term in terms] == ["gravity", "periodic"]
+
+
+def test_a_saved_calibration_holds_its_harmonics_and_corrects_them(planted, tmp_path):
+    """What it commands reaches the nominal pose by its own prediction, one target at a time or many."""
+    data, _ = planted
+    result = calibrate(ARM, data, choices=Choices(residual="none"))
+    again = Calibration.load(result.save(tmp_path / "ur5"), ARM)
+    (term,) = again.model.terms
+    assert again.record["harmonics"] == result.as_dict()["harmonics"]
+    shown = {(row["joint"] - 1, row["order"], row["order_std"]) for row in again.record["harmonics"]["found"]}
+    assert shown == set(zip(term.joints, term.orders, term.order_std, strict=True))
+    for i, (joint, order) in enumerate(zip(term.joints, term.orders, strict=True)):
+        rows = again.record["harmonics"]["found"]
+        (row,) = (row for row in rows if (row["joint"] - 1, row["order"]) == (joint, order))
+        assert np.radians(row["amplitude"]) == pytest.approx(np.hypot(*again.model.coefficients[2 * i : 2 * i + 2]))
+    compensator = again.compensator()
+    commands = compensator(data.joints)
+    np.testing.assert_allclose([compensator(target) for target in data.joints[:5]], commands[:5], atol=1e-9)
+    wanted = forward(again.nominal, data.joints).position
+    bare = replace(again, model=ArmModel(again.identified))
+    left, without = (np.linalg.norm(each.predict(commands).position - wanted, axis=1) for each in (again, bare))
+    assert np.quantile(left, 0.95) < 5e-6 and np.median(without) > 1e-4  # some poses are near a singular one
