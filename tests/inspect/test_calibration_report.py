@@ -98,7 +98,7 @@ def test_the_verdict_comes_first_and_in_words(page, evidence):
     text = Page(page).text
     mean = evidence.best.mean
     assert text.index("Good: the calibration can be used") < text.index("Errors on held-out rows")
-    assert f"On 40 rows that the fit never saw, what was measured lay {figure(mean)} mm" in text
+    assert f"the tool stood {figure(mean)} mm" in text and "40 measured poses that the fit never saw" in text
     assert "times the stated noise of 0.015 mm" in text
 
 
@@ -153,7 +153,7 @@ def test_positions_only_and_a_residual_have_their_page(plant, sets, tmp_path):
     text = Page(calibration_page(learnt)).text
     assert "geometry+rbf" in text
     assert learnt.best.mean < 0.6 * learnt.position["geometric"].mean
-    assert f"what was measured lay {figure(learnt.best.mean)} mm" in text
+    assert f"the tool stood {figure(learnt.best.mean)} mm" in text
 
 
 def test_a_bad_calibration_says_do_not_use(evidence):

@@ -259,6 +259,9 @@ def test_the_table_says_errors_and_uncertainties_in_mm_and_degrees(calibration, 
             np.testing.assert_allclose(table[f"{name}_error_{unit}"].astype(float), expected, rtol=1e-9)
     np.testing.assert_allclose(table["uncertainty_mm"].astype(float), 1e3 * found.position_uncertainty)
     np.testing.assert_allclose(table["uncertainty_deg"].astype(float), np.rad2deg(found.attitude_uncertainty))
+    position, attitude = found.within95
+    np.testing.assert_allclose(table["within95_mm"].astype(float), 1e3 * position)
+    np.testing.assert_allclose(table["within95_deg"].astype(float), np.rad2deg(attitude))
 
 
 def test_what_the_learnt_residual_explains_is_no_uncertainty(dynamic):
