@@ -50,6 +50,12 @@ def test_with_no_more_rows_than_parameters_the_scatter_is_that_of_one_degree_of_
     assert judged(np.empty(0), explained=0.0, weighted=0.0, rows=4).negligible
 
 
+@pytest.mark.parametrize("parameters", [1, 2, 5])
+def test_what_a_step_explains_is_counted_for_each_of_its_parameters(parameters):
+    found = judged(np.full(parameters, 1e-2), explained=3.0, weighted=2.0, rows=23)
+    assert found.offset == pytest.approx(23 * 9.0 / parameters / (23 * 4.0 / (23 - parameters)))
+
+
 def test_without_any_scatter_whatever_a_step_explains_counts():
     assert judged(explained=1e-3, weighted=0.0).offset > 1.0 and not judged(explained=1e-3, weighted=0.0).negligible
 
