@@ -269,10 +269,12 @@ def test_what_adds_less_than_a_thousandth_of_the_largest_is_redundant(share, ran
     assert identifiability(matrix, ("a", "b"), np.ones(2), 1, 10e-3).rank == 1
 
 
+@pytest.mark.parametrize("tolerance", [[1.0, 1.0, 1.0], [1.0, 1.0, 50.0], [1.0, 20.0, 1.0]])
 @pytest.mark.parametrize(("share", "named"), [(0.9e-3, False), (1.1e-3, True)])
-def test_shares_below_a_thousandth_of_a_tolerance_are_not_named(share, named):
+def test_shares_below_a_thousandth_of_a_tolerance_are_not_named(share, named, tolerance):
+    """Of the tolerances that the matrix is scaled by, whatever they are."""
     matrix = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, share], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    (dropped,) = identifiability(matrix, ("a", "b", "c"), np.ones(3), 1).dropped
+    (dropped,) = identifiability(matrix, ("a", "b", "c"), np.array(tolerance), 1).dropped
     assert ("b" in dropped.absorbed_by) == named and "a" in dropped.absorbed_by
 
 
