@@ -11,7 +11,7 @@ from pickenv.arm import Pose, forward, joint_jacobian, load_arm, pose_error, rot
 from pickenv.calibration import Compensator, fit, random_joints, simulated_tracker
 from pickenv.calibration.pipeline.apply import _carried, apply_calibration, toward
 from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.uncertainty import held_out_errors
+from pickenv.calibration.pipeline.held_out import held_out_errors
 from pickenv.calibration.reading.targets import Targets, joints_of, read_targets
 from pickenv.errors import InputError
 
