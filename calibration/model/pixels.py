@@ -44,6 +44,7 @@ class PixelObservations(OneGroup):
         source: Where the data come from.
         origins: Picture or file and line of each view; None where they come from no file.
         remarks: Why a view shows no corner ``(V,)``, empty where it shows some; None where nobody says.
+        pictures: Path of each view's picture ``(V,)``; None where corners came without pictures.
     """
 
     joints: Array
@@ -60,6 +61,7 @@ class PixelObservations(OneGroup):
     framed: bool = True
     origins: Origins | None = None
     remarks: NDArray[np.str_] | None = None
+    pictures: NDArray[np.str_] | None = None
 
     @cached_property
     def _lens(self) -> Stated:
@@ -73,7 +75,7 @@ class PixelObservations(OneGroup):
 
     def select(self, rows: Rows) -> Self:
         """The views of the given rows."""
-        return selected(self, rows, "corners", "seen", "std", "remarks")
+        return selected(self, rows, "corners", "seen", "std", "remarks", "pictures")
 
     def unknowns(self) -> tuple[str, ...]:
         """The fitted numbers of the lens."""
