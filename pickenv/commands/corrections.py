@@ -84,13 +84,20 @@ def plan_poses(
     rng = np.random.default_rng(seed)
     planned: PosePlan | PlanLike
     if like is not None:
-        if kind is not None or noise_mm is not None or pool is not None or frames == "known":
-            raise InputError(
-                "--like says what is measured and how well; leave out --kind, --noise-mm, --frames, --from"
-            )
+        if kind is not None or noise_mm is not None or frames == "known":
+            raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")
         first, _ = given_rows(given_arm(chosen, columns), like, columns)
+        joints, lines = (candidates, None) if pool is None else pool_of(pool, chosen.nominal)
         planned = plan_like(
-            chosen, first, n, rng, candidates=candidates, criterion=criterion, test_joints=test_joints, curve=curve
+            chosen,
+            first,
+            n,
+            rng,
+            candidates=joints,
+            lines=lines,
+            criterion=criterion,
+            test_joints=test_joints,
+            curve=curve,
         )
     else:
         joints, lines = (candidates, None) if pool is None else pool_of(pool, chosen.nominal, columns)
