@@ -86,8 +86,8 @@ class PixelObservations(OneGroup):
         whole = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
         return repeated_at(whole, joints, "corners", "seen", "std")
 
-    def visible(self, model: ArmModel, unknowns: Array) -> NDArray[np.bool_]:
-        """Which corners a model puts into the picture ``(V, K)``, of boards that face the camera."""
+    def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Which corners a model puts into the picture ``(V, K)``, ``margin`` px inside, of boards that face the camera."""
         tool, points, values = (
             model.pose(self.joints, self.conditions),
             self.in_camera(model),
@@ -102,7 +102,7 @@ class PixelObservations(OneGroup):
         pinhole = points[..., :2] / points[..., 2:] * values[:2] + values[2:4]
         near = (np.abs(pinhole - size / 2.0) < size).all(axis=-1)  # farther off the distortion means nothing
         places = lens.projected(values, points)
-        return np.asarray(ahead & near & ((places >= 0.0) & (places <= size - 1.0)).all(axis=-1))
+        return np.asarray(ahead & near & ((places >= margin) & (places <= size - 1.0 - margin)).all(axis=-1))
 
     def unknowns(self) -> tuple[str, ...]:
         """The fitted numbers of the lens."""

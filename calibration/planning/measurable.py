@@ -42,6 +42,9 @@ STEP = 0.5
 LEAST_SEEN = 0.5
 """Share of a board's corners that a candidate must see."""
 
+WARY = 3.0
+"""Corners must be predicted so many times farther inside the picture than those of the first views were off."""
+
 FOCUS = 1.5
 """A board may stand so many times farther off than in the first views, or nearer."""
 
@@ -160,5 +163,7 @@ def asked_at(first: FirstRows, joints: Array) -> Observations:
     data: Any = first.data  # all kinds but stations can be imagined, which `first_rows` refuses
     asked: Observations = data.imagined(joints)
     if isinstance(asked, PixelObservations):
-        return replace(asked, seen=asked.visible(first.model, first.unknowns))
+        off = data.pixel_errors(first.model, first.unknowns)
+        margin = WARY * float(np.sqrt(np.mean(off**2)))
+        return replace(asked, seen=asked.visible(first.model, first.unknowns, margin))
     return asked

@@ -7,7 +7,6 @@ states; its colour is its true length. Pixels.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +16,11 @@ from matplotlib.quiver import Quiver
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.errors import InputError
 from pickenv.inspect.colours import viridis_map
 from pickenv.inspect.figures.field_figure import round_down
 from pickenv.inspect.figures.style import WIDTH, new_figure
+from pickenv.inspect.runs.view_errors import ViewErrors
 
 LONGEST = 0.1
 """Length of the longest arrow, as a share of the picture's width."""
@@ -31,38 +30,6 @@ MOST_VIEWS, BESIDE = 9, 3
 
 PICTURE_WIDTH, FAINT = 320, 0.4
 """Pictures behind arrows: their width, px, and opacity."""
-
-
-@dataclass(frozen=True, eq=False)
-class ViewErrors:
-    """One view's corners.
-
-    Attributes:
-        name: Of the view.
-        found: Where corners were found ``(C, 2)``, px.
-        errors: Found minus predicted ``(C, 2)``, px.
-        size: Width and height of the picture, px.
-        picture: Its file; None where there is none.
-    """
-
-    name: str
-    found: Array
-    errors: Array
-    size: tuple[int, int]
-    picture: str | None = None
-
-    @property
-    def rms(self) -> float:
-        """RMS length of the errors, px."""
-        return float(np.sqrt(np.mean(np.sum(self.errors**2, axis=1))))
-
-
-def views_with_errors(views: PixelObservations, errors: Sequence[Array], names: Sequence[str]) -> list[ViewErrors]:
-    """The views with their errors ``(C, 2)``, px, of the corners found, each by its name."""
-    return [
-        ViewErrors(name, corners[seen], left, views.camera.size, None if views.pictures is None else views.pictures[k])
-        for k, (name, corners, seen, left) in enumerate(zip(names, views.corners, views.seen, errors, strict=True))
-    ]
 
 
 def corner_errors(views: Sequence[ViewErrors]) -> Figure:

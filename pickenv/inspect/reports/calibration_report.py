@@ -23,12 +23,12 @@ from pickenv.calibration.pipeline.result import Result
 from pickenv.files import write_text
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
-from pickenv.inspect.figures.plot_pixels import corner_errors, view_errors, views_with_errors
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
 from pickenv.inspect.reports.report_page import Bar, Page, PageTable, PageVerdict, Pair, Section, html_of
 from pickenv.inspect.reports.report_words import axis_table, named_values, parameter_words
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report
+from pickenv.inspect.runs.view_errors import views_of
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
 VERDICTS = {
@@ -188,24 +188,9 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
 
 def _reprojection(r: Result) -> Section:
     """Held-out errors of pictures, drawn; nothing where no pictures were taken."""
-    if not isinstance(r.test, PixelObservations) or r.pixels is None:
-        return Section("Reprojection errors", ())
-    views = views_with_errors(r.test, r.held_out.pixels, r.pixels.names)
     return Section(
         "Reprojection errors",
-        (
-            Drawing(
-                "corner_errors",
-                "All corners in the picture's plane. Arrows that follow a pattern are a lens that is not yet described "
-                "well enough; arrows without one are noise.",
-                lambda: corner_errors(views),
-            ),
-            Drawing(
-                "view_errors",
-                "The views with the largest errors. Where all arrows of a view agree, its pose is at fault.",
-                lambda: view_errors(views),
-            ),
-        ),
+        view_drawings(views_of(r)),
         "From where each corner is predicted towards where it was found, in views that the fit never saw; magnified "
         "as stated, coloured by true length.",
     )

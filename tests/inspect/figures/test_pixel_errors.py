@@ -25,13 +25,15 @@ from pickenv.errors import InputError
 from pickenv.inspect.colours import viridis
 from pickenv.inspect.figures.plot_pixels import (
     MOST_VIEWS,
-    ViewErrors,
     corner_errors,
     faint_picture,
     view_errors,
-    views_with_errors,
 )
+from pickenv.inspect.figures.run_drawings import Drawing, trace_drawings
 from pickenv.inspect.reports.calibration_report import calibration_page
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
+from pickenv.inspect.runs.saved import load_numbers, save_numbers
+from pickenv.inspect.runs.view_errors import views_of
 
 VIEWS, SIZE = 11, (640, 480)
 
@@ -98,16 +100,11 @@ def panels(figure: Figure) -> list[Axes]:
     return [axes for axes in figure.axes if any(isinstance(artist, Quiver) for artist in axes.collections)]
 
 
-def shown(result: Result) -> list[ViewErrors]:
-    assert isinstance(result.test, PixelObservations) and result.pixels is not None
-    return views_with_errors(result.test, result.held_out.pixels, result.pixels.names)
-
-
 def test_all_corners_in_one_plane(result: Result) -> None:
     test = result.test
     assert isinstance(test, PixelObservations)
     errors = np.concatenate(result.held_out.pixels)
-    (axes,) = panels(corner_errors(shown(result)))
+    (axes,) = panels(corner_errors(views_of(result)))
     title = axes.get_title(loc="left")
     assert title.startswith(f"All {int(test.seen.sum())} corners of {VIEWS} views")
     top = np.hypot(*errors.T).max()
@@ -118,7 +115,7 @@ def test_all_corners_in_one_plane(result: Result) -> None:
 def test_views_are_drawn_the_worst_first(result: Result) -> None:
     test, left = result.test, result.held_out.pixels
     assert isinstance(test, PixelObservations) and result.pixels is not None and test.pictures is not None
-    figure = view_errors(shown(result))
+    figure = view_errors(views_of(result))
     gain = gain_of(figure.get_suptitle())
     top = np.hypot(*np.concatenate(left).T).max()
     order = np.argsort([-np.sqrt((errors**2).sum(axis=1).mean()) for errors in left])
@@ -157,7 +154,7 @@ def test_the_page_shows_them_and_speaks_of_views(result: Result) -> None:
 
 
 def test_views_without_pictures_have_their_corners(result: Result) -> None:
-    bare = [replace(view, picture=None) for view in shown(result)[:2]]
+    bare = [replace(view, picture=None) for view in views_of(result)[:2]]
     drawn = panels(view_errors(bare))
     assert len(drawn) == 2 and not any(axes.images for axes in drawn)
 
@@ -179,3 +176,20 @@ def test_a_picture_is_made_small_and_turned_as_its_camera_says(tmp_path: Path) -
     small = faint_picture(tmp_path / "a.jpg")
     assert small is not None and small.shape == (240, 320)
     assert small[:100].max() < 10 and small[-100:].min() > 245
+
+
+def test_a_run_folder_keeps_what_they_are_drawn_from(result: Result, tmp_path: Path) -> None:
+    sets = {"identification": result.train, "test": result.test}
+    trace = trace_of(result.fit, sets, dict(result.errors), views_of(result))
+    kept = load_numbers(save_numbers(tmp_path / "trace.npz", trace), CalibrationTrace, "pickenv calibrate --run")
+    drawings = {item.name: item for item in trace_drawings(kept) if isinstance(item, Drawing)}
+    for name, errors in zip(("corner_errors", "view_errors"), (result.held_out.pixels, None), strict=True):
+        first = quiver_of(panels(drawings[name].draw())[0])
+        again = quiver_of(
+            panels({"corner_errors": corner_errors, "view_errors": view_errors}[name](views_of(result)))[0]
+        )
+        np.testing.assert_array_equal(first.get_array(), again.get_array())
+        if errors is not None:
+            np.testing.assert_allclose(first.get_array(), np.hypot(*np.concatenate(errors).T))
+    bare = trace_drawings(replace(kept, views=()))
+    assert not {"corner_errors", "view_errors"} & {item.name for item in bare}
