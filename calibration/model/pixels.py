@@ -87,7 +87,7 @@ class PixelObservations(OneGroup):
         return repeated_at(whole, joints, "corners", "seen", "std")
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Which corners a model puts into the picture ``(V, K)``, ``margin`` px inside, of boards that face the camera."""
+        """Which corners a model puts into the picture ``(V, K)``, by a margin in px; of boards that face the camera."""
         tool, points, values = (
             model.pose(self.joints, self.conditions),
             self.in_camera(model),

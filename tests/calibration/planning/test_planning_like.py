@@ -175,7 +175,7 @@ def test_every_planned_view_sees_the_board(mount: str, ur5: Arm) -> None:
     plan, geometry, _, first = planned(f"camera {mount}", ur5)
     for joints in (plan.joints, plan.candidates):
         points = camera_points(geometry, joints, mount)
-        assert (facing_and_inside(points).mean(axis=1) > 0.45).all()  # fitted and true frames differ a little
+        assert (facing_and_inside(points).mean(axis=1) >= 0.5).all()
         depth, depths = (camera_points(geometry, q, mount)[..., 2].mean(axis=1) for q in (joints, first))
         assert depth.min() > depths.min() / 1.6 and depth.max() < depths.max() * 1.6
     assert ((plan.joints > ur5.nominal.lower) & (plan.joints < ur5.nominal.upper)).all()
