@@ -5,8 +5,8 @@
 #   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
 #   make coverage-of-intervals  how often every 95 % interval holds the truth, on data of known truth
 #   make mutants              change the lines that make numbers, one at a time: runs/mutants.json says what the tests
-#                             did not notice, docs/mutants.md the score by room. Hours for all; goes on where it was;
-#                             ARGS="--sample 40" for a random part of each room, ARGS="--room plant" for one room alone
+#                             did not notice, docs/mutants.md the score by room. An hour or two; goes on where it was;
+#                             ARGS="--sample 9" for so many of each room, 0 for all, ARGS="--room plant" for one room
 #   make demo ARGS=--quick    options for the command
 #   make ... PYTHON=python3.12  another Python, for a new .venv
 

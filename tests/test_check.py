@@ -67,7 +67,7 @@ def test_a_sound_run_is_named_file_by_file(folder: Path) -> None:
         lines[0]
         == f"sound    {folder}/run.json: record of a run (calibration), format 2, made by `pickenv calibrate x.csv`"
     )
-    assert lines[1].startswith(f"sound    {folder}/calibration.npz: calibration, format 2, arm 'qiao2026', geometry ")
+    assert lines[1].startswith(f"sound    {folder}/calibration.npz: calibration, format 3, arm 'qiao2026', geometry ")
     assert (
         lines[2] == f"sound    {folder}/calibration_trace.npz: CalibrationTrace, format 3, the numbers behind figures"
     )
@@ -80,7 +80,7 @@ def test_archives_are_known_by_their_content(folder: Path, tmp_path: Path) -> No
     renamed.write_bytes((folder / "calibration.npz").read_bytes())
     code, lines = checked(renamed, BASELINES / "ppo_camera.npz")
     assert code == 0
-    assert "policy.npz: calibration, format 2" in lines[0]
+    assert "policy.npz: calibration, format 3" in lines[0]
     assert "ppo_camera.npz: policy, format 2, ppo on arm 'qiao2026'" in lines[1]
 
 

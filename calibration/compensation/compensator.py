@@ -1,9 +1,10 @@
 """From a wanted nominal pose to corrected joints: Qiao 2026 eqs (13)-(16) and Fig. 3 through the rank-aware inverse.
 
 q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints, J+ truncated to the
-task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. One pose runs on Python floats, many on
-NumPy in blocks: a compensator stands in a control loop and in vector environments. The residual's network is most of
-the cost, so it is evaluated once, at the joints that geometry alone corrects.
+task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. Near joint limits and singular poses such
+steps can lead away: of the target and its corrections the one that the model expects nearest is commanded. One pose
+runs on Python floats, many on NumPy in blocks: a compensator stands in a control loop and in vector environments. The
+residual's network is most of the cost, so it is evaluated once, at the joints that geometry alone corrects.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from types import ModuleType
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +31,9 @@ from pickenv.errors import InputError
 
 BLOCK = 2048
 """Poses worked on together: what a core's first caches hold."""
+
+NEGLIGIBLE = 1e-6
+"""What a correction may be expected to lose, m or rad: what single precision rounds where nothing is to be gained."""
 
 
 class ResidualModel(Protocol):
@@ -52,6 +56,8 @@ class Compensator:
             much the residual changes by its own correction. Without a residual one leaves 1 um, two nothing.
         single_precision: Whether many poses at once are corrected in single precision: faster, and another 0.1 um.
         reservations: What stands against using it, by name (`pickenv.reservations`).
+        within95: What holds 95 of 100 errors of position, m, and attitude, rad, at commands ``(..., n)``, as counted on
+            held-out rows; None where nobody knows.
     """
 
     nominal: Geometry
@@ -60,6 +66,7 @@ class Compensator:
     iterations: int = 2
     single_precision: bool = False
     reservations: Mapping[str, str] = field(default_factory=dict)
+    within95: Callable[[Array], tuple[Array | None, Array | None]] | None = None
 
     def __call__(self, joints: ArrayLike) -> Array:
         """Joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m, within the joint limits.
@@ -129,7 +136,7 @@ def corrected(
     """
     believed, identified = chains
     limits = list(zip(nominal.lower.tolist(), nominal.upper.tolist(), strict=True))
-    command, wanted, learnt, solve = target, tool_frame(m, believed, target), None, None
+    command, wanted, learnt, solve, best = target, tool_frame(m, believed, target), None, None, None
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
@@ -139,9 +146,43 @@ def corrected(
         if residual is not None:
             if learnt is None:
                 learnt = residual(_moved(m, command, solve(error, columns), limits))
-            error = [left - expected for left, expected in zip(error, learnt, strict=True)]
+            error = _less(error, learnt)
+        best = _nearer(m, best, _expected(m, command, error))
         command = _moved(m, command, solve(error, columns), limits)
-    return command
+    if best is None:
+        return target
+    error = frame_error(m, tool_frame(m, identified, command), wanted)
+    return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt))).joints
+
+
+class _Expected(NamedTuple):
+    """Joints, and the size of the pose error expected there, with a radian as a metre, as the inverse weighs them."""
+
+    joints: Sequence[Scalar]
+    error: Scalar
+
+
+def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> _Expected:
+    """What the model expects at joints, from the six components of its pose error there."""
+    return _Expected(joints, m.sqrt(sum((part * part for part in error[1:]), error[0] * error[0])))
+
+
+def _nearer(m: ModuleType, one: _Expected | None, other: _Expected) -> _Expected:
+    """The other, but for poses where it is expected farther off than the one."""
+    if one is None:
+        return other
+    nearer = other.error < one.error + NEGLIGIBLE
+    if m is math:
+        return other if nearer else one
+    if m is np and nearer.all():
+        return other
+    joints = [m.where(nearer, after, before) for after, before in zip(other.joints, one.joints, strict=True)]
+    return _Expected(joints, m.where(nearer, other.error, one.error))
+
+
+def _less(error: Sequence[Scalar], learnt: Sequence[Scalar]) -> list[Scalar]:
+    """What is left of a pose error when the residual is expected beside it."""
+    return [left - expected for left, expected in zip(error, learnt, strict=True)]
 
 
 def _moved(

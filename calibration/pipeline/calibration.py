@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
 from pickenv.calibration.model.terms import specification, term_from
+from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, uncertainty_from
 from pickenv.calibration.residuals.residual_models import LearntResidual
 from pickenv.calibration.residuals.saved_arrays import named_part, part_of
 from pickenv.container import read_container, refusing_damage, write_container
@@ -126,7 +128,23 @@ class Calibration:
             learnt = learnt.in_single_precision()
         anything = self.model.terms or learnt is not None
         residual = Remainder(self.model, learnt, conditions or Conditions()) if anything else None
-        return Compensator(self.nominal, self.identified, residual, iterations, single_precision, self.reservations())
+        sure = uncertainty_from(self.record)
+        return Compensator(
+            self.nominal,
+            self.identified,
+            residual,
+            iterations,
+            single_precision,
+            self.reservations(),
+            None if sure is None else partial(self._within95, sure, conditions),
+        )
+
+    def _within95(
+        self, sure: PoseUncertainty, conditions: Conditions | None, joints: Array
+    ) -> tuple[Array | None, Array | None]:
+        """`PoseUncertainty.within95` at joints ``(..., n)`` under the same conditions everywhere."""
+        here = None if conditions is None else conditions.repeated(joints.shape[:-1] or (1,))
+        return sure.within95(self.model, joints, here)
 
     def reservations(self) -> dict[str, str]:
         """What stands against using it, by name, each a sentence that says what to do; empty where nothing does."""

@@ -23,7 +23,6 @@ from pickenv.calibration.model.splits import Rows
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.fitting import Fit
 from pickenv.calibration.pipeline.restation import errors_there, restationed
-from pickenv.calibration.pipeline.uncertainty import held_out_errors
 from pickenv.intervals import LEAST
 
 NOMINAL = "nominal"
@@ -176,3 +175,14 @@ def what_is_left(fit: Fit, data: Observations) -> Array:
     if isinstance(data, Measurements):
         return held_out_errors(fit.calibration, data)
     return data.misses(fit.identification.arm_model, unknowns_of(fit.identification, data))
+
+
+def held_out_errors(calibration: Calibration, data: Measurements) -> Array:
+    """Measured minus predicted ``(N, 6)`` or ``(N, 3)``, m and rad, with terms and the learnt residual, where any."""
+    errors = data.difference(calibration.model)
+    if calibration.learnt is not None:
+        inputs = data.conditions.inputs() if calibration.learnt.inputs.conditions else None
+        learnt = calibration.learnt.predict(data.joints, inputs)
+        width = min(learnt.shape[1], errors.shape[1])
+        errors[:, :width] -= learnt[:, :width]
+    return errors

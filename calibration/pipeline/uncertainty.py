@@ -19,9 +19,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.splits import Rows
-from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.local_scatter import LocalScatter, Within95, local_scatter, within95
 
 LOCAL, WITHIN = ("position_local", "attitude_local"), ("position_within95", "attitude_within95")
@@ -180,14 +178,3 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
     return PoseUncertainty(
         tuple(kept["parameters"]), covariance, float(kept["position_repeat_m"]), kept["attitude_repeat_rad"], **parts
     )
-
-
-def held_out_errors(calibration: Calibration, data: Measurements) -> Array:
-    """Measured minus predicted ``(N, 6)`` or ``(N, 3)``, m and rad, with terms and the learnt residual, where any."""
-    errors = data.difference(calibration.model)
-    if calibration.learnt is not None:
-        inputs = data.conditions.inputs() if calibration.learnt.inputs.conditions else None
-        learnt = calibration.learnt.predict(data.joints, inputs)
-        width = min(learnt.shape[1], errors.shape[1])
-        errors[:, :width] -= learnt[:, :width]
-    return errors

@@ -18,8 +18,8 @@ from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.splits import BLOCKS, Rows
 from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.held_out import held_out_errors
 from pickenv.calibration.pipeline.restation import REFIT_ROWS, errors_there, near_rows, restationed, row_left_out
-from pickenv.calibration.pipeline.uncertainty import held_out_errors
 from pickenv.errors import InputError
 
 GROWN = 1.5

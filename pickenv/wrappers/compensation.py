@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, SupportsFloat, TypeAlias, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -56,6 +56,21 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
         RecordConstructorArgs.__init__(self, compensator=compensator, allow=allow)
         gym.Wrapper.__init__(self, env)
         _install([env.unwrapped], compensator, allow)
+        self._compensator = compensator
+
+    def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Step, and say at an episode's end how far such commands end from where they should.
+
+        `info` then holds `within95_mm` and `within95_deg`, where the calibration knows them: 95 of 100 reaches of the
+        calibrated arm end nearer, as counted on rows that it never saw.
+        """
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        within95 = getattr(self._compensator, "within95", None)
+        if (terminated or truncated) and within95 is not None and "joint_command" in info:
+            position, attitude = within95(np.asarray(info["joint_command"], dtype=float))
+            info |= {} if position is None else {"within95_mm": float(position) * 1e3}
+            info |= {} if attitude is None else {"within95_deg": float(np.degrees(attitude))}
+        return observation, reward, terminated, truncated, info
 
     def close(self) -> None:
         """Close the environment and remove the compensator."""

@@ -54,21 +54,23 @@ def page_of(
 
     Args:
         rows: By room, from `row_of`.
-        sample: Mutants of each room; None for all.
+        sample: Mutants of each room; None for the rooms' own numbers, 0 for all.
         seed: Seed of the sample.
         survivors: Keys of what the tests did not notice.
         equivalents: What is left out of the score.
     """
-    drawn = "every mutant of each room" if sample is None else f"{sample} mutants of each room, drawn with seed {seed}"
-    wanted = "" if sample is None else f' ARGS="--sample {sample} --seed {seed}"'
+    own = f"as many of each room as the table says, drawn with seed {seed}"
+    drawn = own if sample is None else f"{sample} of each room, drawn with seed {seed}" if sample else "all"
+    wanted = f"--seed {seed}" if sample is None else f"--sample {sample} --seed {seed}" if sample else "--sample 0"
     lines = [
         "# Would the tests notice?",
         "",
         "One operator, number, condition or option at a time is changed in the lines that make numbers; a change is",
         "killed if a test of its room fails, or does not end in time (late). The score is the share killed of those",
-        f"tried: {drawn}. In brackets stands Wilson's 95 % interval for all mutants of the room.",
+        f"tried, {drawn}. In brackets stands Wilson's 95 % interval for all mutants of the room. It holds for a sample",
+        "that no test was written for: where survivors of this one were killed since, another seed scores lower.",
         "",
-        f"Made by `make mutants{wanted}`.",
+        f'Made by `make mutants ARGS="{wanted}"`.',
         "",
         "| room | mutants | tried | killed | of these late | score (95 % interval) |",
         "|:--|--:|--:|--:|--:|--:|",

@@ -13,7 +13,7 @@ from pickenv.arm import load_plant
 from pickenv.calibration import fit, identify, link_model, random_joints, simulated_tracker
 from pickenv.calibration.assessment.metrics import LEAST_ROWS
 from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.uncertainty import held_out_errors
+from pickenv.calibration.pipeline.held_out import held_out_errors
 
 pytestmark = pytest.mark.slow
 DYNAMIC = load_plant("qiao2026")

@@ -315,7 +315,8 @@ def test_what_is_made_of_nothing_said_is_li_s_machine_as_built_before_eight_frui
     machine = task.machine
     assert (machine.arms, task.fruit, task.lead) == (3, 8, 10) and machine.spacing == pytest.approx(0.35)
     slaves = JOINTS[3:].reshape(1, 3, 3)
-    for made, off in ((task, True), (batch.make_harvest_task(ideal=True), False)):
+    ideal = batch.make_harvest_task(ideal=True)
+    for made, off in ((task, True), (HarvestEnv().task, True), (ideal, False), (HarvestEnv(ideal=True).task, False)):
         error = made.true.tips(JOINTS[None, :3], slaves)[0] - machine.tips(JOINTS[:3], slaves[0])
         assert (np.linalg.norm(error, axis=1) > 1e-3).all() == off and (np.abs(error).max() > 1e-9) == off
 

@@ -123,7 +123,10 @@ def test_a_stream_goes_on_from_its_state(name):
     actions = np.random.default_rng(0).uniform(-1, 1, (30, 4, 6)).astype(np.float32)
     for action in actions[:7]:
         one.step(action)
-    other.take_state(one.state())
+    state = one.state()
+    assert all(value.dtype.kind in "bfiu" for value in state.values())  # a file of plain arrays can hold it
+    other.take_state(state)
+    np.testing.assert_equal(other.seen, one.seen)
     for action in actions:
         np.testing.assert_equal(one.step(action), other.step(action))
 
@@ -144,6 +147,7 @@ def test_a_scaling_stands_between_policy_and_environments():
     bare, scaled = (gym.make_vec("pickenv/Reach-v0", num_envs=2, autoreset_mode="SameStep", **EARLY) for _ in range(2))
     one, other = Sb3Vec(bare), Sb3Vec(scaled, Halved())
     assert other.observation_space.shape == (6,)
+    assert (other.observation_space.low == -np.inf).all() and (other.observation_space.high == np.inf).all()
     for envs in (one, other):
         envs.seed(0)
     np.testing.assert_array_equal(one.reset()[:, :6], other.reset())

@@ -9,9 +9,10 @@ import pytest
 from scipy.optimize import milp
 
 from pickenv.errors import InputError
+from pickenv.harvester import optimiser
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.optimiser import cp_sat, local_search
-from pickenv.harvester.pick_point import border_indices, pick_heading, pick_point
+from pickenv.harvester.pick_point import _heights, border_indices, pick_heading, pick_point
 from pickenv.harvester.rules import lower_bound
 from pickenv.harvester.work import Work, timetable
 from pickenv.harvester.zones import Grid, cut
@@ -169,6 +170,18 @@ def test_the_solver_finds_the_best_of_all_plans(conflict):
         assert found == pytest.approx(least_makespan(work), rel=1.1e-2)
 
 
+def test_the_solver_needs_no_good_start(monkeypatch):
+    """Here one arm would pick all that it reaches, and the other the rest."""
+    pytest.importorskip("ortools")
+    work = made_up(np.random.default_rng(104), 2, 5)
+    first = np.flatnonzero(work.reached[0]).tolist()
+    start = (tuple(first), tuple(j for j in range(5) if j not in first))
+    monkeypatch.setattr(optimiser, "local_search", lambda *_, **__: start)
+    best = least_makespan(work)
+    assert timetable(work, start).makespan > 1.2 * best
+    assert timetable(work, cp_sat(work, seconds=5.0)).makespan == pytest.approx(best, rel=1.1e-2)
+
+
 def test_one_fruit_or_none_needs_no_search():
     for count in (0, 1):
         work = made_up(np.random.default_rng(0), 2, count)
@@ -282,3 +295,27 @@ def test_zones_are_wider_than_their_overlap_and_sides_not_empty(grid, side, fits
     else:
         with pytest.raises(InputError, match=r"overlap|empty"):
             cut(grid, *side)
+
+
+def test_a_search_is_drawn_from_the_generator_it_is_given():
+    """Which need not find the same plan, and is left where it stopped."""
+    work = made_up(np.random.default_rng(3), 3, 12)
+    rng, same, untouched = (np.random.default_rng(1) for _ in range(3))
+    assert local_search(work, rng) == local_search(work, same)
+    assert rng.random() == same.random() != untouched.random()
+    assert local_search(work) == local_search(work)
+
+
+def test_heights_worth_trying_put_the_fruits_middle_or_one_fruit_at_the_slides_middle_or_ends(machine):
+    rng = np.random.default_rng(0)
+    low, high = machine.slave.lower[0], machine.slave.upper[0]
+    for _ in range(20):
+        fruit = np.column_stack([rng.uniform(-0.4, 0.4, 5), np.full(5, -1.2), rng.uniform(0.5, 2.2, 5)])
+        z = np.sort(fruit[:, 2])
+        wanted = [(z[0] + z[-1]) / 2 - (low + high) / 2, *(z - low), *(z - high)]
+        expected = np.clip(np.array(wanted) - machine.d1, *(end[1] for end in limits_of(machine)))
+        np.testing.assert_allclose(np.sort(_heights(machine, fruit)), np.sort(expected))
+
+
+def limits_of(machine):
+    return machine.master.nominal.lower, machine.master.nominal.upper

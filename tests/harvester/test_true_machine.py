@@ -1,14 +1,17 @@
 """The machine as built errs as Table 3 says, and calibration of master and slaves, arm by arm, takes it away."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from pickenv.arm import forward
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.trees import sample_image
-from pickenv.harvester.true_machine import Controller, Nominal, load_true_machine, tip_errors
+from pickenv.harvester.true_machine import Controller, Nominal, _local_inverse, load_true_machine, tip_errors
 
 TABLE3_MM = np.array([[3.0, 5.9], [6.6, 8.4], [6.4, 8.2], [6.9, 8.5]])
 
@@ -67,6 +70,24 @@ def test_without_beliefs_commands_are_the_nominal_joints(machine, true):
     q = np.random.default_rng(5).uniform(machine.lower, machine.upper, (20, 12))
     assert (Controller(machine)(q) == q).all()
     assert np.abs(tip_errors(true.ideal(), Controller(machine), q[:, :3], q[:, 3:].reshape(20, 3, 3))).max() < 1e-12
+
+
+def test_commands_of_one_pose_and_of_a_grid_are_those_of_their_rows(machine, true):
+    belief = Controller(machine, Nominal(true.master.geometry), tuple(Nominal(p.geometry) for p in true.slaves))
+    q = np.random.default_rng(6).uniform(machine.lower, machine.upper, (6, 12))
+    rows = belief(q)
+    assert np.abs(rows - q).max() > 1e-4
+    np.testing.assert_allclose(belief(q[0]), rows[0], atol=1e-12)
+    np.testing.assert_allclose(belief(q.reshape(2, 3, 12)), rows.reshape(2, 3, 12), atol=1e-12)
+
+
+def test_the_local_inverse_of_a_slave_undoes_its_forward_kinematics(machine):
+    """Also where its lengths are not nothing, as on an arm of another design."""
+    nominal = machine.slave
+    slave = replace(nominal, a=np.add(nominal.a, [0.03, -0.05, 0.0]))
+    q = np.random.default_rng(7).uniform(nominal.lower, nominal.upper, (50, 3))
+    found = _local_inverse(slave, forward(slave, q).position)
+    np.testing.assert_allclose(forward(slave, found).position, forward(slave, q).position, atol=1e-12)
 
 
 def test_each_arm_gets_its_own_belief(machine):

@@ -102,6 +102,14 @@ def test_the_verdict_comes_first_and_in_words(page, evidence):
     assert "times the stated noise of 0.015 mm" in text
 
 
+def test_the_stated_noise_is_the_instruments_in_mm_and_of_poses_in_degrees(page, sets, plant):
+    stated = f"{1e3 * sets[0].position_std:.4g} mm, {np.rad2deg(sets[0].attitude_std):.4g} deg per coordinate"
+    assert stated in Page(page).text
+    bare = [part.positions_only() for part in sets]
+    found = Page(calibration_page(assess(plant.arm, fit(plant.arm, bare[0]), *bare))).text
+    assert f"{1e3 * sets[0].position_std:.4g} mm per coordinate" in found and " deg per coordinate" not in found
+
+
 def test_text_from_files_is_no_markup(page):
     assert "<b>tracker" not in page and page.count("&lt;b&gt;tracker &amp; co.csv") == 2 and "raises &lt;it&gt;" in page
 

@@ -104,5 +104,6 @@ def test_the_page_gives_each_rooms_rate_with_its_interval_and_what_was_left_out(
     assert "| plant | 120 | 20 | 18 | 1 | 90.0 % (70 to 97) |" in page  # Wilson 1927
     assert 'make mutants ARGS="--sample 20 --seed 3"' in page and "- `a.py:4 1 -> 2`" in page
     assert "| a.py | `x = y \\| z` | `1 -> 2` | the second is never read |" in page
-    assert "`make mutants`" in script.page_of({"plant": row}, None, 0, [], {})
+    assert 'make mutants ARGS="--seed 4"' in script.page_of({"plant": row}, None, 4, [], {})
+    assert 'make mutants ARGS="--sample 0"' in script.page_of({"plant": row}, 0, 4, [], {})
     assert "plant " in script.table({"plant": row}) and "90.0%" in script.table({"plant": row})

@@ -6,15 +6,17 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 
-from pickenv.arm import forward
+from pickenv.arm import forward, pose_error
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import random_columns
 from pickenv.errors import InputError
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.run_folder import read_run
 from pickenv.intervals import share_interval
+from pickenv.study.analysis import single_arms
 from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
 from pickenv.study.analysis.study_drawings import gather, study_drawings
@@ -217,6 +219,22 @@ def test_a_bad_arm_stands_high_and_a_good_one_low_whatever_their_fruit(folder, f
         for arm, _ in (places["worst"], places["best"])
     )
     assert worst.interval[0] > 0.5 > best.interval[1]
+
+
+def test_an_arm_is_placed_among_the_first_arms_that_there_is_time_for(folder, monkeypatch):
+    """Each arm is compared in its own circumstances: a raw arm's error is asked anew for every one of them."""
+    monkeypatch.setitem(single_arms.MOST, "raw", 6)
+    rows, protocol = read_rows(folder), prepared_study(study_of(folder))
+    arm = plant_at(protocol.draw(protocol.settings[0], range(40, 41)), 0)
+    found = place(protocol, rows, protocol.settings[0], arm, "the fortieth")
+    table = rows.to_table(filter=(pc.field("setting") == 0) & (pc.field("arm") < 6)).sort_by("arm")
+    own = []
+    for number in range(6):
+        fruit = protocol.circumstances(number).fruit
+        error = pose_error(forward(protocol.nominal, fruit), arm.tool_pose(fruit))
+        own.append(1e3 * np.linalg.norm(error[:, :3], axis=1).mean())
+    assert found.arms == 6 and found.error_mm == pytest.approx(np.mean(own), rel=1e-6)
+    assert found.percentile == np.mean(table["error_mean_mm"].to_numpy() < own)
 
 
 def test_the_recorded_arms_reach_for_the_worst_arms_fruit(folder):

@@ -95,6 +95,29 @@ def test_the_ends_of_a_share_leave_two_and_a_half_percent_on_either_side(chance)
     assert 0.0 < low < share - chance < high
 
 
+@pytest.mark.parametrize("blocks", [3, 7])
+def test_what_a_spread_adds_has_the_jackknifes_interval(blocks):
+    """By Student's t of as many blocks of arms as there are, less one; the regressions by least squares of the rows."""
+    rng = np.random.default_rng(blocks)
+    x, z = rng.uniform(-1, 1, (2, 240))
+    y = 2.0 + x + 1.5 * x**2 + 0.5 * z**2 + rng.normal(size=240) ** 2
+    arm = 100 * np.arange(240) + np.arange(240) % blocks
+    found = {
+        row["parameter"]: row for row in sensitivities_of(rows_of({"delta_a0_mm": x, "rise_K": z}, y, arm)).to_pylist()
+    }
+    unit = [(v - v.mean()) / v.std() for v in (x, z)]
+    terms = np.column_stack([np.ones(240), *unit, *(v**2 for v in unit)])
+    kept = [arm % 100 != left for left in range(blocks)]
+    values = np.array([np.linalg.lstsq(terms[rows], y[rows])[0][3:] for rows in kept])
+    whole = np.linalg.lstsq(terms, y)[0][3:]
+    error = np.sqrt((blocks - 1) / blocks * ((values - values.mean(axis=0)) ** 2).sum(axis=0))
+    for name, value, half in zip(("delta_a0_mm", "rise_K"), whole, stats.t.ppf(0.975, blocks - 1) * error, strict=True):
+        row = found[name]
+        assert row["mean_square_mm2"] == pytest.approx(value, rel=1e-6)
+        assert row["mean_square_low_mm2"] == pytest.approx(value - half, rel=1e-5)
+        assert row["mean_square_high_mm2"] == pytest.approx(value + half, rel=1e-5)
+
+
 def test_a_share_that_chance_alone_may_give_has_an_interval_from_zero():
     pseudo, chance = np.repeat([0.0, 1.0], 50), 0.005
     step = stats.t.ppf(0.975, 99) / stats.norm.ppf(0.975) * pseudo.std(ddof=1) / 10

@@ -12,7 +12,8 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.pipeline.uncertainty import held_out_errors, uncertainty_from
+from pickenv.calibration.pipeline.held_out import held_out_errors
+from pickenv.calibration.pipeline.uncertainty import uncertainty_from
 from pickenv.errors import InputError
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors

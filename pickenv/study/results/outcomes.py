@@ -48,12 +48,12 @@ def gathered(outcomes: Sequence[Outcomes]) -> Outcomes:
 
 
 def reach_status(missed: int, config: StudyConfig) -> str:
-    """Status of an arm whose commands end at a joint limit, far from this many fruit by the calibration's own word."""
+    """Status of an arm whose commands end far from this many fruit by the calibration's own word."""
     if (config.fruit - missed) / config.fruit >= config.share:
         return OK
     return (
-        f"{missed} of {config.fruit} fruit are out of this arm's reach: its commands end at joint limits, and by its "
-        f"calibration more than {config.radius_mm:g} mm away"
+        f"{missed} of {config.fruit} fruit are out of this arm's reach: by its calibration its commands end more than "
+        f"{config.radius_mm:g} mm away"
     )
 
 

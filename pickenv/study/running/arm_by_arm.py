@@ -98,8 +98,7 @@ def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, given: Circum
         return ArmCommands(given.fruit, f"the identification broke down: {error}")
     joints, wanted = compensator(given.fruit), forward(protocol.nominal, given.fruit).position
     miss = np.linalg.norm(compensator.predict(joints).position - wanted, axis=1)
-    limited = ((joints <= protocol.nominal.lower) | (joints >= protocol.nominal.upper)).any(axis=1)
-    missed = int(np.sum(limited & (miss > 1e-3 * protocol.config.radius_mm)))
+    missed = int(np.sum(miss > 1e-3 * protocol.config.radius_mm))
     return ArmCommands(joints, reach_status(missed, protocol.config), iterations)
 
 

@@ -146,15 +146,8 @@ def _commands(
     chains = (chain_of(protocol.nominal), chain)
     joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)
     gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], wanted[9:], strict=True)]
-    missed = np.sum(_limited(protocol, joints, count) & (_norms(gap, count) > 1e-3 * protocol.config.radius_mm), axis=1)
+    missed = np.sum(_norms(gap, count) > 1e-3 * protocol.config.radius_mm, axis=1)
     return _Commands(joints, missed, found.steps, found.converged)
-
-
-def _limited(protocol: Protocol, command: Sequence[Tensor], count: int) -> NDArray[np.bool_]:
-    """Whether any joint of a command stands at its limit, ``(N, M)``."""
-    lower, upper = protocol.nominal.lower.tolist(), protocol.nominal.upper.tolist()
-    each = [(q <= low) | (q >= high) for q, low, high in zip(command, lower, upper, strict=True)]
-    return np.asarray(torch.stack(each).any(0).expand(-1, count).cpu().numpy().T)
 
 
 def _norms(components: Sequence[Tensor], count: int) -> Array:

@@ -26,7 +26,8 @@ from pickenv.calibration.assessment.quality import (
 from pickenv.calibration.model.coverage import pose_coverage
 from pickenv.calibration.model.identifiability import Dropped, Identifiability
 from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.uncertainty import held_out_errors, pose_uncertainty, uncertainty_from
+from pickenv.calibration.pipeline.held_out import held_out_errors
+from pickenv.calibration.pipeline.uncertainty import pose_uncertainty, uncertainty_from
 
 
 @pytest.fixture(scope="module")

@@ -116,6 +116,19 @@ def test_an_arm_that_is_no_better_is_not_to_be_used(found):
     assert failures(found, same, 0.999 * same) == []  # each pose gains equally: no chance
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("blocks", [None, np.repeat(np.arange(5), 8)])
+@pytest.mark.parametrize("factor", [0.0, 0.5, 0.999])
+def test_gains_that_differ_by_roundings_are_no_chance(found, factor, blocks):
+    """All errors are equally long, in directions of their own."""
+    directions = np.random.default_rng(0).standard_normal((40, 3))
+    before = np.zeros((40, 6))
+    before[:, :3] = 1e-3 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    assert np.ptp(np.linalg.norm(before[:, :3], axis=1)) > 0
+    told = grade_quality(found, errors(1e-4), before, factor * before, blocks=blocks)
+    assert [finding for finding in told.findings if finding.weight == "fail"] == []
+
+
 def test_a_gain_counts_where_a_paired_t_test_says_so(found):
     """SciPy's referee on the sizes of the errors; gains on both sides of its threshold of 5 %."""
     told = []

@@ -82,11 +82,7 @@ def test_a_corners_uncertainty_is_noise_against_gradients() -> None:
     clean = 128 + 50 * np.clip(x / 2, -1, 1) * np.clip(y / 2, -1, 1)
     noisy = clean + rng.normal(0, 2.0, clean.shape)
     gradients = np.stack([part[15:26, 15:26].ravel() for part in np.gradient(noisy)[::-1]])
-    worst = (
-        np.sqrt(np.linalg.inv(gradients @ gradients.T)).max()
-        if False
-        else np.linalg.eigvalsh(gradients @ gradients.T)[0]
-    )
+    worst = np.linalg.eigvalsh(gradients @ gradients.T)[0]
     wanted = np.hypot(picture_noise(noisy) / np.sqrt(worst), 0.07)
     assert corner_std(noisy, np.array([[20.0, 20.0]]), 0.07)[0] == pytest.approx(wanted)
     assert picture_noise(128 + rng.normal(0, 3.0, (200, 200))) == pytest.approx(3.0, rel=0.05)
@@ -106,6 +102,12 @@ def test_why_nothing_was_found(change: Callable[[Any], Any], words: str) -> None
     assert str(caught.value).startswith("views/7.png: no corner of the board was found; ")
 
 
+@pytest.mark.parametrize("kind", BOARDS)
+def test_a_wall_shows_no_board(kind: str) -> None:
+    with pytest.raises(InputError, match=r"wall\.png: no corner of the board was found"):
+        find_corners(BOARDS[kind], np.full((480, 640), 128, dtype=np.uint8), "wall.png")
+
+
 def test_another_board_is_named_as_such() -> None:
     shown = Board(kind="apriltags", columns=3, rows=2, square=0.03, gap=0.01, dictionary="5x5_100")
     with pytest.raises(InputError, match=r"markers of 5x5_100 \(numbers 0, 1, 2, 3, 4\), but of another board"):
@@ -123,6 +125,11 @@ def test_pages_keep_the_scale(tmp_path: Path) -> None:
     streams = [zlib.decompress(part) for part in re.findall(rb"stream\r?\n(.*?)\r?\nendstream", content, re.S)]
     (placed,) = [m for s in streams for m in re.findall(rb"([\d.]+) 0 0\s+-?([\d.]+) 0 [\d.]+ cm /I1 Do", s)]
     assert [float(side) / 72 * 25.4 for side in placed] == pytest.approx([180, 240], abs=0.05)
+    number = rb"([\d.]+) ([\d.]+)"
+    lines = [m for stream in streams for m in re.findall(number + rb" m\s+" + number + rb" l", stream)]
+    drawn = np.array(lines, dtype=float) / 72 * 25.4
+    for line in ((15, 11, 115, 11), (15, 9, 15, 13), (115, 9, 115, 13)):  # a rule of 100 mm, and its ends
+        assert (np.abs(drawn - line).max(axis=1) < 0.05).any(), line
     with pytest.raises(InputError, match=r"\.pdf or \.svg"):
         write_board(board, tmp_path / "board.png")
 

@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.arm import forward, load_arm, noncompensable_error, pose_error
+from pickenv.arm.kinematics.forward import chain_of
 from pickenv.calibration import Compensator, random_joints
+from pickenv.calibration.compensation.compensator import NEGLIGIBLE, corrected
 from pickenv.errors import InputError
 
 
@@ -62,6 +65,57 @@ def test_joint_limits_are_kept(qiao, seed, scale):
 def test_corrections_are_small_where_the_literal_inverse_commands_metres(qiao):
     joints = random_joints(qiao.nominal, 2000, np.random.default_rng(0))
     assert np.abs(Compensator(qiao.nominal, qiao.true)(joints) - joints).max() < 0.02
+
+
+def expected_off(compensator, joints, commands):
+    """Size of the pose error that the model expects at commands, a radian as a metre."""
+    return np.linalg.norm(pose_error(compensator.predict(commands), forward(compensator.nominal, joints)), axis=-1)
+
+
+def on_torch(compensator, joints):
+    """What the study's batches command."""
+    chains = chain_of(compensator.nominal), chain_of(compensator.identified)
+    rows = list(torch.from_numpy(joints.T.copy()))
+    return torch.stack(corrected(torch, compensator.nominal, chains, rows, compensator.iterations), -1).numpy()
+
+
+@given(
+    arm=st.sampled_from(["qiao2026", "ur5", "wam"]),
+    size=st.sampled_from([1e-3, 1e-2, 1e-1, 1.0]),
+    iterations=st.integers(1, 3),
+    seed=st.integers(0, 2**32 - 1),
+)
+@settings(max_examples=40, deadline=None)
+def test_the_model_never_expects_the_command_farther_off_than_the_target(arm, size, iterations, seed):
+    """However wrong the model, at singular poses and at joint limits, on every executor."""
+    nominal, rng = load_arm(arm).nominal, np.random.default_rng(seed)
+    identified = nominal.displaced(size * rng.standard_normal(nominal.difference(nominal).shape))
+    joints = random_joints(nominal, 200, rng)
+    joints[:50] = np.where(rng.random((50, nominal.joints)) < 0.5, nominal.lower, nominal.upper)
+    plain, drifting = (Compensator(nominal, identified, residual, iterations) for residual in (None, Drift()))
+    for compensator, command in (
+        (plain, plain),
+        (drifting, drifting),
+        (plain, lambda q: np.array([plain(row) for row in q])),
+        (plain, lambda q: on_torch(plain, q)),
+    ):
+        before, after = (expected_off(compensator, joints, q) for q in (joints, command(joints)))
+        assert (after < before + iterations * NEGLIGIBLE + 1e-9).all()
+
+
+def test_corrections_that_lead_away_are_not_commanded():
+    """Near singular poses one in ten of these had been led decimetres away."""
+    nominal, rng = load_arm("ur5").nominal, np.random.default_rng(0)
+    identified = nominal.displaced(3e-3 * rng.standard_normal(nominal.difference(nominal).shape))
+    joints = random_joints(nominal, 2000, rng)
+    compensator = Compensator(nominal, identified)
+    before, after = (expected_off(compensator, joints, q) for q in (joints, compensator(joints)))
+    assert after.max() <= before.max() and np.median(after) < 0.05 * np.median(before)
+
+
+def test_no_iterations_correct_nothing(qiao):
+    joints = interior(qiao.nominal, 5)
+    assert np.array_equal(Compensator(qiao.nominal, qiao.true, iterations=0)(joints), joints)
 
 
 @pytest.mark.parametrize("arm", ["qiao2026", "ur5", "wam"])

@@ -6,7 +6,7 @@ import pytest
 from pickenv.arm import joint_jacobian, load_arm
 from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.calibration import random_joints
-from pickenv.calibration.compensation.truncated_solve import TruncatedSolver
+from pickenv.calibration.compensation.truncated_solve import START, TruncatedSolver
 
 
 def components(jacobian, dtype):
@@ -60,3 +60,49 @@ def test_exactly_lost_directions_are_cut_off(lost):
     jacobian, error = (left * values) @ right, rng.normal(size=(50, 6))
     expected = np.einsum("kij,kj->ki", np.linalg.pinv(jacobian, rcond=5e-3), error)
     np.testing.assert_allclose(solved(jacobian, error)[1], expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("along", [0.0, 1e-9, 1e-7, 1e-5])
+def test_a_direction_that_the_search_starts_across_is_found_or_left_to_the_decomposition(along):
+    """Two steps of inverse iteration do not turn a start to a direction of which it has next to nothing."""
+    rng = np.random.default_rng(0)
+    start = np.array(START[:6])
+    jacobian = np.empty((40, 6, 6))
+    for one in jacobian:
+        across = rng.normal(size=6)
+        across -= across @ start / (start @ start) * start
+        lost = across / np.linalg.norm(across) + along * start
+        right = np.linalg.qr(np.column_stack([lost, rng.normal(size=(6, 5))]))[0]
+        left = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+        one[:] = left * [1e-4, 0.2, 0.5, 1.0, 1.0, 1.0] @ right.T
+    error = rng.normal(size=(40, 6))
+    expected = np.einsum("kij,kj->ki", truncated_inverse(jacobian), error)
+    np.testing.assert_allclose(solved(jacobian, error)[1], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_plain_numbers_among_the_components_are_what_they_say():
+    """As the constant axes of an arm are; those of two slides may have nothing in common."""
+    rng = np.random.default_rng(0)
+    jacobian, error = rng.normal(size=(30, 6, 6)), rng.normal(size=(30, 6))
+    plain = {(2, 0): 1.0, (3, 0): 0.0, (5, 1): -1.0, (0, 4): 2.0, (1, 4): 0.0}
+    plain |= {(row, column): 0.0 for row in range(6) for column in (2, 3) if row != column}
+    for (row, column), value in plain.items():
+        jacobian[:, row, column] = value
+    columns = components(jacobian, np.float64)
+    for (row, column), value in plain.items():
+        columns[column][row] = value
+    found = np.stack(TruncatedSolver(columns).solve(list(error.T)), axis=-1)
+    expected = np.einsum("kij,kj->ki", truncated_inverse(jacobian), error)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_what_is_cut_off_is_judged_against_the_largest_of_all_columns():
+    """Whichever of them it is, and however much shorter the others are."""
+    rng = np.random.default_rng(0)
+    jacobian = rng.normal(size=(400, 6, 6)) * 10.0 ** rng.uniform(-4, 0, (400, 1, 6))
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    clear = (np.abs(np.log(values / values[:, :1] / 5e-3)) > 0.05).all(axis=1)
+    jacobian, error = jacobian[clear], rng.normal(size=(clear.sum(), 6))
+    expected = np.einsum("kij,kj->ki", truncated_inverse(jacobian), error)
+    found = solved(jacobian, error)[1]
+    assert (np.linalg.norm(found - expected, axis=1) < 1e-4 * np.linalg.norm(expected, axis=1)).all()

@@ -238,7 +238,7 @@ def test_draw_wires_are_calibrated(qiao):
 
 
 def test_an_unknown_term_or_residual_is_named(qiao, data):
-    with pytest.raises(InputError, match="unknown terms 'gravitation'; give auto or some of gravity"):
+    with pytest.raises(InputError, match="unknown terms 'gravitation'; give auto, none, or some of gravity"):
         judged(qiao, data, replace(PLAIN, terms="gravitation"))
     with pytest.raises(InputError, match="unknown residual model 'net'; give auto, none or one of"):
         judged(qiao, data, replace(PLAIN, residual="net"))

@@ -10,7 +10,7 @@ import torch
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import describe_absorption, identify, is_angle, judged_step
 from pickenv.calibration.model.error_model import geometric_model, link_model
-from pickenv.calibration.model.identifiability import identifiability
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, identifiability
 from pickenv.errors import InputError
 
 FAR = np.full(3, 1e-2)
@@ -50,11 +50,19 @@ def test_with_no_more_rows_than_parameters_the_scatter_is_that_of_one_degree_of_
     assert judged(np.empty(0), explained=0.0, weighted=0.0, rows=4).negligible
 
 
+def test_without_any_scatter_whatever_a_step_explains_counts():
+    assert judged(explained=1e-3, weighted=0.0).offset > 1.0 and not judged(explained=1e-3, weighted=0.0).negligible
+
+
 @pytest.mark.parametrize(
     ("after", "better"), [(1.0, True), (1.0 + 9e-10, True), (1.0 + 2e-9, False), (2.0, False), (np.nan, False)]
 )
 def test_a_step_is_better_unless_the_residual_grows_by_more_than_rounding(after, better):
     assert judged(after=after).better == better
+
+
+def test_nothing_left_is_no_worse_than_nothing_left():
+    assert judged(before=0.0, after=0.0).better
 
 
 @pytest.mark.parametrize(("after", "finished"), [(1.0 - 0.9e-7, True), (1.0 - 1.1e-7, False), (0.5, False)])
@@ -88,6 +96,46 @@ def test_covariance_is_the_scatter_times_the_inverse_of_the_normal_matrix(qiao, 
     assert found.chi_square == pytest.approx(left @ left, rel=1e-6)
     assert found.residual_rms[-1] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
     assert found.poses == 30 and found.kind == "pose"
+
+
+def test_a_row_with_a_factor_of_root_two_is_that_row_twice(qiao, exact):
+    """As the sums of squares say, and so for their least."""
+    data = exact(qiao.true, 40)
+    data = replace(data, position=data.position + 1e-3 * np.random.default_rng(0).normal(size=(40, 3)))
+    twice = np.arange(40) < 15
+    factors = np.repeat(np.where(twice, np.sqrt(2.0), 1.0), data.rows_per_pose)
+    model = link_model(qiao.nominal)
+    found = identify(model, qiao.nominal, data, row_factors=factors)
+    repeated = identify(model, qiao.nominal, (data, data.select(twice)))
+    plain = identify(model, qiao.nominal, data)
+    scale = model.tolerance
+    np.testing.assert_allclose(found.delta / scale, repeated.delta / scale, atol=1e-4)
+    assert np.abs((found.delta - plain.delta) / scale).max() > 0.01
+    assert found.chi_square == pytest.approx(repeated.chi_square, rel=1e-9)
+    assert found.residual_rms[0] == pytest.approx(repeated.residual_rms[0] * np.sqrt(55 / 40), rel=1e-9)
+
+
+def test_what_wanders_is_tried_with_fewer_parameters_sixty_steps_each(qiao, exact, monkeypatch):
+    asked, real = [], least_squares.identify
+
+    def identified(*given, **options):
+        asked.append(options)
+        return replace(
+            real(*given, max_iterations=1, rank_tolerance=options["rank_tolerance"]), converged=len(asked) == most
+        )
+
+    monkeypatch.setattr(least_squares, "identify", identified)
+    data, model = exact(qiao.true, 20), link_model(qiao.nominal)
+    for most in (1, 3):
+        asked.clear()
+        assert least_squares.identify_converged(model, qiao.nominal, data).converged and len(asked) == most
+    assert [options["max_iterations"] for options in asked] == [60, 60, 60]
+    np.testing.assert_allclose([options["rank_tolerance"] / REDUNDANCY_TOLERANCE for options in asked], [1, 3, 10])
+    most = 0
+    asked.clear()
+    with pytest.raises(InputError, match="did not converge"):
+        least_squares.identify_converged(model, qiao.nominal, data)
+    assert len(asked) == 3
 
 
 def dampings(qiao, exact, monkeypatch, script, steps=20):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.stacked import InstrumentStation, Stacked
 from pickenv.calibration.pipeline.stages import Choices, calibrate
 from pickenv.errors import InputError
+from tests.calibration.simulated_instruments import touches
 
 PLAIN = Choices(terms="none", residual="none")
 ANCHOR = np.array([1.5, -2.0, 0.3])
@@ -47,6 +49,10 @@ def wired(geometry: Geometry, count: int, rng: np.random.Generator, noise: float
     joints = random_joints(geometry, count, rng)
     length = np.linalg.norm(forward(geometry, joints).position - ANCHOR, axis=1)
     return DistanceObservations(joints, length + noise * rng.normal(size=count), noise, source="wire")
+
+
+def touched(geometry: Geometry, count: int, rng: np.random.Generator) -> Observations:
+    return touches(geometry, count, rng, 2.0)  # 0.1 mm
 
 
 @pytest.fixture(scope="module")
@@ -143,15 +149,16 @@ def test_tool_and_base_are_shared_where_asked(ur5: Arm) -> None:
     )
 
 
-def test_two_instruments_are_better_than_either_alone(ur5: Arm) -> None:
-    """Few tracker positions and a wire: the worst of five arms and the mean are nearer than with one of them."""
-    alone, wire, both = [], [], []
-    for seed in range(5):
+@pytest.mark.parametrize("other", [wired, touched], ids=["wire", "touches"])
+def test_two_instruments_are_better_than_either_alone(ur5: Arm, other: Callable[..., Observations]) -> None:
+    """Few tracker positions, and a wire or touches of one point: mean and worst of three arms are nearer than alone."""
+    alone, second, both = [], [], []
+    for seed in range(3):
         rng = np.random.default_rng(10 + seed)
         true = bent(ur5, seed)
         judge = tracked(true, 300, rng, noise=1e-6)
-        few, lengths = tracked(true, 16, rng, noise=2e-4), wired(true, 120, rng)
+        few, more = tracked(true, 16, rng, noise=2e-4), other(true, 120, rng)
         alone.append(calibrated(ur5, few, judge))
-        wire.append(calibrated(ur5, lengths, judge))
-        both.append(calibrated(ur5, [few, lengths], judge))
-    assert np.mean(both) < 0.8 * min(np.mean(alone), np.mean(wire)) and max(both) < min(max(alone), max(wire))
+        second.append(calibrated(ur5, more, judge))
+        both.append(calibrated(ur5, [few, more], judge))
+    assert np.mean(both) < 0.8 * min(np.mean(alone), np.mean(second)) and max(both) < min(max(alone), max(second))

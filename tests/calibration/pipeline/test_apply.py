@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, pose_error, rotation_matrix, rotation_vector
-from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.apply import apply_calibration
+from pickenv.calibration import Compensator, fit, random_joints, simulated_tracker
+from pickenv.calibration.pipeline.apply import _carried, apply_calibration, toward
 from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.uncertainty import held_out_errors
+from pickenv.calibration.pipeline.held_out import held_out_errors
 from pickenv.calibration.reading.targets import Targets, joints_of, read_targets
 from pickenv.errors import InputError
 
@@ -131,6 +131,16 @@ def test_frames_of_controller_and_instrument_are_one_and_the_same_pose(elsewhere
     np.testing.assert_allclose(forward(elsewhere.identified, as_joints.joints).position, seen[0], atol=1e-5)
 
 
+def test_a_pose_is_carried_to_where_the_same_joints_bring_it_with_another_base_and_tool(qiao):
+    """Also where the believed tool and base stand off, as on an arm with a gripper."""
+    rng = np.random.default_rng(0)
+    believed, fitted = (qiao.nominal.displaced(np.r_[np.zeros(30), rng.normal(size=12)]) for _ in range(2))
+    joints = inner_joints(qiao.nominal, 20, 1)
+    found, expected = _carried(forward(believed, joints), believed, fitted), forward(fitted, joints)
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
+    np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-12)
+
+
 def test_a_learnt_residual_takes_part(dynamic):
     rng = np.random.default_rng(0)
     sets = [simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (100, 200)]
@@ -222,6 +232,36 @@ def test_other_joints_take_over_from_one_at_its_limit(calibration, dynamic, join
     joints[:30, joint], joints[30:, joint] = nominal.lower[joint], nominal.upper[joint]
     found = apply_calibration(calibration, dynamic.arm, joint_targets(joints))
     assert found.reached.all() and (found.joints <= nominal.upper).all() and (found.joints >= nominal.lower).all()
+
+
+def test_a_joint_at_its_limit_that_has_to_go_inwards_goes():
+    """Encoders that are off: the corrected command is the target less what each joint is off by."""
+    nominal, rng = load_arm("ur5").nominal, np.random.default_rng(0)
+    off = rng.choice([-1, 1], 6) * rng.uniform(2e-3, 1e-2, 6)
+    identified = replace(nominal, theta=nominal.theta + off)
+    joints = inner_joints(nominal, 400, 2)
+    joint = np.arange(400) % 6
+    joints[np.arange(400), joint] = np.where(off > 0, nominal.upper, nominal.lower)[joint]
+    strengths = np.linalg.svd(joint_jacobian(nominal, joints), compute_uv=False)
+    joints = joints[strengths[:, -1] > 0.03 * strengths[:, 0]]
+    found = toward(Compensator(nominal, identified), forward(nominal, joints), joints)
+    assert len(joints) > 100
+    np.testing.assert_allclose(found, joints - off, atol=1e-6)
+
+
+def test_the_table_says_errors_and_uncertainties_in_mm_and_degrees(calibration, dynamic):
+    found = apply_calibration(calibration, dynamic.arm, joint_targets(inner_joints(dynamic.arm.nominal, 15, 4)))
+    table = dict(zip(found.table()[0], found.table()[1].T, strict=True))
+    parts = {"uncorrected": found.before, "predicted": found.remaining, "noncompensable": found.impossible}
+    for name, error in parts.items():
+        for unit, factor, columns in (("mm", 1e3, [0, 1, 2]), ("deg", 180 / np.pi, [3, 4, 5])):
+            expected = factor * np.sqrt((error[:, columns] ** 2).sum(axis=1))
+            np.testing.assert_allclose(table[f"{name}_error_{unit}"].astype(float), expected, rtol=1e-9)
+    np.testing.assert_allclose(table["uncertainty_mm"].astype(float), 1e3 * found.position_uncertainty)
+    np.testing.assert_allclose(table["uncertainty_deg"].astype(float), np.rad2deg(found.attitude_uncertainty))
+    position, attitude = found.within95
+    np.testing.assert_allclose(table["within95_mm"].astype(float), 1e3 * position)
+    np.testing.assert_allclose(table["within95_deg"].astype(float), np.rad2deg(attitude))
 
 
 def test_what_the_learnt_residual_explains_is_no_uncertainty(dynamic):

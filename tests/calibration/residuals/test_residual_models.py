@@ -11,7 +11,7 @@ from pickenv.arm import Plant
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.error_model import link_model
 from pickenv.calibration.model.measurements import random_joints, simulated_tracker
-from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
+from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.extra_trees import fit_extra_trees, flat_forest
 from pickenv.calibration.residuals.gaussian_process import fit_gaussian_process
 from pickenv.calibration.residuals.rbf import fit_rbf, k_means
@@ -50,6 +50,16 @@ def test_a_smooth_residual_is_learnt(learnt: LearntResidual) -> None:
     truth = field(joints, outputs_of(learnt))
     left = truth - learnt.predict(joints)
     assert np.sqrt(np.mean(left**2)) < 0.3 * np.sqrt(np.mean((truth - truth.mean(axis=0)) ** 2))
+
+
+def test_single_precision_is_the_networks_alone(learnt: LearntResidual) -> None:
+    joints = drawn(200, seed=5)
+    fast = learnt.in_single_precision()
+    apart = np.abs(fast.predict(joints) - learnt.predict(joints)).max()
+    if isinstance(learnt.model, Bpnn):
+        assert 0.0 < apart < 1e-5 * np.abs(learnt.predict(joints)).max()
+    else:
+        assert fast is learnt
 
 
 def test_leading_dimensions_are_kept(learnt: LearntResidual) -> None:

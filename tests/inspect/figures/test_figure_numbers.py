@@ -146,6 +146,33 @@ def test_least_squares_convergence() -> None:
         assert unit in axes.get_ylabel()
 
 
+def test_iterations_are_counted_in_whole_numbers() -> None:
+    for count in (2, 3, 5):
+        for axes in plot_calibration.least_squares_convergence(np.geomspace(2.0, 0.02, count)).axes:
+            ticks = axes.get_xticks()
+            assert np.array_equal(ticks, np.round(ticks))
+
+
+def test_uncertainty_map() -> None:
+    """Square cells from the nearest and lowest pose, each with the mean of its own, at its own place."""
+    rng = np.random.default_rng(3)
+    x, y, values = rng.uniform(200, 1400, 60), rng.uniform(-300, 500, 60), rng.gamma(2, 0.1, 60)
+    figure = plot_calibration.uncertainty_map(x, y, values, cells=12)
+    (image,) = figure.axes[0].get_images()
+    step = np.ptp(x) / 12
+    left, right, bottom, top = image.get_extent()
+    shown = np.ma.getdata(image.get_array())
+    assert (left, bottom) == pytest.approx((x.min(), y.min()))
+    assert (right - left, top - bottom) == pytest.approx((step * shown.shape[1], step * shown.shape[0]))
+    assert right >= x.max() and right - x.max() <= step * (1 + 1e-9) and 0 < top - y.max() <= step
+    cell = [np.minimum((v - v.min()) // step, n - 1) for v, n in ((y, shown.shape[0]), (x, shown.shape[1]))]
+    for row, column in {(int(a), int(b)) for a, b in zip(*cell, strict=True)}:
+        mine = (cell[0] == row) & (cell[1] == column)
+        assert shown[row, column] == pytest.approx(values[mine].mean())
+    assert np.isfinite(shown).sum() == len({(a, b) for a, b in zip(*cell, strict=True)})
+    assert "uncertainty" in figure.axes[1].get_ylabel() and "(mm)" in figure.axes[1].get_ylabel()
+
+
 def test_network_convergence() -> None:
     loss = [1.0, 0.5, 0.31]
     (axes,) = plot_calibration.network_convergence(loss).axes

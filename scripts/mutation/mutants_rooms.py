@@ -1,0 +1,188 @@
+"""The rooms of `mutants`: which lines make numbers, and which tests should notice a change in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Room:
+    """Lines that make numbers, and the tests that should notice a change in them.
+
+    Attributes:
+        sources: Modules, without ``.py``.
+        tests: Test modules, without ``test_`` and ``.py``, quickest first.
+        most: How many of its mutants are tried, at random, unless a run says otherwise.
+    """
+
+    sources: tuple[str, ...]
+    tests: tuple[str, ...]
+    most: int
+
+
+CORE, OTHER = 40, 5
+"""Mutants of rooms that every number goes through, and of others."""
+
+
+def room(sources: str, modules: str, tests: str, names: str, most: int = OTHER) -> Room:
+    """A room from folder and names of its modules, and of its tests."""
+    return Room(
+        tuple(f"{sources}/{name}.py" for name in modules.split()),
+        tuple(f"{tests}/{Path(name).parent / f'test_{Path(name).name}.py'}" for name in names.split()),
+        most,
+    )
+
+
+ROOMS = {
+    "kinematics": room(
+        "pickenv/arm/kinematics",
+        "forward jacobians pose_error",
+        "tests/arm",
+        "kinematics/pose_error kinematics/kinematics kinematics/jacobians kinematics/geometry kinematics/executors "
+        "kinematics/random_chains plant/gravity_referee kinematics/mimic",
+        most=CORE,
+    ),
+    "plant": room(
+        "pickenv/arm",
+        "plant/dynamics plant/plant effects/structure effects/drives effects/hysteresis effects/settling "
+        "effects/thermal effects/ground",
+        "tests/arm",
+        "plant/plant effects/effects effects/backlash effects/thermal effects/ground effects/settling "
+        "kinematics/executors plant/orchard_preset plant/gravity_referee",
+        most=CORE,
+    ),
+    "least squares": room(
+        "calibration",
+        "identification/least_squares model/error_model model/identifiability",
+        "tests/calibration",
+        "identification/stop_rule identification/least_squares model/identifiability model/observations "
+        "identification/align",
+        most=CORE,
+    ),
+    "compensation": room(
+        "calibration",
+        "compensation/compensator compensation/truncated_solve pipeline/apply",
+        "tests/calibration",
+        "compensation/truncated_solve pipeline/apply compensation/compensation",
+        most=CORE,
+    ),
+    "reward": room(
+        "pickenv/envs/shared",
+        "simulation task",
+        "tests/envs",
+        "reach_by_hand reach compensation_wrapper registered vector",
+        most=CORE,
+    ),
+    "picking": room(
+        "pickenv/harvester",
+        "picking work harvest",
+        "tests/harvester",
+        "picking assignment interference harvest environments",
+    ),
+    "picking env": room(
+        "pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"
+    ),
+    "harvesting env": room(
+        "pickenv/envs/harvesting",
+        "harvest_batch harvest_env harvest_vector",
+        "tests",
+        "envs/harvest_by_hand harvester/harvest_vector harvester/one_cup",
+    ),
+    "reaching": room(
+        "pickenv/envs/reaching",
+        "batch numpy_batch torch_batch vector",
+        "tests/envs",
+        "autoreset streams compensation_vector vector",
+    ),
+    "wrappers": room(
+        "pickenv/wrappers", "compensation sb3", "tests/envs", "compensation_wrapper compensation_vector sb3"
+    ),
+    "orchard": room(
+        "pickenv/orchard",
+        "camera stereo vision gripper",
+        "tests/orchard",
+        "gripper camera_by_hand vision_by_hand camera vision bad_input",
+    ),
+    "harvester": room(
+        "pickenv/harvester",
+        "assignment rules optimiser pick_point true_machine zones",
+        "tests/harvester",
+        "plans_by_hand clock_by_hand pick_point true_machine assignment",
+    ),
+    "policies": room(
+        "agents/policies", "servo adaptive scripted gap", "tests/agents", "policies_by_hand scripted policies learned"
+    ),
+    "rollouts": room("agents/evaluation", "rollout reaches", "tests/agents", "policies_by_hand evaluation"),
+    "yields": room(
+        "pickenv/study",
+        "results/outcomes results/quantiles results/yields",
+        "tests/study",
+        "outcomes yields quantiles rows report",
+    ),
+    "networks": room(
+        "calibration/residuals",
+        "bpnn rbf extra_trees blend standardising residual_models",
+        "tests/calibration/residuals",
+        "residual_referees bpnn residual_models",
+    ),
+    "processes": room(
+        "calibration/residuals",
+        "gaussian_process",
+        "tests/calibration/residuals",
+        "residual_referees gaussian_process",
+    ),
+    "gate": room("calibration/residuals", "gate", "tests/calibration/residuals", "gate_figures gate"),
+    "assessment": room(
+        "calibration/assessment",
+        "quality base_frame states screen metrics",
+        "tests/calibration/assessment",
+        "thresholds metrics quality verdict",
+    ),
+    "camera": room(
+        "calibration",
+        "model/pixels model/lens identification/board_poses camera/boards camera/corners",
+        "tests/calibration",
+        "model/pixels camera/lenses camera/boards camera/pictures",
+    ),
+    "kalman": room(
+        "calibration/identification",
+        "extended_kalman_filter",
+        "tests/calibration/identification",
+        "filter_steps kalman",
+    ),
+    "planning": room(
+        "calibration/planning", "plan exchange travel", "tests/calibration/planning", "plan_figures planning"
+    ),
+    "pipeline": room(
+        "calibration/pipeline",
+        "apply uncertainty result assess fitting stages calibration export",
+        "tests/calibration/pipeline",
+        "command_figures apply export stage_choices stages calibration_file",
+    ),
+    "inverse": room(
+        "pickenv/arm/kinematics",
+        "inverse task_space workspace",
+        "tests/arm/kinematics",
+        "inverse_steps inverse workspace",
+    ),
+    "arm files": room(
+        "pickenv/arm/files",
+        "urdf arm_file joint_keys",
+        "tests/arm",
+        "files/urdf kinematics/mimic files/arm_file plant/plant_file",
+    ),
+    "study": room(
+        "pickenv/study/running", "batched batched_identification arm_by_arm", "tests/study", "batched executors"
+    ),
+    "analysis": room(
+        "pickenv/study/analysis", "sensitivity sobol single_arms study_report", "tests/study", "sensitivity report"
+    ),
+    "reports": room(
+        "pickenv/inspect",
+        "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
+        "reports/calibration_report reports/report_words",
+        "tests/inspect",
+        "runs/summary_numbers figures/figure_numbers figures/figures figures/page_numbers calibration_report report",
+    ),
+}
