@@ -217,7 +217,7 @@ def test_the_predicted_error_is_that_of_all_rows_together(ur5: Arm) -> None:
     nominal, rng = ur5.nominal, np.random.default_rng(0)
     joints = random_joints(nominal, 20, rng)
     data = Measurements(joints, forward(nominal, joints).position, None, nominal.prismatic, position_std=1e-4)
-    plan = plan_like(ur5, data, 15, rng, candidates=300, curve=True)
+    plan = plan_like(ur5, data, 15, rng, candidates=300, criterion="test-poses", curve=True)
     whole = complete_model(nominal)
     columns = [k for k, name in zip(whole.columns, whole.names, strict=True) if name in plan.parameters]
 
@@ -232,6 +232,13 @@ def test_the_predicted_error_is_that_of_all_rows_together(ur5: Arm) -> None:
     covariance = np.linalg.inv(seen.T @ seen)
     wanted = np.sqrt(np.einsum("ij,jk,ik->", field, covariance, field) / len(plan.candidates))
     assert plan.predicted_error == pytest.approx(wanted, rel=1e-3)
+    each, weight = slopes(plan.candidates) / 1e-4, field.T @ field
+    for place in range(0, 15, 3):  # no other candidate in place of a planned pose makes it smaller
+        rest = np.delete(plan.chosen, place)
+        without = sum(r.T @ r for r in (slopes(data.joints).reshape(-1, len(columns)) / 1e-4, *each[rest]))
+        traces = np.trace(np.linalg.solve(without + np.swapaxes(each, 1, 2) @ each, weight), axis1=1, axis2=2)
+        traces[rest] = np.inf
+        assert traces[plan.chosen[place]] <= traces.min() * (1.0 + 1e-5)
     errors = [point.error for point in plan.curve]
     assert [point.poses for point in plan.curve] == [7, 15, 30, 60, 120]
     assert errors[1:] == sorted(errors[1:], reverse=True) and errors[1] > errors[-1]
@@ -286,8 +293,11 @@ def test_the_command_plans_like_a_file(ur5: Arm, tmp_path: Path) -> None:
     assert f"{found['predicted_error_mm']:.4f} mm RMS" in done.output and "how many poses?" in done.output
     rows = np.loadtxt(tmp_path / "p.csv", delimiter=",", skiprows=1)
     assert rows.shape == (12, 6)
-    again = call(*like, "--from", tmp_path / "p.csv", "--n", 4, "--json", tmp_path / "l.json")
+    again = call(
+        *like, "--from", tmp_path / "p.csv", "--n", 4, "--json", tmp_path / "l.json", "--out", tmp_path / "l.csv"
+    )
     assert again.exit_code == 0, again.output
     lines = json.loads((tmp_path / "l.json").read_text())["lines"]
-    assert len(set(lines)) == 4 and set(lines) <= set(range(2, 14))
+    assert len(set(lines)) == 4
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "l.csv", delimiter=",", skiprows=1), rows[np.array(lines) - 2])
     assert "leave out --kind" in str(call(*like, "--kind", "pose").exception or call(*like, "--kind", "pose").output)
