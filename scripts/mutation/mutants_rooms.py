@@ -21,7 +21,7 @@ class Room:
     most: int
 
 
-CORE, OTHER = 40, 5
+CORE, OTHER = 40, 3
 """Mutants of rooms that every number goes through, and of others."""
 
 

@@ -9,7 +9,7 @@ import torch
 
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import describe_absorption, identify, is_angle, judged_step
-from pickenv.calibration.model.error_model import geometric_model, link_model
+from pickenv.calibration.model.error_model import ErrorModel, geometric_model, link_model
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, identifiability
 from pickenv.errors import InputError
 
@@ -48,6 +48,12 @@ def test_with_no_more_rows_than_parameters_the_scatter_is_that_of_one_degree_of_
     assert judged(explained=1.0, weighted=2.0, rows=3).offset == pytest.approx(3 / (3 * 3 * 4.0))
     assert judged(explained=1.0, weighted=2.0, rows=2).offset == pytest.approx(2 / (3 * 2 * 4.0))
     assert judged(np.empty(0), explained=0.0, weighted=0.0, rows=4).negligible
+
+
+@pytest.mark.parametrize("parameters", [1, 2, 5])
+def test_what_a_step_explains_is_counted_for_each_of_its_parameters(parameters):
+    found = judged(np.full(parameters, 1e-2), explained=3.0, weighted=2.0, rows=23)
+    assert found.offset == pytest.approx(23 * 9.0 / parameters / (23 * 4.0 / (23 - parameters)))
 
 
 def test_without_any_scatter_whatever_a_step_explains_counts():
@@ -263,10 +269,12 @@ def test_what_adds_less_than_a_thousandth_of_the_largest_is_redundant(share, ran
     assert identifiability(matrix, ("a", "b"), np.ones(2), 1, 10e-3).rank == 1
 
 
+@pytest.mark.parametrize("tolerance", [[1.0, 1.0, 1.0], [1.0, 1.0, 50.0], [1.0, 20.0, 1.0]])
 @pytest.mark.parametrize(("share", "named"), [(0.9e-3, False), (1.1e-3, True)])
-def test_shares_below_a_thousandth_of_a_tolerance_are_not_named(share, named):
+def test_shares_below_a_thousandth_of_a_tolerance_are_not_named(share, named, tolerance):
+    """Of the tolerances that the matrix is scaled by, whatever they are."""
     matrix = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, share], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    (dropped,) = identifiability(matrix, ("a", "b", "c"), np.ones(3), 1).dropped
+    (dropped,) = identifiability(matrix, ("a", "b", "c"), np.array(tolerance), 1).dropped
     assert ("b" in dropped.absorbed_by) == named and "a" in dropped.absorbed_by
 
 
@@ -278,3 +286,37 @@ def test_too_few_equations_are_refused_with_twice_the_poses_they_ask_for(qiao, e
         InputError, match=rf"{poses} poses give 12 equations, too few .* measure at least {needed} poses"
     ):
         identify(link_model(qiao.nominal), qiao.nominal, data)
+
+
+def test_as_many_equations_as_parameters_judge_nothing_and_are_refused(qiao, exact):
+    """Three lengths from one position would fit whatever was measured; two positions leave something over."""
+    whole = link_model(qiao.nominal)
+    some = [whole.names.index(name) for name in ("a1", "theta1", "d2")]
+    model = ErrorModel(whole.columns[some], tuple(whole.names[i] for i in some), whole.tolerance[some])
+    one, two = (exact(model_arm(qiao.nominal, model), poses).positions_only() for poses in (1, 2))
+    with pytest.raises(InputError, match="1 poses give 3 equations, too few for the 3 parameters"):
+        identify(model, qiao.nominal, one)
+    found = identify(model, qiao.nominal, two)
+    assert found.identifiability.rank == 3 and found.degrees_of_freedom == 3
+    np.testing.assert_allclose(found.delta, model.tolerance, rtol=1e-6)
+
+
+def model_arm(geometry, model):
+    """The geometry with each of a model's parameters off by its tolerance."""
+    delta = np.zeros(len(geometry.parameter_names))
+    delta[model.columns] = model.tolerance
+    return geometry.displaced(delta)
+
+
+@pytest.mark.parametrize("spare", [0, 1, 2])
+def test_a_covariance_needs_one_equation_more_than_parameters(spare):
+    rng = np.random.default_rng(spare)
+    matrix, weighted = rng.normal(size=(3 + spare, 3)), rng.normal(size=3 + spare)
+    tolerance = np.array([1.0, 2.0, 0.5])
+    found = identifiability(matrix, ("a", "b", "c"), tolerance, 1)
+    covariance = least_squares._covariance(matrix, weighted, found, tolerance)
+    if spare == 0:
+        assert covariance.shape == (3, 3) and np.isnan(covariance).all()
+    else:
+        rows = matrix / tolerance
+        np.testing.assert_allclose(covariance, weighted @ weighted / spare * np.linalg.inv(rows.T @ rows), rtol=1e-8)
