@@ -82,6 +82,17 @@ def test_beyond_the_errors_seen_the_trend_ends() -> None:
     assert (far > 0.1 * found.at(joints).min()).all() and (far < 10 * found.at(joints).max()).all()
 
 
+def test_the_unit_of_a_slide_changes_nothing() -> None:
+    """More errors than anchors, so that each is counted with the anchor nearest to it."""
+    rng = np.random.default_rng(6)
+    joints, squares, slides = rng.uniform(-1.0, 1.0, (1000, 3)), rng.exponential(size=1000), (False, False, True)
+    in_mm = joints * [1.0, 1.0, 1e3]
+    one, other = (local_scatter(each, squares, slides) for each in (joints, in_mm))
+    assert one is not None and other is not None and one.counts.max() > 1
+    np.testing.assert_array_equal(one.counts, other.counts)
+    np.testing.assert_allclose(one.at(joints[:50]), other.at(in_mm[:50]), rtol=1e-6)
+
+
 def test_it_survives_its_record() -> None:
     rng = np.random.default_rng(1)
     joints, squares, _ = errors(rng, 200, 1.0)
