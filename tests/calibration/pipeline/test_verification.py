@@ -132,6 +132,17 @@ def test_the_row_from_which_on_it_drifted_is_named(result: Result, true: Geometr
     assert found.status == "drifted" and found.since == "from day5.csv, row 61, on" and found.since in found.reason
 
 
+@pytest.mark.parametrize("rows", [40, 39])
+def test_forty_rows_are_ten_blocks_and_fewer_are_none(result: Result, true: Geometry, rows: int) -> None:
+    """Four rows a block are the fewest of which it is said where they drifted, and how far blocks differ."""
+    good, bad = seen(true, 5, rows=20), seen(drifted(true, 2.5e-3), 6, rows=rows - 20)
+    joints, position = (np.concatenate([a, b]) for a, b in ((good.joints, bad.joints), (good.position, bad.position)))
+    found = verify(result.calibration, replace(good, joints=joints, position=position))
+    assert found.rows == rows
+    assert found.since == ("from day5.csv, row 21, on" if rows == 40 else None)
+    assert (found.nominal.rms_ci95 is not None) == (rows == 40)
+
+
 def test_the_calibration_of_another_arm_is_told(ur5: Arm, result: Result) -> None:
     found = verify(result.calibration, seen(bent(ur5, 7), 8), ("base", "tool"))
     assert found.status == "another arm" and found.calibrated.rms >= found.nominal.rms
