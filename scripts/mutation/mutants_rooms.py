@@ -164,7 +164,7 @@ ROOMS = {
         "calibration",
         "model/stacked identification/starts pipeline/restation pipeline/verification pipeline/given",
         "tests/calibration",
-        "reading/kinds_of_files pipeline/verification model/stacked pipeline/instruments",
+        "reading/kinds_of_files model/pixels pipeline/verification model/stacked pipeline/instruments",
         most=SECOND,
     ),
     "kinds": room(
