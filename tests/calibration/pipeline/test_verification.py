@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix, rotation_vector
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.stacked import Stacked
+from pickenv.calibration.pipeline.given import given_rows
 from pickenv.calibration.pipeline.restation import frames_of, restationed
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import Choices, calibrate
@@ -197,6 +199,20 @@ def test_bad_wishes_are_refused(result: Result, true: Geometry) -> None:
     joints = random_joints(true, 9, np.random.default_rng(0))
     with pytest.raises(InputError, match="holds distance; a calibration is verified on poses or positions"):
         verify(result.calibration, DistanceObservations(joints, np.ones(9), 1e-4))
+
+
+def test_files_in_our_own_columns_are_one_set_up_or_stations_as_asked(ur5: Arm, true: Geometry, tmp_path: Path) -> None:
+    days = [seen(true, seed, rows=30) for seed in (11, 12)]
+    files = [day.write_csv(tmp_path / day.source) for day in days]
+    joints = np.concatenate([day.joints for day in days])
+    together, _ = given_rows(ur5, files)
+    assert isinstance(together, Measurements)
+    np.testing.assert_allclose(together.joints, joints, atol=1e-9)
+    for given, frames in ((files, ("base",)), (days, ("tool",)), (files, ("base", "tool"))):
+        apart, _ = given_rows(ur5, given, stations=",".join(frames))
+        assert isinstance(apart, Stacked) and len(apart.stations) == 2
+        assert [name.partition("_")[0] for name in apart.unknowns()] == [f"{f}2" for f in frames for _ in range(6)]
+        np.testing.assert_allclose(apart.joints, joints, atol=1e-9)
 
 
 def test_the_command_says_what_the_function_says(result: Result, true: Geometry, tmp_path: Path) -> None:
