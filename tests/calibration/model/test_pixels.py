@@ -104,13 +104,11 @@ def test_jacobians_are_the_residuals_slopes(mount: str) -> None:
 
 def test_of_finished_poses_base_and_tool_alone_are_fitted() -> None:
     """What carries them has no links to find; of an arm these are fitted too, and its frames unless they are known."""
-    ends = {
-        (arm.name == "ur5", known): {
-            name.partition("_")[0] for name in fitted_model(arm.name, arm.nominal, known).names
-        }
-        for arm in (pose_carrier(), load_arm("ur5"))
-        for known in (False, True)
-    }
+    ends = {}
+    for arm in (pose_carrier(), load_arm("ur5")):
+        for known in (False, True):
+            names = fitted_model(arm.name, arm.nominal, known).names
+            ends[arm.name == "ur5", known] = {name.partition("_")[0] for name in names}
     assert ends[False, False] == ends[False, True] == {"base", "tool"}
     assert ends[True, False] > {"base", "tool"} and not ends[True, True] & {"base", "tool"}
 
