@@ -37,6 +37,7 @@ from pickenv.calibration.model.observations import Observations as Observations
 from pickenv.calibration.pipeline.apply import apply_calibration as apply_calibration
 from pickenv.calibration.pipeline.assess import assess as assess
 from pickenv.calibration.pipeline.calibration import Calibration as Calibration
+from pickenv.calibration.pipeline.choices import Choices as Choices
 from pickenv.calibration.pipeline.export import export as export
 from pickenv.calibration.pipeline.export import write_arm_toml as write_arm_toml
 from pickenv.calibration.pipeline.export import write_arm_urdf as write_arm_urdf
@@ -44,7 +45,6 @@ from pickenv.calibration.pipeline.export import write_onnx as write_onnx
 from pickenv.calibration.pipeline.fitting import Fit as Fit
 from pickenv.calibration.pipeline.fitting import fit as fit
 from pickenv.calibration.pipeline.result import Result as Result
-from pickenv.calibration.pipeline.stages import Choices as Choices
 from pickenv.calibration.pipeline.stages import calibrate as calibrate
 from pickenv.calibration.planning.plan import plan_poses as plan_poses
 from pickenv.calibration.reading.description import load_description as load_description

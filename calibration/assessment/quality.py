@@ -7,7 +7,7 @@ and degrees on screens, SI inside.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -238,6 +238,7 @@ def grade_quality(
     blocks: NDArray[np.int64] | None = None,
     said: Iterable[tuple[Weight, str]] = (),
     unit: str = "mm",
+    expected: Mapping[str, float] | None = None,
 ) -> Quality:
     """Grade a calibration.
 
@@ -257,6 +258,7 @@ def grade_quality(
         blocks: The block of each held-out error ``(M,)``, where errors of one block are alike.
         said: What else a reader must know, by weight.
         unit: What errors are shown in: "mm", or "deg" where they are angles, rad.
+        expected: Standard deviations that parameters had before measuring, where they had any.
     """
     bare = geometric or found
     seen = observability_of(bare.identifiability, bare.poses)
@@ -290,7 +292,7 @@ def grade_quality(
         observability=seen,
         completeness=test,
         pairs=pairs,
-        states=parameter_states(found, bare),
+        states=parameter_states(found, bare, expected or {}),
         coverage=coverage,
     )
 

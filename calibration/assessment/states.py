@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from pickenv.calibration.identification.least_squares import Identification, is_angle
 from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
-from pickenv.calibration.model.prior import EXPECTED
+from pickenv.calibration.model.prior import expected_sizes
 
 MEASURED, HELD, LOST = "measured", "held by its prior", "lost in others"
 
@@ -50,19 +51,23 @@ class States:
         return {"geometry": dict(self.geometry), "terms": dict(self.terms)}
 
 
-def parameter_states(found: Identification, bare: Identification) -> States:
+def parameter_states(
+    found: Identification, bare: Identification, given: Mapping[str, float] = MappingProxyType({})
+) -> States:
     """Which parameters were measured, which are held by their prior, and which are lost.
 
     A link's parameter that the data know less well than parts are made (1 mm, 1 mrad) is lost in others, even where the
-    rank has room for it; a term's coefficient is held by its prior unless the data know it twice as well.
+    rank has room for it; a term's coefficient, or a parameter expected beforehand, is held by its prior unless the data
+    know it twice as well.
 
     Args:
         found: The identification, with terms.
         bare: The one without, whose scatter weighs the prior (`pickenv.calibration.model.prior.coefficients_prior`).
+        given: Standard deviations of parameters of links before measuring, where they have a prior.
     """
     model = found.arm_model
     count = len(model.geometry.parameter_names)
-    prior = model.term_tolerances * EXPECTED * found.scatter / max(bare.scatter, 1e-300)
+    prior = model.term_tolerances * expected_sizes(model) * found.scatter / max(bare.scatter, 1e-300)
     expected = dict(zip(model.parameter_names[count:], prior, strict=True))
     geometry: dict[str, str] = {}
     terms: dict[str, str] = {}
@@ -74,5 +79,6 @@ def parameter_states(found: Identification, bare: Identification) -> States:
             else:
                 free = name.startswith(("base_", "tool_")) or name in each.unknowns
                 made = np.inf if free else ANGLE_TOLERANCE if is_angle(name) else LENGTH_TOLERANCE
-                geometry[name] = LOST if not kept or std > made else MEASURED
+                held = std > INFORMED * given.get(name, np.inf)
+                geometry[name] = HELD if kept and held else LOST if not kept or std > made else MEASURED
     return States(geometry, terms)

@@ -17,7 +17,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.prior import EXPECTED
+from pickenv.calibration.model.prior import expected_sizes
 
 Places = NDArray[np.int64]
 
@@ -48,7 +48,7 @@ class Linearised:
         arm, fitted = ArmModel.of(bare.geometry, terms), bare.identifiability.kept_names
         names = fitted + arm.parameter_names[len(bare.geometry.parameter_names) :]
         scale = np.r_[np.ones(len(fitted)), arm.term_tolerances]
-        ridge = np.r_[np.zeros(len(fitted)), np.full(len(arm.coefficients), (bare.scatter / EXPECTED) ** 2)]
+        ridge = np.r_[np.zeros(len(fitted)), (bare.scatter / expected_sizes(arm)) ** 2]
         return Linearised(arm, bare.unknowns, names, scale, ridge)
 
     @property

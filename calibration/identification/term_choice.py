@@ -1,7 +1,8 @@
 """Which parametric terms an arm needs: chosen within the training rows, on contiguous blocks held out of each fit.
 
 Weight (joints that yield under the arm's own mass) and the drives' harmonics need no data sheet, so they can be tried
-on any arm; they extrapolate where a learnt residual only interpolates. One that does not win on blocks stays out.
+on any arm, and compliance wherever torques were measured; they extrapolate where a learnt residual only interpolates.
+One that does not win on blocks stays out.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pickenv.calibration.model.error_model import geometric_model, with_terms
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import coefficients_prior
 from pickenv.calibration.model.splits import contiguous_folds, equally_spaced
-from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, ThermalTerm
+from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, ThermalTerm, weighed
 from pickenv.errors import InputError
 
 MARGIN = 0.03
@@ -32,8 +33,8 @@ ROWS = 1500
 WARM = 5.0
 """Temperatures that vary by less than this, K, say nothing about expansion."""
 
-NAMES = ("gravity", "periodic", "thermal")
-"""Terms that can be chosen, in the order in which they are tried."""
+NAMES = ("compliance", "gravity", "periodic", "thermal")
+"""Terms that can be chosen, in the order in which they are tried: what measured torques say before what is inferred."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,9 @@ def identify_terms(
 def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> TermChoice:
     """Choose terms by blocked cross-validation within training rows, in the order they were measured.
 
-    One after the other, what every arm has first (weight), and each only if it wins over those before it. The order is
-    a decision: on the WAM's grid harmonics alone score better than weight alone, and extrapolate worse. Weight stays
-    beside harmonics only if it wins over harmonics alone.
+    One after the other, what was measured first (torques), then what every arm has (weight), and each only if it wins
+    over those before it. The order is a decision: on the WAM's grid harmonics alone score better than weight alone, and
+    extrapolate worse. Weight stays beside harmonics only if it wins over harmonics alone.
 
     Args:
         arm: The arm.
@@ -84,8 +85,8 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
 
     temperature = observations.conditions.temperature
     warm = temperature is not None and float(np.ptp(temperature)) > WARM
-    for name in NAMES if warm else NAMES[:-1]:
-        if wins((*chosen, name), chosen):
+    for name in trial.names:
+        if (name != "thermal" or warm) and wins((*chosen, name), chosen):
             chosen = (*chosen, name)
     if set(chosen) >= {"gravity", "periodic"}:
         lighter = tuple(name for name in chosen if name != "gravity")
@@ -110,13 +111,18 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
     for name in wanted:
         if name not in NAMES:
             raise InputError(f"unknown terms '{name}'; give auto, none, or some of {', '.join(NAMES)} joined by +")
+        if name == "compliance" and observations.conditions.torque is None:
+            raise InputError(
+                f"{observations.source}: compliance needs the joints' measured torques; name their columns in "
+                "[conditions.torques], or give --terms gravity"
+            )
     if "periodic" not in wanted:
-        return tuple(_plain_term(name, arm, observations) for name in wanted)
+        return tuple(plain_term(name, arm, observations) for name in wanted)
     return _Trial.of(arm, bare, observations, tuple(wanted)).terms(tuple(wanted))
 
 
-def _plain_term(name: str, arm: Arm, observations: Observations) -> Term:
-    """Weight, of an arm mounted upright as its nominal base says, or warmth, or every harmonic."""
+def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
+    """Weight or compliance, of an arm mounted upright as its nominal base says, or warmth, or every harmonic."""
     geometry = arm.nominal
     if name == "periodic":
         return every_order(geometry)
@@ -125,7 +131,10 @@ def _plain_term(name: str, arm: Arm, observations: Observations) -> Term:
     up = geometry.base.rotation.T @ np.array([0.0, 0.0, 1.0])
     payload = observations.conditions.payload
     varied = payload is not None and float(np.ptp(payload)) > 0
-    return GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), varied)
+    weight = GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), varied)
+    if name == "gravity":
+        return weight
+    return weighed(weight, geometry, observations.joints, observations.conditions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +158,9 @@ class _Trial:
         """These terms, or all that the data have conditions for."""
         data = observations.select(equally_spaced(len(observations.joints), ROWS))
         if names is None:
-            names = NAMES if data.conditions.temperature is not None else NAMES[:-1]
-        model = Linearised.of(bare, tuple(_plain_term(name, arm, data) for name in names))
+            missing = {"compliance": data.conditions.torque is None, "thermal": data.conditions.temperature is None}
+            names = tuple(name for name in NAMES if not missing.get(name))
+        model = Linearised.of(bare, tuple(plain_term(name, arm, data) for name in names))
         blocks = [data.select(held) for _, held in contiguous_folds(data.groups, FOLDS)]
         return _Trial(bare, data, names, BlockEquations.of(model, blocks))
 

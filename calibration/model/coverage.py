@@ -22,7 +22,7 @@ PROBES = 200
 """Poses drawn from the whole joint ranges."""
 
 LOST_SHARE = 0.25
-"""Poses that lose more than this share of the parameters that full-range poses show are refused."""
+"""Poses that lose more than this share of the parameters that full-range poses show do not bear a fit of all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +45,11 @@ class Coverage:
     move: tuple[int, ...]
     used: Array
     joint_names: tuple[str, ...]
+
+    @property
+    def little(self) -> bool:
+        """Whether the poses lose more than `LOST_SHARE` of the parameters."""
+        return self.full_rank - self.rank > LOST_SHARE * self.full_rank
 
     def advice(self) -> str:
         """One sentence: nothing is lost, or what is, and which joints to move."""
@@ -111,7 +116,7 @@ def refuse_lost(coverage: Coverage, geometry: Geometry, measurements: Measuremen
     Raises:
         InputError: Names the parameters, and joints that hardly move.
     """
-    if coverage.full_rank - coverage.rank <= LOST_SHARE * coverage.full_rank:
+    if not coverage.little:
         return
     still = [f"joint {i + 1} ({geometry.joint_names[i]})" for i in np.flatnonzero(coverage.used < 0.02)]
     hint = f"; {', '.join(still)} hardly move" if still else ""

@@ -41,6 +41,11 @@ class ErrorModel:
     names: tuple[str, ...]
     tolerance: Array
 
+    def joined(self, other: ErrorModel) -> ErrorModel:
+        """These parameters, then those of another model."""
+        columns, tolerance = np.r_[self.columns, other.columns], np.r_[self.tolerance, other.tolerance]
+        return ErrorModel(columns, self.names + other.names, tolerance)
+
 
 def link_model(geometry: Geometry) -> ErrorModel:
     """The paper's model: the four MDH parameters of every joint; base and tool are taken as known (eqs (7)-(8))."""
@@ -66,15 +71,16 @@ def frames_model(geometry: Geometry) -> ErrorModel:
     return _model(geometry, [name for name in geometry.parameter_names if name.startswith(("base_", "tool_"))])
 
 
+def joint_zeros_model(geometry: Geometry) -> ErrorModel:
+    """The zero of every joint: theta where its link turns, d where it slides."""
+    return _model(geometry, [f"{'d' if slides else 'theta'}{i + 1}" for i, slides in enumerate(geometry.slides)])
+
+
 def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
     """The model's parameters and the coefficients of the arm's terms."""
     count = len(arm.geometry.parameter_names)
     names = arm.parameter_names[count:]
-    return ErrorModel(
-        np.concatenate([model.columns, np.arange(count, count + len(names))]),
-        model.names + names,
-        np.concatenate([model.tolerance, arm.term_tolerances]),
-    )
+    return model.joined(ErrorModel(np.arange(count, count + len(names)), names, arm.term_tolerances))
 
 
 def _link_names(geometry: Geometry) -> list[str]:

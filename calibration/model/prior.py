@@ -13,9 +13,13 @@ from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.terms import ComplianceTerm
 
 EXPECTED = 1.0
 """Standard deviation of a term's coefficient before measuring, in its tolerances (1 mm or 1 mrad at the tool)."""
+
+ANY_STIFFNESS = 100.0
+"""The same for compliances, one per joint of known torque: stiffnesses from 100 N*m/rad or 1 kN/m are as good."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +68,12 @@ class Prior:
         return rows, np.zeros((len(rows), 0))
 
 
+def expected_sizes(model: ArmModel) -> Array:
+    """Standard deviations of the terms' coefficients before measuring ``(k,)``, in their tolerances."""
+    counts = [len(term.names(model.geometry)) for term in model.terms]
+    return np.repeat([ANY_STIFFNESS if isinstance(term, ComplianceTerm) else EXPECTED for term in model.terms], counts)
+
+
 def coefficients_prior(start: ArmModel, scatter: float) -> Prior:
     """A prior on all coefficients of the model's terms.
 
@@ -74,4 +84,4 @@ def coefficients_prior(start: ArmModel, scatter: float) -> Prior:
     """
     first = len(start.geometry.parameter_names)
     columns = np.arange(first, first + len(start.coefficients))
-    return Prior(start, columns, start.term_tolerances * EXPECTED / max(scatter, 1e-9))
+    return Prior(start, columns, start.term_tolerances * expected_sizes(start) / max(scatter, 1e-9))

@@ -20,20 +20,28 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import Conditions, Term
 from pickenv.errors import InputError
 
+SHOWN = 1e-3
+"""Combinations of moments that poses show less than this share of the clearest are left at zero."""
+
 
 @dataclass(frozen=True)
 class ComplianceTerm:
     """Joints yield: dq = c tau, one coefficient c = 1/k per joint (rad/(N*m) or m/N).
 
-    The torque is the measured one where the data hold it, else gravity's from ``load`` and the payload recorded.
+    The torque is the measured one where the data hold it, else gravity's: from ``load`` and the payload recorded, or
+    from ``moments``, what the measured torques said of the arm's weight.
 
     Attributes:
         joints: Indices of the joints that may yield, from 0.
-        load: Link masses, or None to use measured torques only.
+        load: Link masses, or None.
+        weight: Says which moments those are, or None.
+        moments: Torque per unit of each ``(k,)``, fitted to measured torques by `weighed`.
     """
 
     joints: tuple[int, ...]
     load: Load | None
+    weight: GravityTerm | None = None
+    moments: tuple[float, ...] = ()
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
         """Names count as the joints do: compliance1, compliance2."""
@@ -53,6 +61,9 @@ class ComplianceTerm:
         """Measured torques, or gravity's ``(N, n)``."""
         if conditions.torque is not None:
             return conditions.torque
+        if self.load is None and self.weight is not None:
+            by_moment = self.weight.torques(geometry, joints, conditions) * np.array(self.moments)
+            return np.asarray(by_moment @ (self.weight.owners(geometry)[:, None] == np.arange(geometry.joints)))
         if self.load is None:
             raise InputError("joint compliance needs measured torques or link masses; give a torque column or a load")
         payload = self.load.payload if conditions.payload is None else conditions.payload
@@ -233,15 +244,24 @@ class GravityTerm:
         """1 mrad at 1 m, 1 mm."""
         return np.full(len(self._moments(geometry)), 1e-3)
 
+    def owners(self, geometry: Geometry) -> NDArray[np.int64]:
+        """The joint that each coefficient belongs to ``(k,)``, from 0."""
+        return np.array([i for i, _, _ in self._moments(geometry)])
+
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """The joint Jacobian's columns times each moment's torque."""
+        torques = self.torques(geometry, joints, conditions)
+        return np.asarray(joint_jacobian(geometry, joints)[..., self.owners(geometry)] * torques[:, None])
+
+    def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """Torque of each moment on its joint, per unit of it ``(N, k)``."""
         if self.payload and conditions.payload is None:
             raise InputError("the payload's deflection needs payloads; give a payload column")
         chain = frames(np, chain_of(geometry), split_joints(geometry.joints, joints))
         placed = np.stack([np.stack(np.broadcast_arrays(*frame, joints[:, 0])[:12], -1) for frame in chain], 1)
         placed = placed.reshape(len(joints), geometry.links + 1, 4, 3)
         up = geometry.base.rotation @ np.array(self.up)
-        tool, jacobian, found = forward(geometry, joints).position, joint_jacobian(geometry, joints), []
+        tool, found = forward(geometry, joints).position, []
         for i, j, moment in self._moments(geometry):
             torque = np.zeros(len(joints))
             for k, ratio in geometry.links_of(i):
@@ -258,8 +278,21 @@ class GravityTerm:
                     torque -= ratio * np.einsum("ni,ni->n", z, np.cross(lever, up))
                 elif moment in "mp":
                     torque -= ratio * (z @ up) * (1.0 if moment == "m" else np.asarray(conditions.payload))
-            found.append(jacobian[:, :, i] * torque[:, None])
+            found.append(torque)
         return np.stack(found, -1)
+
+
+def weighed(weight: GravityTerm, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:
+    """Compliance of the joints of ``weight``, whose moments are fitted to the torques measured.
+
+    So it knows torques where none are measured, as at targets. Moments that the poses do not show stay small.
+    """
+    assert conditions.torque is not None
+    columns, owners = weight.torques(geometry, joints, conditions), weight.owners(geometry)
+    moments = np.zeros(len(owners))
+    for i in weight.joints:
+        moments[owners == i] = np.linalg.lstsq(columns[:, owners == i], conditions.torque[:, i], rcond=SHOWN)[0]
+    return ComplianceTerm(weight.joints, None, weight, tuple(moments.tolist()))
 
 
 KINDS: dict[str, type] = {
@@ -289,6 +322,8 @@ def term_from(content: Mapping[str, Any]) -> Term:
     kind = KINDS[numbers.pop("kind")]
     if numbers.get("load"):
         numbers["load"] = Load(**numbers["load"])
+    if numbers.get("weight"):
+        numbers["weight"] = GravityTerm(**numbers["weight"])
     term: Term = kind(**numbers)
     return term
 

@@ -11,6 +11,7 @@ from pickenv.calibration.assessment.base_frame import base_frame_error
 from pickenv.calibration.assessment.instrument import said_of_instruments
 from pickenv.calibration.assessment.quality import grade_quality
 from pickenv.calibration.identification.diagnosis import LeftOut, said_of_rows
+from pickenv.calibration.identification.ladder import LadderChoice, Rung
 from pickenv.calibration.identification.starts import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.coverage import Coverage, pose_coverage
@@ -54,6 +55,8 @@ def assess(
     gate: GateReport | None = None,
     left_out: tuple[LeftOut, ...] = (),
     coverage: Coverage | None = None,
+    rung: Rung | None = None,
+    ladder: LadderChoice | None = None,
 ) -> Result:
     """Judge a calibration on rows that it never saw.
 
@@ -69,6 +72,8 @@ def assess(
         gate: The residual models' verdicts.
         left_out: Rows left out.
         coverage: What the poses hide, where it was computed already.
+        rung: What was fitted of the geometry, where not all of it.
+        ladder: How that was chosen.
     """
     unlearnt = without_residual(fit)
     learnt = fit.calibration.learnt
@@ -125,10 +130,12 @@ def assess(
                 *said_of_instruments(model, bare.identification, train),
             ),
             unit=train.miss_unit,
+            expected={} if rung is None else dict(zip(rung.model.names, rung.std.tolist(), strict=True)),
         ),
         uncertainty=uncertainty,
         base_frame=base_frame,
         terms=terms,
+        ladder=ladder,
         gate=gate,
         left_out=left_out,
         pixels=_pixels(bare, train, test, held_out),

@@ -23,8 +23,10 @@ from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statis
 from pickenv.calibration.assessment.quality import Quality
 from pickenv.calibration.assessment.screen import MISS_UNITS, Block, figure, main_parts, unit_of, unknowns_in
 from pickenv.calibration.assessment.states import LOST, MEASURED
+from pickenv.calibration.assessment.stiffness_table import stiffness_block, stiffness_rows
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.diagnosis import LeftOut
+from pickenv.calibration.identification.ladder import LadderChoice
 from pickenv.calibration.identification.least_squares import describe_absorption
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
@@ -61,6 +63,7 @@ class Result:
         uncertainty: Of predicted poses.
         base_frame: The error in the robot's own base frame; None where base and tool were known.
         terms: How terms were chosen; None where they were not.
+        ladder: How what is fitted of the geometry was chosen; None where all of it was, unasked.
         gate: The residual models' verdicts; None where none was judged.
         floor: What the files say about noise; None if not read from files.
         left_out: Rows far off that were left out.
@@ -78,6 +81,7 @@ class Result:
     uncertainty: PoseUncertainty
     base_frame: BaseFrameError | None
     terms: TermChoice | None = None
+    ladder: LadderChoice | None = None
     gate: GateReport | None = None
     floor: NoiseFloor | None = None
     left_out: tuple[LeftOut, ...] = ()
@@ -140,6 +144,8 @@ class Result:
         }
         if self.harmonics:
             record["harmonics"] = {"note": OWN, "found": self.harmonics}
+        if self.stiffnesses:
+            record["stiffnesses"] = self.stiffnesses
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
         return replace(self.fit.calibration, record=record)
 
@@ -147,6 +153,11 @@ class Result:
     def harmonics(self) -> list[dict[str, Any]]:
         """The drives' harmonics in it, the largest first, in screens' units; empty where there are none."""
         return harmonic_rows(self.fit.identification)
+
+    @cached_property
+    def stiffnesses(self) -> list[dict[str, Any]]:
+        """The joints' stiffnesses, where torques were measured and compliance takes part; else empty."""
+        return stiffness_rows(self.fit.identification, self.train)
 
     @property
     def own_mean_ci95(self) -> Ends | None:
@@ -184,12 +195,17 @@ class Result:
             kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
             found.append(Block("Rows far off, and kept" if kept else "Rows left out", (), places, note))
+        if self.ladder is not None:
+            tried = {name: figure(rms * MISS_UNITS[self.miss_unit]) for name, rms in self.ladder.blocked_rms.items()}
+            asked = (("asked for", f"--fit {self.ladder.chosen}"),)
+            header = ("fit", f"RMS on blocks ({self.miss_unit})") if tried else ()
+            found.insert(1, Block("Fitted", header, tuple(tried.items()) or asked, self.ladder.text()))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
             note = f"{self.terms.chosen}, chosen on blocks of the training rows"
             found.append(Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note))
-        found.append(harmonic_block(self.harmonics))
+        found += [stiffness_block(self.stiffnesses), harmonic_block(self.harmonics)]
         if self.gate is not None:
             found.append(self._gate(self.gate))
         if self.pixels is not None:
@@ -265,7 +281,7 @@ class Result:
         rows = [
             (row["name"], figure(row["change"]), figure(row["std"]), row["unit"])
             for row in self.parameters()
-            if row["state"] == MEASURED and not row["name"].startswith("periodic")
+            if row["state"] == MEASURED and not row["name"].startswith(("periodic", "compliance"))
         ]
         return Block(
             "Parameters", ("parameter", "change", "± 1 sigma", "unit"), tuple(rows), self.quality.states.text()
@@ -349,6 +365,8 @@ class Result:
             "noise_floor_mm": None if self.floor is None else self.floor.as_dict(),
             "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
             "harmonics": {"note": OWN, "found": self.harmonics} if self.harmonics else None,
+            "stiffnesses": self.stiffnesses or None,
+            "fit": None if self.ladder is None else self.ladder.as_dict(unit, MISS_UNITS[unit]),
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
             **({} if self.pixels is None else self.pixels.as_dict()),
         }

@@ -1,6 +1,6 @@
 """The one way from rows to a result, for every kind of measurement and whoever asks.
 
-`STAGES` has its steps in order: check, align, identify, check again, add terms, learn what remains; reading comes
+`STAGES` has its steps in order: check, align, identify, add terms, learn what remains; reading comes
 before, judgement after. Nominal means after base and tool were fitted: an uncalibrated arm is not blamed for where the
 instrument stood. Terms and residual model are chosen within the training rows, so that the held-out figures are those
 of rows never looked at.
@@ -17,23 +17,25 @@ import numpy as np
 
 from pickenv.arm import Arm
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
+from pickenv.calibration.identification.ladder import FULL, MEANING, RUNGS, LadderChoice, Rung
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
+from pickenv.calibration.model.coverage import Coverage
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.finished_poses import CARRIER
-from pickenv.calibration.model.measurements import FRAMES, Frames, Measurements
+from pickenv.calibration.model.measurements import FRAMES, Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
+from pickenv.calibration.pipeline.choices import Choices, refuse_options
+from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_remainder, fit_shown
 from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows
 from pickenv.calibration.pipeline.held_out import HeldOut, held_out_elsewhere, held_out_of, pooled
-from pickenv.calibration.pipeline.restation import REFIT_ROWS, near_rows
+from pickenv.calibration.pipeline.restation import near_rows
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals, position_rms
@@ -54,38 +56,6 @@ FEW_VIEWS = 60
 """So many pictures are judged one by one, each by a fit to all others."""
 
 
-@dataclass(frozen=True)
-class Choices:
-    """What to do beyond geometry.
-
-    Attributes:
-        terms: "auto", or names of terms joined by "+", or "none".
-        residual: "auto", a residual model's name, or "none".
-        force: Whether a named residual model is used even if it does not win.
-        robust: Whether rows far off are left out; they are listed all the same.
-        seed: Seeds everything random.
-        frames: Whether base and tool are "known" or "fitted"; as the data say when None.
-        learn_from: Poses for the named residual model, which is then used as it is, as the paper does; when None it
-            learns from the training rows, if it wins there.
-        settings: Settings of the network that learns from them; the paper's when None.
-        lens: "fixed" or "free", for pictures; as their description says when None.
-        refit: Which of "base" and "tool" the rows to judge by have of their own, as rows of another station do.
-        refit_rows: So many of them are used to find those.
-    """
-
-    terms: str = "auto"
-    residual: str = "auto"
-    force: bool = False
-    robust: bool = True
-    seed: int = 0
-    frames: Frames | None = None
-    learn_from: Measurements | None = None
-    settings: BpnnSettings | None = None
-    lens: str | None = None
-    refit: tuple[str, ...] = ()
-    refit_rows: int = REFIT_ROWS
-
-
 @dataclass(frozen=True, eq=False)
 class Draft:
     """A calibration on its way through the stages.
@@ -100,6 +70,8 @@ class Draft:
         left_out: Rows far off that were left out.
         aligned: Evidence of the base and tool fit; None where they are known.
         coverage: What the poses hide; None for measurements of other kinds.
+        rung: What is fitted of the geometry; None where all of it.
+        ladder: How that was chosen; None where it was not.
         fits: What was fitted so far, by name, in order; the last will be used.
         terms: Terms that are part of it.
         term_choice: How they were chosen.
@@ -115,6 +87,8 @@ class Draft:
     left_out: tuple[LeftOut, ...] = ()
     aligned: Identification | None = None
     coverage: Coverage | None = None
+    rung: Rung | None = None
+    ladder: LadderChoice | None = None
     fits: Mapping[str, Fit] = field(default_factory=dict)
     terms: tuple[Term, ...] = ()
     term_choice: TermChoice | None = None
@@ -226,6 +200,8 @@ def _assessed(draft: Draft, held_out: HeldOut) -> Result:
         gate=draft.gate,
         left_out=draft.left_out,
         coverage=draft.coverage,
+        rung=draft.rung,
+        ladder=draft.ladder,
     )
 
 
@@ -245,7 +221,7 @@ def _judged_by_blocks(draft: Draft) -> Result:
         here, there = checked.train.select(rows), checked.train.select(held)
         fold = replace(checked, train=here, test=there, rng=np.random.default_rng(seed), progress=None)
         try:
-            fold = _through((_align, _identify, _check_again, _add_terms), fold)
+            fold = _through((_align, _identify, _add_terms), fold)
             if fold.choices.learn_from is not None:
                 fold = _learn(fold)
             elif (residual := chosen[number % 2]) is not None and isinstance(here, Measurements):
@@ -296,6 +272,8 @@ def _check(draft: Draft) -> Draft:
     choices, poses = draft.choices, draft.poses
     if choices.frames is not None and choices.frames not in FRAMES:
         raise InputError(f"frames is '{choices.frames}'; give {' or '.join(FRAMES)}")
+    if choices.fit not in ("auto", *RUNGS):
+        raise InputError(f"fit is '{choices.fit}'; give auto, {', '.join(RUNGS[:-1])} or {FULL}")
     if type(draft.train) is not type(draft.test):
         raise InputError(
             f"{draft.train.source} holds {draft.train.kind}, but {draft.test.source}, to judge by, {draft.test.kind}; "
@@ -304,7 +282,7 @@ def _check(draft: Draft) -> Draft:
     train, test, known = draft.train, draft.test, False
     left_out: tuple[LeftOut, ...] = ()
     if poses is None:
-        _refuse_options(train, choices)
+        refuse_options(train, choices)
         train, left_out = without_blind_views(train)
     else:
         if choices.frames is None and poses[0].frames != poses[1].frames:
@@ -318,42 +296,27 @@ def _check(draft: Draft) -> Draft:
     return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
 
 
-def _refuse_options(train: Observations, choices: Choices) -> None:
-    """Refuse what is there for poses and positions only."""
-    given = {"--frames known": choices.frames == "known"}
-    given[f"--residual {choices.residual}"] = choices.residual not in ("auto", "none")
-    if choices.lens is not None and not isinstance(train, PixelObservations):
-        raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
-    for option, wanted in given.items():
-        if wanted:
-            raise InputError(
-                f"{option} is for poses and positions, but {train.source} holds {train.kind}; leave it out"
-            )
-
-
 def _align(draft: Draft) -> Draft:
     """Base and tool, where they are not known."""
     return replace(draft, aligned=fit_frames(draft.arm, draft.train, draft.choices.frames == "known"))
 
 
 def _identify(draft: Draft) -> Draft:
-    """The geometry, by least squares."""
-    return draft.with_fit(GEOMETRY, fit_geometry(draft.arm, draft.train, draft.aligned))
-
-
-def _check_again(draft: Draft) -> Draft:
-    """Refuse poses that hide too much."""
-    _, geometric = draft.best
-    if draft.poses is None:
-        return draft
-    start, train = geometric.calibration.nominal, draft.poses[0]
-    coverage = pose_coverage(geometric_model(start, draft.aligned is None), start, train)
-    refuse_lost(coverage, start, train)
-    return replace(draft, coverage=coverage)
+    """The geometry by least squares, or as much of it as was asked for or as helps where the poses hide too much."""
+    shown = fit_shown(draft.arm, draft.train, draft.aligned, draft.choices.fit)
+    draft = replace(draft, coverage=shown.coverage, rung=shown.rung, ladder=shown.ladder)
+    return draft.with_fit(GEOMETRY, shown.fit)
 
 
 def _add_terms(draft: Draft) -> Draft:
     """As many of the wanted terms, in their order, as converge; "auto" chooses them within the training rows."""
+    if draft.rung is not None:
+        if draft.choices.terms not in ("auto", "none"):
+            raise InputError(
+                f"--terms {draft.choices.terms} goes with all of the geometry, but of {draft.train.source} "
+                f"{MEANING[draft.rung.name]} are fitted; leave --terms out, or give --fit full"
+            )
+        return draft
     (name, geometric), choice = draft.best, None
     bare, known = geometric.identification, draft.aligned is None
     if draft.choices.terms != "auto":
@@ -407,6 +370,8 @@ def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> Gate
     start, known = draft.best[1].calibration.nominal, draft.aligned is None
 
     def refit(rows: Measurements) -> ArmModel:
+        if draft.rung is not None:
+            return draft.rung.identify(rows).arm_model
         bare = identify(geometric_model(start, known), start, rows)
         if not draft.terms:
             return bare.arm_model
@@ -430,5 +395,5 @@ def _error_on_both(verdict: GateVerdict) -> float:
     return verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms
 
 
-STAGES: tuple[Callable[[Draft], Draft], ...] = (_check, _align, _identify, _check_again, _add_terms, _learn)
+STAGES: tuple[Callable[[Draft], Draft], ...] = (_check, _align, _identify, _add_terms, _learn)
 """The stages between reading and judgement, in order."""

@@ -138,7 +138,7 @@ def _conditions(table: description_file.ConditionsTable, joint_units: tuple[str,
     if (mass := table.payload) is not None:
         found["payload"] = Condition((mass.column,), (description_file.MASSES[mass.unit],), mass.reference)
     if (torques := table.torques) is not None:
-        units = torques.units or tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
+        units = torques.each or tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
         found["torque"] = Condition(torques.columns, tuple(description_file.TORQUES[unit] for unit in units))
     return found
 

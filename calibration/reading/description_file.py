@@ -184,10 +184,16 @@ class PayloadTable:
 
 @toml_table
 class TorquesTable:
-    """[conditions.torques]: N*m for joints that turn and N for those that slide where no units are given."""
+    """[conditions.torques]: one unit for all, or one each; else N*m for joints that turn, N for those that slide."""
 
     columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Annotated[str, one_of(TORQUES)] | None = None
     units: Annotated[tuple[Annotated[str, one_of(TORQUES)], ...], COLUMNS] | None = None
+
+    @property
+    def each(self) -> tuple[str, ...] | None:
+        """The unit of each column, where one is given."""
+        return self.units if self.units or self.unit is None else (self.unit,) * len(self.columns)
 
 
 @toml_table
@@ -247,7 +253,7 @@ class DescriptionFile:
                 raise InputError(f"[rotation] belongs to [position], not to [{kinds[0]}]")
             self.rotation.unit()
         torques, n = self.conditions.torques, 0 if self.joints is None else len(self.joints.columns)
-        if torques is not None and (len(torques.columns), len(torques.units or torques.columns)) != (n, n):
+        if torques is not None and (len(torques.columns), len(torques.each or torques.columns)) != (n, n):
             raise InputError("[conditions.torques] needs one column, and one unit, per joint")
 
     def _check_views(self) -> None:

@@ -70,11 +70,18 @@ def calibrate(
         typer.Option(help="--test is another station: find its base, tool or base,tool from a few rows of it."),
     ] = None,
     refit_rows: Annotated[int, typer.Option(help="Rows to find them from.", min=3)] = 6,
+    fit: Annotated[
+        Literal["auto", "offsets", "compliance", "reduced", "full"],
+        typer.Option(
+            help="What is fitted: offsets of the joints, compliance with them, a reduced geometry, or the full one. "
+            "auto: full where the poses show enough, else the highest of these that helps."
+        ),
+    ] = "auto",
     terms: Annotated[
         str,
         typer.Option(
-            help="Parametric terms: auto, none, or gravity (the arm's own weight), periodic (harmonics of the "
-            "drives, of the orders that the data show), thermal joined by +."
+            help="Parametric terms: auto, none, or compliance (of joints whose torques were measured), gravity (the "
+            "arm's own weight), periodic (drives' harmonics, of orders that the data show), thermal joined by +."
         ),
     ] = "auto",
     residual: Annotated[
@@ -110,9 +117,9 @@ def calibrate(
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
     """
     from pickenv.calibration.camera.lens_files import write_lens
+    from pickenv.calibration.pipeline.choices import Choices
     from pickenv.calibration.pipeline.pixel_figures import lens_of
     from pickenv.calibration.pipeline.restation import frames_of
-    from pickenv.calibration.pipeline.stages import Choices
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
     from pickenv.inspect.reports.calibration_report import write_calibration_report
 
@@ -121,6 +128,7 @@ def calibrate(
         {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run, "--lens-out": lens_out},
     )
     choices = Choices(
+        fit=fit,
         terms=terms,
         residual=residual,
         force=force,
@@ -154,6 +162,7 @@ def calibrate(
         "seed": seed,
     }
     options |= {
+        "fit": fit,
         "terms": terms,
         "residual": residual,
         "force": force,

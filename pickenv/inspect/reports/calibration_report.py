@@ -40,7 +40,9 @@ FURTHER = (
     "How far errors go",
     "Rows left out",
     "Rows far off, and kept",
+    "Fitted",
     "Further terms",
+    "Stiffnesses of the joints",
     "Harmonics of the drives",
     "Learnt residual models",
 )

@@ -19,7 +19,8 @@ from pickenv.calibration import Calibration, Measurements, fit, random_joints, r
 from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.stages import Choices, calibrate
+from pickenv.calibration.pipeline.choices import Choices
+from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.cli import app
 from pickenv.errors import InputError
 from pickenv.inspect.reports.calibration_report import calibration_page

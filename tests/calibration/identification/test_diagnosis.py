@@ -7,11 +7,14 @@ import pytest
 
 from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import random_joints, simulated_tracker
+from pickenv.calibration.identification.ladder import RUNGS
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
 from pickenv.calibration.model.splits import contiguous_folds
-from pickenv.calibration.pipeline.stages import Choices, calibrate
+from pickenv.calibration.pipeline.choices import Choices
+from pickenv.calibration.pipeline.fitting import ENOUGH_FOR_LADDER
+from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.errors import InputError
 
 PLAIN = Choices(terms="none", residual="none")
@@ -179,12 +182,17 @@ def test_rows_of_another_set_up_are_recognised(qiao, data, others):
 
 
 def test_poses_that_show_too_little_say_what_they_lose(qiao, table_1):
+    """With rows to choose by a rung is fitted and the report says what is lost; with too few they are refused."""
     rng = np.random.default_rng(0)
     joints = random_joints(qiao.nominal, 60, rng)
     joints[:, [2, 3, 4, 5]] = (qiao.nominal.lower + qiao.nominal.upper)[[2, 3, 4, 5]] / 2
     seen = simulated_tracker(table_1, joints, rng)
+    found = calibrate(qiao, seen, test=seen, choices=PLAIN)
+    assert found.ladder.chosen in RUNGS and found.quality.grade == "with care"
+    assert "J4 end rotation (now over 0 % of its range)" in found.report()
+    few = seen.select(np.arange(ENOUGH_FOR_LADDER - 1))
     with pytest.raises(InputError, match=r"show \d+ of the \d+ parameters .*J4 end rotation.* hardly move") as caught:
-        calibrate(qiao, seen, test=seen, choices=PLAIN)
+        calibrate(qiao, few, test=seen, choices=PLAIN)
     assert "\n" not in str(caught.value)
 
 
@@ -238,7 +246,7 @@ def test_draw_wires_are_calibrated(qiao):
 
 
 def test_an_unknown_term_or_residual_is_named(qiao, data):
-    with pytest.raises(InputError, match="unknown terms 'gravitation'; give auto, none, or some of gravity"):
+    with pytest.raises(InputError, match="unknown terms 'gravitation'; give auto, none, or some of compliance"):
         judged(qiao, data, replace(PLAIN, terms="gravitation"))
     with pytest.raises(InputError, match="unknown residual model 'net'; give auto, none or one of"):
         judged(qiao, data, replace(PLAIN, residual="net"))

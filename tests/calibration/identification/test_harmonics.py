@@ -181,6 +181,8 @@ SCORES = {"none": 1.0, "gravity": 0.8, "gravity+periodic": 0.6, "periodic": 0.61
 )
 def test_each_term_stays_only_if_it_wins_by_three_per_cent(planted, monkeypatch, changed, wanted):
     class Trial:
+        names = ("gravity", "periodic")
+
         def score(self, names):
             return (SCORES | changed)["+".join(names) or "none"]
 
@@ -216,7 +218,7 @@ def test_candidates_are_scored_on_blocks_as_by_a_fit_to_the_other_rows():
 
 
 def test_unknown_terms_are_refused(planted):
-    with pytest.raises(InputError, match="unknown terms 'magic'; give auto, none, or some of gravity, periodic"):
+    with pytest.raises(InputError, match="unknown terms 'magic'; give auto, none, or some of compliance, gravity"):
         terms_of("gravity+magic", ARM, planted[1], planted[0])
 
 

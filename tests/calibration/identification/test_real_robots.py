@@ -6,8 +6,9 @@ import pytest
 from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, complete_model, fit, identify, read_measurements
 from pickenv.calibration.model.splits import contiguous_folds
+from pickenv.calibration.pipeline.choices import Choices
 from pickenv.calibration.pipeline.held_out import what_is_left
-from pickenv.calibration.pipeline.stages import Choices, calibrate
+from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
 

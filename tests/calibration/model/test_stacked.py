@@ -15,7 +15,8 @@ from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.stacked import InstrumentStation, Stacked
-from pickenv.calibration.pipeline.stages import Choices, calibrate
+from pickenv.calibration.pipeline.choices import Choices
+from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import touches
 

@@ -27,7 +27,7 @@ def identified(dynamic, sets, rows=40, choices=AUTO):
     """The draft before terms."""
     train = sets[0].select(np.arange(rows))
     draft = stages.Draft(dynamic.arm, choices, train, sets[1], np.random.default_rng(0))
-    for stage in stages.STAGES[:4]:
+    for stage in stages.STAGES[:3]:
         draft = stage(draft)
     return draft
 
@@ -138,20 +138,20 @@ def test_options_of_poses_are_refused_for_other_kinds_and_defaults_are_not(dynam
     class Wires:
         source, kind = "wires.csv", "distance"
 
-    stages._refuse_options(Wires(), Choices())
-    stages._refuse_options(Wires(), Choices(residual="none", frames="fitted"))
+    stages.refuse_options(Wires(), Choices())
+    stages.refuse_options(Wires(), Choices(residual="none", frames="fitted"))
     for choices, option in (
         (Choices(frames="known"), "--frames known is"),
         (Choices(residual="gp"), "--residual gp is"),
     ):
         with pytest.raises(InputError, match=f"^{option} for poses and positions, but wires.csv holds distance"):
-            stages._refuse_options(Wires(), choices)
+            stages.refuse_options(Wires(), choices)
 
 
 def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monkeypatch):
     """Rows are held out by one generator of the seed, and the residual model drawn from another."""
     seen = []
-    monkeypatch.setattr(stages, "STAGES", (*stages.STAGES[:4], lambda draft: seen.append(draft) or draft))
+    monkeypatch.setattr(stages, "STAGES", (*stages.STAGES[:3], lambda draft: seen.append(draft) or draft))
     stages.calibrate(dynamic.arm, sets[0], choices=replace(AUTO, seed=9, terms="none", residual="none"))
     (draft,) = seen
     assert draft.rng.bit_generator.state == np.random.default_rng(9).bit_generator.state

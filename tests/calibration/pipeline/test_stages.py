@@ -39,7 +39,6 @@ def test_the_stages_stand_in_the_order_of_a_calibration():
         "_check",
         "_align",
         "_identify",
-        "_check_again",
         "_add_terms",
         "_learn",
     ]

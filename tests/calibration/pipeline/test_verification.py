@@ -14,10 +14,11 @@ from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix,
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.stacked import Stacked
+from pickenv.calibration.pipeline.choices import Choices
 from pickenv.calibration.pipeline.given import given_rows
 from pickenv.calibration.pipeline.restation import frames_of, restationed
 from pickenv.calibration.pipeline.result import Result
-from pickenv.calibration.pipeline.stages import Choices, calibrate
+from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.calibration.pipeline.verification import verify
 from pickenv.cli import app
 from pickenv.errors import InputError
