@@ -171,7 +171,7 @@ ROOMS = {
         "calibration/model/kinds",
         "distances reflectors sockets stated surfaces tilts tool_point",
         "tests/calibration",
-        "reading/kinds_of_files model/kinds pipeline/instruments",
+        "reading/kinds_of_files model/observations model/kinds pipeline/instruments",
         most=SECOND,
     ),
     "harmonics": room(
