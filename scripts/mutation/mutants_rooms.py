@@ -158,7 +158,7 @@ ROOMS = {
         "calibration/pipeline",
         "apply uncertainty result assess fitting stages calibration export",
         "tests/calibration/pipeline",
-        "command_figures apply export stage_choices stages calibration_file",
+        "command_figures apply verification export stage_choices stages calibration_file",
     ),
     "stations": room(
         "calibration",

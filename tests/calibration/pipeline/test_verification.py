@@ -187,6 +187,21 @@ def test_calibrate_judges_by_another_station(ur5: Arm, true: Geometry) -> None:
         calibrate(ur5, train, choices=replace(PLAIN, refit=("base",)))
 
 
+@pytest.mark.parametrize("how", ["split", "blocks", "another station"])
+def test_a_result_keeps_the_files_noise_and_the_robots_number(
+    ur5: Arm, true: Geometry, tmp_path: Path, how: str
+) -> None:
+    file = (day := seen(true, 13, rows=60)).write_csv(tmp_path / day.source)
+    test = seen(true, 14, THERE, OTHER_TARGET, rows=20) if how == "another station" else None
+    choices = replace(PLAIN, refit=("base", "tool") if test is not None else ())
+    there = None if test is None else test.write_csv(tmp_path / test.source)
+    found = calibrate(
+        ur5, file, test=there, split="blocked" if how == "blocks" else "random", choices=choices, unit="A7"
+    )
+    _, floor = given_rows(ur5, file)
+    assert floor is not None and found.floor == floor and found.unit == "A7"
+
+
 def test_bad_wishes_are_refused(result: Result, true: Geometry) -> None:
     with pytest.raises(InputError, match="refit is 'basis'; give base, tool, or base,tool"):
         frames_of("basis")
