@@ -186,6 +186,11 @@ def write_table(path: str | Path, names: list[str], values: Array | NDArray[np.o
     return write_whole(path, write)
 
 
+def write_joints(path: str | Path, joints: Array, prismatic: tuple[bool, ...]) -> Path:
+    """Write joints ``(N, n)`` as our own CSV columns (q1_deg, q2_mm, …)."""
+    return write_table(path, joint_columns(prismatic), joints * np.where(prismatic, 1e3, np.degrees(1.0)))
+
+
 def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> Array:
     """Joints ``(count, n)`` drawn evenly from the whole joint ranges, as in the paper's protocol."""
     return rng.uniform(geometry.lower, geometry.upper, (count, geometry.joints))

@@ -19,9 +19,12 @@ from pickenv.calibration.model import lens
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.kinds.stated import Stated
 from pickenv.calibration.model.lens import Lens
-from pickenv.calibration.model.observations import OneGroup, one_channel, point_jacobian, selected
+from pickenv.calibration.model.observations import OneGroup, one_channel, point_jacobian, repeated_at, selected
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
+
+SLANT = 0.5
+"""Cosine of the largest angle between a line of sight and a board's normal at which its corners are found: 60 deg."""
 
 Mount = Literal["hand", "world"]
 """Where the camera is: on the arm's tool, or fixed in the world with the board on the tool."""
@@ -44,6 +47,7 @@ class PixelObservations(OneGroup):
         source: Where the data come from.
         origins: Picture or file and line of each view; None where they come from no file.
         remarks: Why a view shows no corner ``(V,)``, empty where it shows some; None where nobody says.
+        pictures: Path of each view's picture ``(V,)``; None where corners came without pictures.
     """
 
     joints: Array
@@ -60,6 +64,7 @@ class PixelObservations(OneGroup):
     framed: bool = True
     origins: Origins | None = None
     remarks: NDArray[np.str_] | None = None
+    pictures: NDArray[np.str_] | None = None
 
     @cached_property
     def _lens(self) -> Stated:
@@ -73,7 +78,31 @@ class PixelObservations(OneGroup):
 
     def select(self, rows: Rows) -> Self:
         """The views of the given rows."""
-        return selected(self, rows, "corners", "seen", "std", "remarks")
+        return selected(self, rows, "corners", "seen", "std", "remarks", "pictures")
+
+    def imagined(self, joints: Array) -> Self:
+        """What the camera would be asked at other joints ``(M, n)``, were every corner seen (see `visible`)."""
+        usual = np.full_like(self.std, np.median(self.std[self.seen]))
+        whole = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
+        return repeated_at(whole, joints, "corners", "seen", "std")
+
+    def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Which corners a model puts into the picture ``(V, K)``, by a margin in px; of boards that face the camera."""
+        tool, points, values = (
+            model.pose(self.joints, self.conditions),
+            self.in_camera(model),
+            self.lens_values(unknowns),
+        )
+        towards = tool.rotation[..., 2] if self.mount == "world" else tool.rotation[:, 2]  # into the board
+        middle = points.mean(axis=1)
+        facing = np.sum(towards * middle, axis=1) > SLANT * np.linalg.norm(middle, axis=1)
+        ahead = (points[..., 2] > 0.0) & facing[:, None]
+        points = np.where(ahead[..., None], points, [0.0, 0.0, 1.0])
+        size = np.array(self.camera.size)
+        pinhole = points[..., :2] / points[..., 2:] * values[:2] + values[2:4]
+        near = (np.abs(pinhole - size / 2.0) < size).all(axis=-1)  # farther off the distortion means nothing
+        places = lens.projected(values, points)
+        return np.asarray(ahead & near & ((places >= margin) & (places <= size - 1.0 - margin)).all(axis=-1))
 
     def unknowns(self) -> tuple[str, ...]:
         """The fitted numbers of the lens."""

@@ -58,14 +58,20 @@ class HeldOut:
             fitted: Number of rows that the calibration was fitted to.
         """
         if self.blocks is None:
-            return f"{rows} rows held out, {fitted} fitted{self.refit}; interval over rows{self._reason()}"
+            counted = f"{rows} {self.rows} held out, {fitted} fitted{self.refit}"
+            return f"{counted}; interval over rows{self._reason()}"
         counts = Counter(self.used).most_common()
         chosen = ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts)
         return (
-            f"{rows} rows, each judged without its block: mean over {self._values} contiguous blocks, between-block "
-            f"interval{self._reason()}; fitted without each block, and chosen on others: {chosen}; the calibration is "
-            f"fitted to all {fitted}"
+            f"{rows} {self.rows}, each judged without its block: mean over {self._values} contiguous blocks, "
+            f"between-block interval{self._reason()}; fitted without each block, and chosen on others: {chosen}; the "
+            f"calibration is fitted to all {fitted}"
         )
+
+    @property
+    def rows(self) -> str:
+        """What rows are called: "views" of pictures."""
+        return "views" if self.pixels else "rows"
 
     @property
     def no_interval(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -99,7 +100,16 @@ def pixel_figures(fit: Fit, data: PixelObservations, test: PixelObservations, he
         view_rms_px=tuple(_rms(view) for view in held_out.pixels),
         board_mm=error_statistics(1e3 * metres, views),
         lens=dict(zip(LENS_NAMES, data.lens_values(unknowns_of(found, data)).tolist(), strict=True)),
-        names=tuple(f"{file}: row {line}" for file, line in map(origins_of(test).place, range(len(test.joints)))),
+        names=view_names(test),
+    )
+
+
+def view_names(views: PixelObservations) -> tuple[str, ...]:
+    """The views' names: their pictures', or where their corners stand in a file."""
+    if views.pictures is not None:
+        return tuple(Path(path).name for path in views.pictures)
+    return tuple(
+        f"{Path(file).name}: row {line}" for file, line in map(origins_of(views).place, range(len(views.joints)))
     )
 
 

@@ -30,6 +30,7 @@ from pickenv.calibration.identification.ladder import LadderChoice
 from pickenv.calibration.identification.least_squares import describe_absorption
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.pipeline.calibration import Calibration
@@ -92,6 +93,11 @@ class Result:
     def known_frames(self) -> bool:
         """Whether base and tool were known."""
         return self.base_frame is None
+
+    @property
+    def has_nominal(self) -> bool:
+        """Whether an arm is calibrated, which has a nominal model: where poses are finished, frames alone are found."""
+        return self.arm.name != CARRIER
 
     @property
     def errors(self) -> Mapping[str, Array]:
@@ -194,7 +200,8 @@ class Result:
             places = tuple((item.text(),) for item in self.left_out)
             kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
-            found.append(Block("Rows far off, and kept" if kept else "Rows left out", (), places, note))
+            what = self.held_out.rows.capitalize()
+            found.append(Block(f"{what} far off, and kept" if kept else f"{what} left out", (), places, note))
         if self.ladder is not None:
             tried = {name: figure(rms * MISS_UNITS[self.miss_unit]) for name, rms in self.ladder.blocked_rms.items()}
             asked = (("asked for", f"--fit {self.ladder.chosen}"),)
@@ -254,11 +261,13 @@ class Result:
         header += ("attitude mean (deg)",) if self.attitude else ()
         rows = []
         for name, s in self.position.items():
+            if name == NOMINAL and not self.has_nominal:
+                continue
             interval = "none" if s.mean_ci95 is None else " to ".join(map(figure, s.mean_ci95))
             cells = (self._label(name), figure(s.rms), figure(s.mean), interval, figure(s.p95), figure(s.max))
             rows.append(cells + ((figure(self.attitude[name].mean),) if name in self.attitude else ()))
         note = f"{self.held_out.text(len(self.test.joints), len(self.train.joints))}; used: {self.best_model}"
-        return Block("Errors on held-out rows", header, tuple(rows), note)
+        return Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note)
 
     def parameters(self) -> list[dict[str, Any]]:
         """Each identified parameter: name, change and standard deviation on screens' units, and what became of it."""

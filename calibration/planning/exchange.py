@@ -19,7 +19,13 @@ MAX_PASSES = 20
 
 
 def exchange(
-    rows: Array, count: int, rng: np.random.Generator, weight: Array | None = None, most_passes: int = MAX_PASSES
+    rows: Array,
+    count: int,
+    rng: np.random.Generator,
+    weight: Array | None = None,
+    most_passes: int = MAX_PASSES,
+    *,
+    known: Array | None = None,
 ) -> tuple[NDArray[np.int64], int]:
     """Choose candidates by greedy addition, then by exchanging one after the other until none can be bettered.
 
@@ -29,13 +35,14 @@ def exchange(
         rng: Draws the order of exchanges.
         weight: W ``(p, p)``, to minimise trace(W M^-1) of the information M; None for D-optimality.
         most_passes: Rounds of exchange at most; without any the candidates come in the order in which they were added.
+        known: Information ``(p, p)`` that there is already, of rows measured before.
 
     Returns:
         Their rows, and the number of passes.
     """
     p = rows.shape[-1]
     ridge = RIDGE * float(np.sum(rows**2)) / len(rows) / p
-    information = ridge * np.eye(p)
+    information = ridge * np.eye(p) + (0.0 if known is None else known)
     taken = np.zeros(len(rows), dtype=bool)
     chosen: list[int] = []
     for _ in range(count):

@@ -19,7 +19,7 @@ from pickenv.arm import Arm, Geometry, parameter_jacobian
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.error_model import ErrorModel, link_model
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
-from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns, random_joints, write_table
+from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, random_joints, write_joints
 from pickenv.calibration.model.observability import Observability, observability
 from pickenv.calibration.planning.exchange import exchange
 from pickenv.calibration.planning.travel import short_tour, travel_seconds
@@ -104,6 +104,14 @@ class CurvePoint:
     error: float
     random_error: float
 
+    def as_dict(self) -> dict[str, float]:
+        """For JSON."""
+        return {"poses": self.poses, "error_mm": self.error * 1e3, "random_error_mm": self.random_error * 1e3}
+
+    def text(self) -> str:
+        """For people."""
+        return f"    {self.poses:5d} poses: {self.error * 1e3:.4f} mm ({self.random_error * 1e3:.4f} mm)"
+
 
 @dataclass(frozen=True, eq=False)
 class PosePlan:
@@ -160,10 +168,7 @@ class PosePlan:
         if self.lines is not None:
             found["lines"] = self.lines.tolist()
         if self.curve:
-            found["curve"] = [
-                {"poses": p.poses, "error_mm": p.error * 1e3, "random_error_mm": p.random_error * 1e3}
-                for p in self.curve
-            ]
+            found["curve"] = [point.as_dict() for point in self.curve]
         return found
 
     def report(self) -> str:
@@ -190,15 +195,12 @@ class PosePlan:
             lines.append(f"  lines of the file, in measuring order: {', '.join(map(str, self.lines))}")
         if self.curve:
             lines.append("  how many poses? RMS position error from the parameters' uncertainty, and drawn at random:")
-            lines += [
-                f"    {p.poses:5d} poses: {p.error * 1e3:.4f} mm ({p.random_error * 1e3:.4f} mm)" for p in self.curve
-            ]
+            lines += [point.text() for point in self.curve]
         return "\n".join(lines)
 
     def write_csv(self, path: str | Path, prismatic: tuple[bool, ...]) -> Path:
         """Write the joints in measuring order as our own CSV columns (q1_deg, q2_mm, …)."""
-        scale = np.where(prismatic, 1e3, np.degrees(1.0))
-        return write_table(path, joint_columns(prismatic), self.joints * scale)
+        return write_joints(path, self.joints, prismatic)
 
 
 def candidate_joints(geometry: Geometry, count: int, rng: np.random.Generator, margin: float = MARGIN) -> Array:

@@ -64,11 +64,13 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
     table, home = _table(path, whole.pixels, description)
     camera = _lens(whole.camera, home)
     joints = _joints(table, geometry, description)
+    pictures: list[Path] = []
     if whole.pixels.position:
         rows, found = _found_in_table(table, whole.pixels, whole.board, camera)
         joints = joints[rows]
     else:
-        rows, found = list(range(len(table.lines))), _found_in_pictures(table, whole.pixels, whole.board, home)
+        pictures = _pictures(table, whole.pixels, home)
+        rows, found = list(range(len(table.lines))), _found_in_pictures(table, whole.board, pictures)
     if whole.poses is None:
         refuse_repeated_joints([description], joints, geometry)
     for row, view in zip(rows, found, strict=True):
@@ -90,6 +92,7 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
         mount=whole.pixels.mount,
         source=table.where,
         remarks=np.array([view.remark for view in found]),
+        pictures=np.array([str(path) for path in pictures]) if pictures else None,
         origins=Origins(
             (table.where,), np.zeros(len(rows), dtype=np.int64), np.array(table.lines, dtype=np.int64)[rows]
         ),
@@ -147,20 +150,22 @@ def _joints(table: Table, geometry: Geometry, description: ColumnDescription) ->
     return joints_of_finished_poses(Pose(table.values(poses.position) * TO_SI[poses.unit], turned))
 
 
-def _found_in_pictures(table: Table, pixels: PixelsTable, board: Board, home: Path) -> list[FoundCorners]:
+def _pictures(table: Table, pixels: PixelsTable, home: Path) -> list[Path]:
+    """The path of each row's picture."""
+    assert pixels.picture is not None
+    if STEM in pixels.picture:
+        return [home / pixels.picture.replace(STEM, stem) for stem in table.texts("file")]
+    return [home / name for name in table.texts(pixels.picture)]
+
+
+def _found_in_pictures(table: Table, board: Board, pictures: Sequence[Path]) -> list[FoundCorners]:
     """The corners in each row's picture.
 
     A few pictures that show no corner are kept, with the reason, to be listed; many mean another board.
     """
-    assert pixels.picture is not None
-    if STEM in pixels.picture:
-        names = [pixels.picture.replace(STEM, stem) for stem in table.texts("file")]
-    else:
-        names = table.texts(pixels.picture)
     found, blind = [], []
-    for name, line in zip(names, table.lines, strict=True):
-        path = home / name
-        if not name or not path.is_file():
+    for path, line in zip(pictures, table.lines, strict=True):
+        if not path.is_file():
             raise InputError(f"{table.where}: row {line}: picture {path} does not exist; correct or remove the row")
         picture = _grey(path)
         try:

@@ -192,12 +192,13 @@ def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict
     from pickenv.inspect.reports.calibration_report import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_part
+    from pickenv.inspect.runs.view_errors import views_of
 
     stages = list(result.errors.values())
     errors = {"nominal": stages[0], "calibrated": stages[1]}
     if len(stages) > 2:
         errors[result.best_model] = stages[-1]
-    trace = trace_of(result.fit, {"identification": result.train, "test": result.test}, errors)
+    trace = trace_of(result.fit, {"identification": result.train, "test": result.test}, errors, views_of(result))
     with recorded_run(folder, "calibration", command, seed):
         return [
             result.calibration.save(folder / "calibration"),

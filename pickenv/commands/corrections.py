@@ -26,7 +26,10 @@ CALIBRATION = typer.Argument(help="Calibration file (.npz).", show_default=False
 def plan_poses(
     arm: Annotated[str, ARM],
     n: Annotated[int, typer.Option("--n", help="Poses to measure.", min=1)] = 30,
-    kind: Annotated[Literal["pose", "position"], typer.Option(help="What will be measured.")] = "pose",
+    kind: Annotated[
+        Literal["pose", "position"] | None,
+        typer.Option(help="What will be measured: pose if left out.", show_default=False),
+    ] = None,
     criterion: Annotated[
         Literal["d-optimal", "test-poses"] | None,
         typer.Option(help="test-poses: to be accurate at the poses of --at, as is the default with --at."),
@@ -43,7 +46,16 @@ def plan_poses(
         Path | None,
         typer.Option("--from", help="Choose from the poses of this file (CSV of joints or tool poses) instead."),
     ] = None,
-    columns: Annotated[str | None, typer.Option(help="Column description of that file; ours if left out.")] = None,
+    like: Annotated[
+        Path | None,
+        typer.Option(
+            help="Plan more poses like those of this first measurement, of any kind (touches, wire, pictures, …).",
+            show_default=False,
+        ),
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option(help="Column description of the file of --like or --from; ours if left out.")
+    ] = None,
     noise_mm: Annotated[
         float | None, typer.Option(help="What one position coordinate will scatter by.", show_default=False)
     ] = None,
@@ -56,31 +68,53 @@ def plan_poses(
     from pickenv.arm import load_arm
     from pickenv.calibration.model.error_model import complete_model, link_model
     from pickenv.calibration.model.measurements import POSITION_STD
-    from pickenv.calibration.pipeline.given import pool_of
+    from pickenv.calibration.pipeline.given import given_arm, given_rows, pool_of
+    from pickenv.calibration.planning.like import PlanLike, plan_like
+    from pickenv.calibration.planning.plan import PosePlan
     from pickenv.calibration.planning.plan import plan_poses as plan
     from pickenv.calibration.reading.targets import joints_of, read_targets
 
-    separate({"--at": at, "--arm": arm, "--from": pool}, {"--out": out, "--json": json_file})
+    separate({"--at": at, "--arm": arm, "--from": pool, "--like": like}, {"--out": out, "--json": json_file})
     chosen = load_arm(arm)
-    if columns is not None and pool is None:
-        raise InputError("--columns describes the file of --from; give that too")
+    if columns is not None and pool is None and like is None:
+        raise InputError("--columns describes the file of --like or --from; give that too")
     if noise_mm is not None and not 0.0 < noise_mm < 1e3:
         raise InputError(f"--noise-mm is {noise_mm:g}; give what a coordinate scatters by, in mm, above 0")
-    joints, lines = (candidates, None) if pool is None else pool_of(pool, chosen.nominal, columns)
-    planned = plan(
-        chosen,
-        (complete_model if frames == "fitted" else link_model)(chosen.nominal),
-        n,
-        np.random.default_rng(seed),
-        candidates=joints,
-        kind=kind,
-        criterion=criterion,
-        test_joints=None if at is None else joints_of(read_targets(at, chosen.nominal), chosen.nominal),
-        position_std=POSITION_STD if noise_mm is None else noise_mm * 1e-3,
-        curve=curve,
-    )
-    if lines is not None:
-        planned = replace(planned, lines=lines[planned.chosen])
+    test_joints = None if at is None else joints_of(read_targets(at, chosen.nominal), chosen.nominal)
+    rng = np.random.default_rng(seed)
+    planned: PosePlan | PlanLike
+    if like is not None:
+        if kind is not None or noise_mm is not None or frames == "known":
+            raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")
+        first, _ = given_rows(given_arm(chosen, columns), like, columns)
+        joints, lines = (candidates, None) if pool is None else pool_of(pool, chosen.nominal)
+        planned = plan_like(
+            chosen,
+            first,
+            n,
+            rng,
+            candidates=joints,
+            lines=lines,
+            criterion=criterion,
+            test_joints=test_joints,
+            curve=curve,
+        )
+    else:
+        joints, lines = (candidates, None) if pool is None else pool_of(pool, chosen.nominal, columns)
+        planned = plan(
+            chosen,
+            (complete_model if frames == "fitted" else link_model)(chosen.nominal),
+            n,
+            rng,
+            candidates=joints,
+            kind=kind or "pose",
+            criterion=criterion,
+            test_joints=test_joints,
+            position_std=POSITION_STD if noise_mm is None else noise_mm * 1e-3,
+            curve=curve,
+        )
+        if lines is not None:
+            planned = replace(planned, lines=lines[planned.chosen])
     saves = [
         (out, lambda path: planned.write_csv(path, chosen.nominal.prismatic)),
         (json_file, lambda path: write_json(path, planned.as_dict())),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -13,7 +13,14 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import LENGTH_TOLERANCE
 from pickenv.calibration.model.kinds.stated import Stated
-from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, one_channel, point_jacobian, selected
+from pickenv.calibration.model.observations import (
+    NONE_KNOWN,
+    OneGroup,
+    one_channel,
+    point_jacobian,
+    repeated_at,
+    selected,
+)
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
 
@@ -50,6 +57,11 @@ class ReflectorObservations(OneGroup):
     def rows_of_misses(self) -> Rows:
         """One miss per reflector seen."""
         return np.nonzero(self.seen)[0]
+
+    def imagined(self, joints: Array) -> Self:
+        """What it would be asked at other joints ``(M, n)``, were every reflector seen."""
+        each = ["covariance"] if self.covariance.ndim > 2 else []
+        return repeated_at(replace(self, seen=np.ones_like(self.seen)), joints, "points", "seen", *each)
 
     def select(self, rows: Rows) -> Self:
         """The data set that holds only the given rows."""

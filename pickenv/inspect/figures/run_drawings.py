@@ -12,13 +12,14 @@ from matplotlib.figure import Figure
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
-from pickenv.inspect.figures import plot_calibration, plot_errors, plot_policies
+from pickenv.inspect.figures import plot_calibration, plot_errors, plot_pixels, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
 from pickenv.inspect.figures.plot_slices import error_slices
 from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.gripping import gripped, gripper_curves
+from pickenv.inspect.runs.view_errors import ViewErrors
 from pickenv.intervals import clustered_share_interval
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
@@ -43,6 +44,9 @@ CAPTIONS = {
     "parameter_spectrum": "What the poses tell about each parameter; those below the threshold cannot be told from "
     "others.",
     "singular_values": "Singular values of the scaled Jacobian of the identified parameters.",
+    "corner_errors": "All corners in the picture's plane. Arrows that follow a pattern are a lens that is not yet "
+    "described well enough; arrows without one are noise.",
+    "view_errors": "The views with the largest errors. Where all arrows of a view agree, its pose is at fault.",
     "joint_coverage": "How the poses fill the joint ranges: each joint's distribution, and each pair of joints.",
 }
 """What the figures of reaches and of calibrations show, by name."""
@@ -176,6 +180,17 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
         ),
         captioned("singular_values", lambda: plot_calibration.parameter_spectrum(trace.singular_values, every)),
         captioned("joint_coverage", lambda: plot_calibration.joint_coverage(trace.nominal, trace.sets)),
+        *view_drawings(trace.views),
+    ]
+
+
+def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
+    """Figures of views with their reprojection errors; none without views."""
+    if not views:
+        return []
+    return [
+        captioned("corner_errors", lambda: plot_pixels.corner_errors(views)),
+        captioned("view_errors", lambda: plot_pixels.view_errors(views)),
     ]
 
 

@@ -15,19 +15,20 @@ import numpy as np
 from pickenv.calibration.assessment.quality import axis_errors, base_combinations
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.assessment.states import MEASURED
-from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.pipeline.held_out import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import Result
 from pickenv.files import write_text
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
 from pickenv.inspect.reports.report_page import Bar, Page, PageTable, PageVerdict, Pair, Section, html_of
 from pickenv.inspect.reports.report_words import axis_table, named_values, parameter_words
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report
+from pickenv.inspect.runs.view_errors import views_of
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
 VERDICTS = {
@@ -41,6 +42,8 @@ FURTHER = (
     "Rows left out",
     "Rows far off, and kept",
     "Fitted",
+    "Views left out",
+    "Views far off, and kept",
     "Further terms",
     "Stiffnesses of the joints",
     "Harmonics of the drives",
@@ -78,6 +81,7 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     lost = blocks.get("Lost in others")
     sections = (
         _errors(result, blocks),
+        _reprojection(result),
         *further,
         _parameters(result),
         Section("Parameters lost in others", [_table(lost, "code") if lost else None]),
@@ -87,11 +91,11 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     return html_of(
         Page(
             f"Calibration of {result.arm.name}",
-            f"{len(train.joints)} {train.kind} measurements from {Path(train.source).name}; "
+            f"{len(train.joints)} {_measured(train)} from {Path(train.source).name}; "
             + (
                 f"{len(test.joints)} held out"
                 if result.held_out.blocks is None
-                else "each judged without its block of the rows"
+                else f"each judged without its block of the {result.held_out.rows}"
             ),
             _verdict(result, test),
             sections,
@@ -99,6 +103,11 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
             _tiles(result),
         )
     )
+
+
+def _measured(data: Observations) -> str:
+    """What the rows of a data set are."""
+    return "views of a board" if isinstance(data, PixelObservations) else f"{data.kind} measurements"
 
 
 def _verdict(r: Result, test: Observations) -> PageVerdict:
@@ -111,16 +120,18 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
         "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the block that it is judged on"
     )
     rows, stood = (
-        ("measured poses", "the tool stood") if isinstance(test, Measurements) else ("rows", "what was read lay")
+        ("measured poses", "the tool stood")
+        if isinstance(test, Measurements)
+        else (r.held_out.rows, "what was read lay")
     )
     sentence = (
         f"On {len(test.joints)} {rows} {seen}, {stood} {figure(final.mean)} {r.miss_unit} (mean; {interval}) from "
         f"where the calibrated model says{' it stands' * isinstance(test, Measurements)}."
     )
-    if r.arm.name != CARRIER:
+    if r.has_nominal:
         sentence += f" With the nominal model it is {figure(r.position[NOMINAL].mean)} {r.miss_unit}."
     attitudes = list(r.attitude.values())
-    if attitudes:
+    if attitudes and r.has_nominal:
         was, now = attitudes[0].mean, attitudes[-1].mean
         sentence += f" The attitude error falls from {figure(was)} to {figure(now)} deg."
     text = "\n".join((_sentence(quality.reason), sentence, _sentence(r.frames_text)))
@@ -129,11 +140,15 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
 
 
 def _tiles(r: Result) -> dict[str, str]:
-    nominal = figure(r.position[NOMINAL].mean)
+    mean = f"{figure(r.best.mean)} {r.miss_unit}"
     what = "position" if r.miss_unit == "mm" else "angular"
     noise, states = r.quality.completeness, list(r.quality.states.geometry.values())
     return {
-        f"mean {what} error, nominal → calibrated": f"{nominal} → {figure(r.best.mean)} {r.miss_unit}",
+        **(
+            {f"mean {what} error, nominal → calibrated": f"{figure(r.position[NOMINAL].mean)} → {mean}"}
+            if r.has_nominal
+            else {f"mean {what} error": mean}
+        ),
         "95 of 100 poses are better than this": f"{figure(r.best.p95)} {r.miss_unit}",
         "parameters of the geometry measured": f"{states.count(MEASURED)} of {len(states)}",
         f"what remains, in units of the {noise.noise} (1 is perfect)": f"{np.sqrt(noise.reduced):.2g} ×"
@@ -154,9 +169,10 @@ def _table(block: Block, look: str = "") -> PageTable:
 
 
 def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
-    block = blocks["Errors on held-out rows"]
+    block = blocks[f"Errors on held-out {r.held_out.rows}"]
     last = list(r.errors)[-1]
-    shown = {"nominal": NOMINAL, "calibrated geometry": GEOMETRIC} | ({"model used": last} if last != GEOMETRIC else {})
+    shown = {"nominal": NOMINAL} if r.has_nominal else {}
+    shown |= {"calibrated geometry": GEOMETRIC} | ({"model used": last} if last != GEOMETRIC else {})
     mm = norms_mm({label: r.errors[name] for label, name in shown.items()})
     return Section(
         block.title,
@@ -169,6 +185,16 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
                 figure,
             ),
         ),
+    )
+
+
+def _reprojection(r: Result) -> Section:
+    """Held-out errors of pictures, drawn; nothing where no pictures were taken."""
+    return Section(
+        "Reprojection errors",
+        view_drawings(views_of(r)),
+        "From where each corner is predicted towards where it was found, in views that the fit never saw; magnified "
+        "as stated, coloured by true length.",
     )
 
 
@@ -213,7 +239,7 @@ def _poses(r: Result, train: Observations) -> Section:
     )
     pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
     hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")
-    if r.arm.name != CARRIER:
+    if r.has_nominal:
         ranges = Pair((Drawing("joint_ranges", caption, lambda: joint_ranges(geometry, train.joints)), _uncertainty(r)))
     return Section(
         "Were the poses good?",

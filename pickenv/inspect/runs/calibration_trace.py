@@ -14,6 +14,7 @@ from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.pipeline.fitting import Fit
 from pickenv.calibration.residuals.bpnn import Bpnn
+from pickenv.inspect.runs.view_errors import ViewErrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,7 @@ class CalibrationTrace:
         r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter.
         singular_values: Of the scaled stacked Jacobian of the kept parameters.
         fingerprints: Hash of each data set, by its name.
+        views: Of pictures the views held out with their reprojection errors; none of other measurements.
     """
 
     nominal: Geometry
@@ -49,6 +51,7 @@ class CalibrationTrace:
     r_diagonal: Array
     singular_values: Array
     fingerprints: Mapping[str, str]
+    views: tuple[ViewErrors, ...] = ()
 
     @property
     def extension(self) -> Array:
@@ -57,13 +60,19 @@ class CalibrationTrace:
         return np.asarray(np.linalg.norm(pose.position - self.nominal.base.position, axis=-1))
 
 
-def trace_of(fit: Fit, sets: Mapping[str, Observations], errors: Mapping[str, Array]) -> CalibrationTrace:
+def trace_of(
+    fit: Fit,
+    sets: Mapping[str, Observations],
+    errors: Mapping[str, Array],
+    views: tuple[ViewErrors, ...] = (),
+) -> CalibrationTrace:
     """The trace of a fit.
 
     Args:
         fit: What `calibration.fit` found on the first set.
         sets: The measurements by role: the first was identified on, "test" was held out.
         errors: Held-out errors of each stage, by label.
+        views: Of pictures the views held out.
     """
     found, calibration = fit.identification, fit.calibration
     seen, test = found.identifiability, sets["test"]
@@ -88,6 +97,7 @@ def trace_of(fit: Fit, sets: Mapping[str, Observations], errors: Mapping[str, Ar
         r_diagonal=seen.r_diagonal,
         singular_values=seen.singular_values,
         fingerprints={name: data.fingerprint() for name, data in sets.items()},
+        views=views,
     )
 
 
