@@ -21,8 +21,8 @@ class Room:
     most: int
 
 
-CORE, OTHER = 40, 3
-"""Mutants of rooms that every number goes through, and of others."""
+CORE, SECOND, OTHER = 40, 10, 3
+"""Mutants of rooms that every number goes through, of those behind what a calibration says of itself, and of others."""
 
 
 def room(sources: str, modules: str, tests: str, names: str, most: int = OTHER) -> Room:
@@ -158,7 +158,35 @@ ROOMS = {
         "calibration/pipeline",
         "apply uncertainty result assess fitting stages calibration export",
         "tests/calibration/pipeline",
-        "command_figures apply export stage_choices stages calibration_file",
+        "command_figures apply verification export stage_choices stages calibration_file",
+    ),
+    "stations": room(
+        "calibration",
+        "model/stacked identification/starts pipeline/restation pipeline/verification pipeline/given",
+        "tests/calibration",
+        "reading/kinds_of_files model/pixels pipeline/verification model/stacked pipeline/instruments",
+        most=SECOND,
+    ),
+    "kinds": room(
+        "calibration/model/kinds",
+        "distances reflectors sockets stated surfaces tilts tool_point",
+        "tests/calibration",
+        "reading/kinds_of_files model/observations model/kinds pipeline/instruments",
+        most=SECOND,
+    ),
+    "harmonics": room(
+        "calibration",
+        "identification/harmonics identification/block_equations identification/term_choice model/terms",
+        "tests/calibration",
+        "model/terms identification/harmonics pipeline/stage_choices pipeline/blocks",
+        most=SECOND,
+    ),
+    "uncertainty": room(
+        "calibration",
+        "pipeline/uncertainty pipeline/local_scatter identification/robust identification/diagnosis",
+        "tests/calibration",
+        "pipeline/command_figures identification/robust pipeline/local_scatter identification/diagnosis",
+        most=SECOND,
     ),
     "inverse": room(
         "pickenv/arm/kinematics",

@@ -113,6 +113,14 @@ def test_corrections_that_lead_away_are_not_commanded():
     assert after.max() <= before.max() and np.median(after) < 0.05 * np.median(before)
 
 
+def test_unless_told_otherwise_two_corrections_are_made(qiao):
+    """An arm so far off that one more would still be seen."""
+    joints, identified = interior(qiao.nominal, 5), shrunk(qiao, 20)
+    one, two, three = (Compensator(qiao.nominal, identified, iterations=count)(joints) for count in (1, 2, 3))
+    assert np.array_equal(Compensator(qiao.nominal, identified)(joints), two)
+    assert (one != two).any() and (two != three).any()
+
+
 def test_no_iterations_correct_nothing(qiao):
     joints = interior(qiao.nominal, 5)
     assert np.array_equal(Compensator(qiao.nominal, qiao.true, iterations=0)(joints), joints)

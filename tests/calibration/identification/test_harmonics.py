@@ -22,7 +22,7 @@ from pickenv.calibration.identification.harmonics import (
 from pickenv.calibration.identification.term_choice import choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.splits import contiguous_folds
-from pickenv.calibration.model.terms import PeriodicTerm, kind_of_term
+from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, kind_of_term
 from pickenv.errors import InputError
 
 ARM = load_arm("ur5")
@@ -193,6 +193,28 @@ def test_each_term_stays_only_if_it_wins_by_three_per_cent(planted, monkeypatch,
     found = choose_terms(ARM, planted[1], planted[0])
     assert found.chosen == wanted and found.terms == tuple(wanted.replace("none", "").split("+") if found.terms else ())
     assert all((SCORES | changed)[name] == value for name, value in found.blocked_rms.items())
+
+
+def test_candidates_are_scored_on_blocks_as_by_a_fit_to_the_other_rows():
+    """An arm whose third joint yields under the weight behind it; fits of geometry and weight, block by block."""
+    up = (0.0, 0.0, 1.0)
+    yielding = GravityTerm((2,), up)
+    count = len(yielding.names(ARM.nominal))
+    data = tracked(np.random.default_rng(3), coefficients=[2e-4] * count, wave=yielding)
+    bare = bare_of(data)
+    found = choose_terms(ARM, bare, data)
+    weight = (GravityTerm(tuple(range(6)), up),)
+    missed = {"none": [], "gravity": []}
+    for train, held in contiguous_folds(data.groups, 5):
+        rows, block = data.select(train), data.select(held)
+        missed["none"].append(block.difference(bare_of(rows).geometry))
+        fitted = identify_terms(weight, bare, rows).arm_model
+        missed["gravity"].append(block.position - fitted.pose(block.joints).position)
+    rms = {name: np.sqrt(np.mean(np.sum(np.vstack(parts) ** 2, axis=1))) for name, parts in missed.items()}
+    assert rms["gravity"] < 0.5 * rms["none"]
+    assert found.blocked_rms["none"] == pytest.approx(rms["none"], rel=0.02)
+    # The fit leaves out what it can hardly tell of the weight; the score does not, and comes nearer to the noise.
+    assert 0.9 * np.sqrt(3.0) * NOISE < found.blocked_rms["gravity"] < rms["gravity"]
 
 
 def test_unknown_terms_are_refused(planted):

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Geometry, Pose, forward, rotation_matrix
+from pickenv.arm import Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.identification.board_poses import board_poses
 from pickenv.calibration.identification.diagnosis import checked_rows
 from pickenv.calibration.identification.least_squares import identify
+from pickenv.calibration.identification.starts import fitted_model, rough_start
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import frames_model
 from pickenv.calibration.model.finished_poses import joints_of_finished_poses, pose_carrier
@@ -99,6 +100,27 @@ def test_jacobians_are_the_residuals_slopes(mount: str) -> None:
         step[k] = 1e-6
         slope = (data.residual(model, own + step) - data.residual(model, own - step)) / 2e-6
         np.testing.assert_allclose(-by_lens[:, k], slope, atol=1e-4 * max(1.0, np.abs(slope).max()))
+
+
+def test_of_finished_poses_base_and_tool_alone_are_fitted() -> None:
+    """What carries them has no links to find; of an arm these are fitted too, and its frames unless they are known."""
+    ends = {}
+    for arm in (pose_carrier(), load_arm("ur5")):
+        for known in (False, True):
+            names = fitted_model(arm.name, arm.nominal, known).names
+            ends[arm.name == "ur5", known] = {name.partition("_")[0] for name in names}
+    assert ends[False, False] == ends[False, True] == {"base", "tool"}
+    assert ends[True, False] > {"base", "tool"} and not ends[True, True] & {"base", "tool"}
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_the_boards_poses_alone_show_base_and_tool(mount: str) -> None:
+    """Of an arm that only carries poses, from nothing known of either frame."""
+    geometry, data = views_of(mount)
+    found = rough_start(pose_carrier().nominal, data)
+    for here, there in ((found.base, geometry.base), (found.tool, geometry.tool)):
+        np.testing.assert_allclose(here.position, there.position, atol=1e-5)
+        np.testing.assert_allclose(here.rotation, there.rotation, atol=1e-5)
 
 
 @pytest.mark.parametrize("mount", MOUNTS)

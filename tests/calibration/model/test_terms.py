@@ -162,6 +162,20 @@ def test_identified_bending_is_the_plants(plant):
     np.testing.assert_allclose(found.arm_model.coefficients, coefficients, rtol=0.02)
 
 
+def test_what_hangs_beyond_the_boom_turns_about_its_tip(plant):
+    """With a longer link behind the boom the tool moves farther by that link's turn, and turns no more."""
+    nominal, boom = plant.arm.nominal, truth(plant)["boom_bending"][0][0]
+    longer = replace(nominal, a=nominal.a + 0.3 * (np.arange(nominal.links) == boom.joint + 1))
+    joints = random_joints(nominal, 20, np.random.default_rng(12))
+    short, long = (boom.columns(geometry, joints, Conditions()) for geometry in (nominal, longer))
+    added = forward(longer, joints).position - forward(nominal, joints).position
+    assert np.linalg.norm(added, axis=1).min() > 0.2
+    np.testing.assert_allclose(long[:, 3:], short[:, 3:], atol=1e-15)
+    turned = np.cross(short[:, 3:], added[:, :, None], axis=1)
+    np.testing.assert_allclose(long[:, :3] - short[:, :3], turned, atol=1e-12)
+    assert np.abs(turned).max() > 0.01
+
+
 def test_drive_errors_and_thermal_growth_are_found_without_noise(plant):
     nominal, rng = plant.arm.nominal, np.random.default_rng(4)
     waves = drive_waves(plant)

@@ -197,3 +197,11 @@ def test_an_uncertainty_survives_its_record_and_one_that_is_no_number_is_none(ju
     kept = judged.calibration.record["uncertainty"]
     held = judged.test.difference(judged.fit.calibration.model)
     assert kept["position_repeat_m"] == pytest.approx(np.sqrt(np.mean(held[:, :3] ** 2)))
+
+
+def test_an_arm_of_which_nothing_is_learnt_is_corrected_in_single_precision_too(dynamic, sets):
+    calibration = fit(dynamic.arm, sets[0], known_frames=True).calibration
+    assert calibration.learnt is None
+    joints = random_joints(calibration.nominal, 50, np.random.default_rng(5))
+    fast, exact = (calibration.compensator(single_precision=single)(joints) for single in (True, False))
+    assert 0.0 < np.abs(fast - exact).max() < 1e-5 < np.abs(exact - joints).max()

@@ -20,7 +20,7 @@ from pickenv.calibration import (
     random_joints,
 )
 from pickenv.calibration.assessment.instrument import said_of_instruments, with_zeros_fitted
-from pickenv.calibration.identification.starts import stations_of
+from pickenv.calibration.identification.starts import rough_start, stations_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import frames_model
 from pickenv.errors import InputError
@@ -130,6 +130,14 @@ def test_reflectors_of_known_places_find_a_tool_that_is_turned(arm: Arm) -> None
     tool = result.geometric.calibration.nominal.tool
     np.testing.assert_allclose(tool.position, turned.position, atol=5e-4)
     np.testing.assert_allclose(tool.rotation, turned.rotation, atol=5e-3)
+
+
+def test_reflectors_that_do_not_fit_the_arm_are_refused_with_the_one_tried(arm: Arm) -> None:
+    """The one seen most often is tried alone; joints in another order of rows fit no place of it."""
+    data = KINDS["placed reflectors"](arm.nominal, 60, np.random.default_rng(16), 1.0)
+    most = int(np.argmax(np.sum(data.seen, axis=0))) + 1
+    with pytest.raises(InputError, match=f"after fitting base and reflector {most} the arm still misses"):
+        rough_start(arm.nominal, replace(data, joints=data.joints[::-1]))
 
 
 def test_a_socket_that_was_never_fitted_cannot_be_judged(arm: Arm) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 from scipy.stats import spearmanr
 
 from pickenv.arm import load_arm, load_plant
@@ -81,6 +82,48 @@ def test_beyond_the_errors_seen_the_trend_ends() -> None:
     assert found is not None
     far = found.at(np.array([[0.0, 0.0, 30.0], [0.0, 0.0, -30.0]]))
     assert (far > 0.1 * found.at(joints).min()).all() and (far < 10 * found.at(joints).max()).all()
+
+
+def test_the_size_is_the_geometric_mean_of_trend_and_neighbours() -> None:
+    """Both recomputed: least squares with ridge on the logarithms, and twenty neighbours weighed by their distance."""
+    rng = np.random.default_rng(7)
+    anchors, squares, _ = errors(rng, 30, 1.0)
+    counts = rng.integers(1, 9, 30).astype(float)
+    found = LocalScatter(anchors, squares, counts, SLIDES)
+    joints, _, _ = errors(rng, 10, 1.0)
+
+    def features(q: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.sin(q[:, :2]), np.cos(q[:, :2]), q[:, 2]])
+
+    here, std = features(anchors), features(anchors).std(axis=0)
+    logs = np.log(squares + 0.05 * np.median(squares))
+    middle, all_mean = (np.sum(counts * part) / counts.sum() for part in (logs, squares))
+    x = (here - here.mean(axis=0)) / std
+    rows = np.vstack([np.sqrt(counts)[:, None] * x, np.sqrt(30.0) * np.eye(5)])
+    slopes = np.linalg.lstsq(rows, np.append(np.sqrt(counts) * (logs - middle), np.zeros(5)))[0]
+    apart = np.sort(cdist(here / std, here / std), axis=1)[:, :20]
+
+    def shape(at: np.ndarray) -> np.ndarray:
+        said = np.clip((at - here.mean(axis=0)) / std @ slopes, (x @ slopes).min(), (x @ slopes).max())
+        distance = cdist(at / std, here / std)
+        weight = counts / (1.0 + (distance / np.median(apart)) ** 2)
+        weight[distance > np.sort(distance, axis=1)[:, 19:20]] = 0.0
+        near = (weight @ squares + 5.0 * all_mean) / (weight.sum(axis=1) + 5.0)
+        return np.sqrt(np.exp(middle + said) * near)
+
+    level = all_mean / np.average(shape(here), weights=counts)
+    np.testing.assert_allclose(found.at(joints), level * shape(features(joints)), rtol=1e-6)
+
+
+def test_the_unit_of_a_slide_changes_nothing() -> None:
+    """More errors than anchors, so that each is counted with the anchor nearest to it."""
+    rng = np.random.default_rng(6)
+    joints, squares, slides = rng.uniform(-1.0, 1.0, (1000, 3)), rng.exponential(size=1000), (False, False, True)
+    in_mm = joints * [1.0, 1.0, 1e3]
+    one, other = (local_scatter(each, squares, slides) for each in (joints, in_mm))
+    assert one is not None and other is not None and one.counts.max() > 1
+    np.testing.assert_array_equal(one.counts, other.counts)
+    np.testing.assert_allclose(one.at(joints[:50]), other.at(in_mm[:50]), rtol=1e-6)
 
 
 def test_it_survives_its_record() -> None:

@@ -13,7 +13,9 @@ from typer.testing import CliRunner
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix, rotation_vector
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.choices import Choices
+from pickenv.calibration.pipeline.given import given_rows
 from pickenv.calibration.pipeline.restation import frames_of, restationed
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import calibrate
@@ -133,6 +135,17 @@ def test_the_row_from_which_on_it_drifted_is_named(result: Result, true: Geometr
     assert found.status == "drifted" and found.since == "from day5.csv, row 61, on" and found.since in found.reason
 
 
+@pytest.mark.parametrize("rows", [40, 39])
+def test_forty_rows_are_ten_blocks_and_fewer_are_none(result: Result, true: Geometry, rows: int) -> None:
+    """Four rows a block are the fewest of which it is said where they drifted, and how far blocks differ."""
+    good, bad = seen(true, 5, rows=20), seen(drifted(true, 2.5e-3), 6, rows=rows - 20)
+    joints, position = (np.concatenate([a, b]) for a, b in ((good.joints, bad.joints), (good.position, bad.position)))
+    found = verify(result.calibration, replace(good, joints=joints, position=position))
+    assert found.rows == rows
+    assert found.since == ("from day5.csv, row 21, on" if rows == 40 else None)
+    assert (found.nominal.rms_ci95 is not None) == (rows == 40)
+
+
 def test_the_calibration_of_another_arm_is_told(ur5: Arm, result: Result) -> None:
     found = verify(result.calibration, seen(bent(ur5, 7), 8), ("base", "tool"))
     assert found.status == "another arm" and found.calibrated.rms >= found.nominal.rms
@@ -174,6 +187,21 @@ def test_calibrate_judges_by_another_station(ur5: Arm, true: Geometry) -> None:
         calibrate(ur5, train, choices=replace(PLAIN, refit=("base",)))
 
 
+@pytest.mark.parametrize("how", ["split", "blocks", "another station"])
+def test_a_result_keeps_the_files_noise_and_the_robots_number(
+    ur5: Arm, true: Geometry, tmp_path: Path, how: str
+) -> None:
+    file = (day := seen(true, 13, rows=60)).write_csv(tmp_path / day.source)
+    test = seen(true, 14, THERE, OTHER_TARGET, rows=20) if how == "another station" else None
+    choices = replace(PLAIN, refit=("base", "tool") if test is not None else ())
+    there = None if test is None else test.write_csv(tmp_path / test.source)
+    found = calibrate(
+        ur5, file, test=there, split="blocked" if how == "blocks" else "random", choices=choices, unit="A7"
+    )
+    _, floor = given_rows(ur5, file)
+    assert floor is not None and found.floor == floor and found.unit == "A7"
+
+
 def test_bad_wishes_are_refused(result: Result, true: Geometry) -> None:
     with pytest.raises(InputError, match="refit is 'basis'; give base, tool, or base,tool"):
         frames_of("basis")
@@ -187,6 +215,20 @@ def test_bad_wishes_are_refused(result: Result, true: Geometry) -> None:
     joints = random_joints(true, 9, np.random.default_rng(0))
     with pytest.raises(InputError, match="holds distance; a calibration is verified on poses or positions"):
         verify(result.calibration, DistanceObservations(joints, np.ones(9), 1e-4))
+
+
+def test_files_in_our_own_columns_are_one_set_up_or_stations_as_asked(ur5: Arm, true: Geometry, tmp_path: Path) -> None:
+    days = [seen(true, seed, rows=30) for seed in (11, 12)]
+    files = [day.write_csv(tmp_path / day.source) for day in days]
+    joints = np.concatenate([day.joints for day in days])
+    together, _ = given_rows(ur5, files)
+    assert isinstance(together, Measurements)
+    np.testing.assert_allclose(together.joints, joints, atol=1e-9)
+    for given, frames in ((files, ("base",)), (days, ("tool",)), (files, ("base", "tool"))):
+        apart, _ = given_rows(ur5, given, stations=",".join(frames))
+        assert isinstance(apart, Stacked) and len(apart.stations) == 2
+        assert [name.partition("_")[0] for name in apart.unknowns()] == [f"{f}2" for f in frames for _ in range(6)]
+        np.testing.assert_allclose(apart.joints, joints, atol=1e-9)
 
 
 def test_the_command_says_what_the_function_says(result: Result, true: Geometry, tmp_path: Path) -> None:

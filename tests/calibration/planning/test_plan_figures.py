@@ -11,7 +11,7 @@ from pickenv.arm import parameter_jacobian
 from pickenv.calibration import complete_model, link_model, random_joints
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
 from pickenv.calibration.planning.exchange import exchange, gains
-from pickenv.calibration.planning.plan import candidate_joints, design_of, plan_poses
+from pickenv.calibration.planning.plan import CurvePoint, candidate_joints, design_of, plan_poses
 from pickenv.calibration.planning.travel import move_seconds, short_tour, travel_seconds
 from pickenv.errors import InputError
 
@@ -222,3 +222,12 @@ def test_tables_are_written_in_mm_and_degrees(qiao, drawn, tmp_path):
     np.testing.assert_allclose(np.loadtxt(path, delimiter=",", skiprows=1), plan.joints * scale, rtol=1e-9, atol=1e-9)
     halved = replace(plan, joints=plan.joints[:4])
     assert halved.as_dict()["poses"] == 4
+
+
+def test_a_curve_is_told_in_mm(drawn):
+    plan = replace(drawn[0], curve=(CurvePoint(20, 0.5, 2.0), CurvePoint(40, 0.25, 1.0)))
+    assert plan.as_dict()["curve"] == [
+        {"poses": 20, "error_mm": 500.0, "random_error_mm": 2000.0},
+        {"poses": 40, "error_mm": 250.0, "random_error_mm": 1000.0},
+    ]
+    assert "   20 poses: 500.0000 mm (2000.0000 mm)" in plan.report()
