@@ -30,7 +30,7 @@ NOISE = 0.3
 """px."""
 
 DIM = (25.0, 1.2)
-"""Noise in grey values and blur in px of a cheap camera in dim light: corners are found to 0.25 to 0.45 px (measured)."""
+"""Noise in grey values and blur in px of a cheap camera in dim light: corners lie 0.25 to 0.45 px off (measured)."""
 
 DESCRIPTION = """
 description = "SO-101 and a board"
