@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.assessment.screen import MISS_UNITS
 from pickenv.calibration.assessment.states import States, parameter_states
 from pickenv.calibration.identification.least_squares import Identification, is_angle
 from pickenv.calibration.model.coverage import Coverage
 from pickenv.calibration.model.identifiability import Identifiability
 from pickenv.calibration.model.observability import Observability, observability_of
+from pickenv.calibration.model.observations import MISS_UNITS
 
 CORRELATED = 0.9
 """Parameters whose estimates correlate more than this are hard to tell apart."""
@@ -239,6 +239,7 @@ def grade_quality(
     said: Iterable[tuple[Weight, str]] = (),
     unit: str = "mm",
     expected: Mapping[str, float] | None = None,
+    rows: tuple[int, str] | None = None,
 ) -> Quality:
     """Grade a calibration.
 
@@ -255,11 +256,13 @@ def grade_quality(
         parametric: Held-out errors without a learnt residual, which are set against ``trained``; ``after`` if there is
             none.
         noise: What the instrument's noise is called.
-        blocks: The block of each held-out error ``(M,)``, where errors of one block are alike.
+        blocks: The block, or row, of each held-out error ``(M,)``, where errors of one are alike.
         said: What else a reader must know, by weight.
         unit: What errors are shown in: "mm", or "deg" where they are angles, rad.
         expected: Standard deviations that parameters had before measuring, where they had any.
+        rows: How many rows were held out and what they are called; one for each error when left out.
     """
+    count, called = rows or (len(after), "rows")
     bare = geometric or found
     seen = observability_of(bare.identifiability, bare.poses)
     test = completeness(found, noise)
@@ -273,7 +276,7 @@ def grade_quality(
             "affected"
         )
     texts: dict[Weight, list[str]] = {
-        "fail": [*_failures(found, before, after, blocks, unit)],
+        "fail": [*_failures(found, before, after, blocks, unit, count, called)],
         "caution": [*_cautions(found, trained, unlearnt, seen, coverage, unit)],
         "note": notes,
     }
@@ -284,7 +287,7 @@ def grade_quality(
     grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
     reason = findings[0].text
     if grade == "good":
-        reason = f"on {len(after)} held-out rows the error {_fall(before, unit)} {_rms(after, unit):#.4g} {unit} RMS"
+        reason = f"on {count} held-out {called} the error {_fall(before, unit)} {_rms(after, unit):#.4g} {unit} RMS"
     return Quality(
         grade=grade,
         reason=reason,
@@ -306,25 +309,31 @@ def _fall(before: Array | None, unit: str) -> str:
 
 
 def _failures(
-    found: Identification, before: Array | None, after: Array, blocks: NDArray[np.int64] | None, unit: str
+    found: Identification,
+    before: Array | None,
+    after: Array,
+    blocks: NDArray[np.int64] | None,
+    unit: str,
+    count: int,
+    called: str,
 ) -> Iterator[str]:
     if not found.converged:
         yield "the identification did not converge, so its parameters mean nothing"
-    if len(after) < ENOUGH:
-        rows = "1 row was" if len(after) == 1 else f"{len(after)} rows were"
-        yield f"only {rows} held out, which judges nothing; measure more, or give others with --test"
-    if before is None or len(after) < ENOUGH:
+    if count < ENOUGH:
+        few = f"1 {called[:-1]} was" if count == 1 else f"{count} {called} were"
+        yield f"only {few} held out, which judges nothing; measure more, or give others with --test"
+    if before is None or count < ENOUGH:
         return
     was, now = _rms(before, unit), _rms(after, unit)
     if now >= was:
         yield (
-            f"on held-out rows the calibrated arm is no better ({now:#.4g} {unit} RMS) than the nominal one "
+            f"on held-out {called} the calibrated arm is no better ({now:#.4g} {unit} RMS) than the nominal one "
             f"({was:#.4g} {unit} RMS); check units, conventions and the order of rows"
         )
     elif _chance(before, after, blocks) > SIGNIFICANCE:
         yield (
-            f"on {len(after)} held-out rows the calibrated arm ({now:#.4g} {unit} RMS) cannot be told from the nominal "
-            f"one ({was:#.4g} {unit} RMS); measure more rows, or with less noise"
+            f"on {count} held-out {called} the calibrated arm ({now:#.4g} {unit} RMS) cannot be told from the "
+            f"nominal one ({was:#.4g} {unit} RMS); measure more rows, or with less noise"
         )
 
 
@@ -332,7 +341,8 @@ def _chance(before: Array, after: Array, blocks: NDArray[np.int64] | None) -> fl
     """Chance of a gain this large if the calibration changed nothing: one-sided paired t test by pose, or by block."""
     gain = np.linalg.norm(before[:, :3], axis=1) - np.linalg.norm(after[:, :3], axis=1)
     if blocks is not None:
-        gain = np.bincount(blocks, gain) / np.bincount(blocks)
+        which = np.unique(blocks, return_inverse=True)[1]
+        gain = np.bincount(which, gain) / np.bincount(which)
     if np.ptp(gain) <= SAME * np.max(np.abs(gain)):
         return 0.0 if gain[0] > 0 else 1.0
     ratio = float(np.mean(gain) / np.std(gain, ddof=1))

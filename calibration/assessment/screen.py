@@ -14,9 +14,6 @@ LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "edge", "pl
 NUMBERS_OF_KINDS = ("scale", "normal", "along", "axis", "down")
 """Beginnings of the names of measurements' own unknowns: lengths, and numbers without a unit (directions, scales)."""
 
-MISS_UNITS = {"mm": 1e3, "deg": float(np.degrees(1.0))}
-"""What misses are shown in, and the factor from SI."""
-
 
 def figure(value: float | None) -> str:
     """A number as screens show it: four significant digits."""

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pickenv.arm import Geometry, Pose, forward, rotation_matrix
+from pickenv.arm import Geometry, Pose, forward, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import Array, identity_pose
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.model.error_model import ErrorModel
@@ -136,6 +136,12 @@ def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
     turn = nearest_rotation(second * sign)
     tool = nearest_rotation(first * sign).T
     return turn, tool
+
+
+def apart(one: Pose, other: Pose) -> tuple[float, float]:
+    """How far two poses lie apart, m, and the angle between them, rad."""
+    turn = rotation_vector(one.rotation.T @ other.rotation)
+    return float(np.linalg.norm(one.position - other.position)), float(np.linalg.norm(turn))
 
 
 def refuse_another_arm(

@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, Pose, rotation_matrix, rotation_vector
+from pickenv.arm import Arm, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.alignment import align
+from pickenv.calibration.identification.alignment import align, apart
 from pickenv.calibration.identification.robust import (
     OUTLIER_SIGMA,
     RobustIdentification,
@@ -26,7 +26,7 @@ from pickenv.calibration.identification.robust import (
 from pickenv.calibration.identification.starts import fitted_model, robust_frames
 from pickenv.calibration.model.error_model import frames_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Kind, Observations, origins_of
+from pickenv.calibration.model.observations import MISS_UNITS, Kind, Observations, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.splits import Rows, equally_spaced
 from pickenv.calibration.model.stacked import Stacked
@@ -63,11 +63,12 @@ class LeftOut:
         file: Its file.
         line: Its line there, from 1.
         held_out: Whether it was among the held-out rows.
-        position: Size of its largest miss, m; None where that is not the reason.
+        position: Size of its largest miss, m, or rad where directions are measured; None where that is not the reason.
         attitude: Size of its attitude error, rad; None where no attitudes were measured.
         sigma: Size of its error in robust standard deviations of one coordinate.
         why: The reason in words, where one is known.
         kept: Whether it was kept all the same.
+        unit: What the miss is shown in, of `MISS_UNITS`.
     """
 
     file: str
@@ -78,6 +79,12 @@ class LeftOut:
     sigma: float | None = None
     why: str | None = None
     kept: bool = False
+    unit: str = "mm"
+
+    @property
+    def miss(self) -> str:
+        """The size of its largest miss, in its unit."""
+        return f"{(self.position or 0.0) * MISS_UNITS[self.unit]:.3g} {self.unit}"
 
     def text(self) -> str:
         """For people."""
@@ -86,9 +93,7 @@ class LeftOut:
         turned = "" if self.attitude is None else f", {np.degrees(self.attitude):.3g} deg"
         part = ("held out" if self.held_out else "training") + (", kept" if self.kept else "")
         why = "" if self.why is None else f"; fits only if {self.why}"
-        return (
-            f"{self.file}: row {self.line} ({part}): {self.position * 1e3:.3g} mm{turned}, {self.sigma:.0f} sigma{why}"
-        )
+        return f"{self.file}: row {self.line} ({part}): {self.miss}{turned}, {self.sigma:.0f} sigma{why}"
 
 
 def _robust_fit(arm: Arm, data: Observations, known: bool = False) -> RobustIdentification:
@@ -164,6 +169,7 @@ def _far_rows(
             float(sizes.sigma[row]),
             why,
             kept,
+            data.miss_unit,
         )
         for row in rows.tolist()
     ]
@@ -182,7 +188,7 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal
     one = len(far) == 1
     many = len(far) > MANY_FAR * rows
     causes = dict.fromkeys(item.why for item in far if item.why is not None)
-    them = f"{len(far)} of {rows} rows {'is' if one else 'are'} far off, by up to {figure_mm(far)} mm"
+    them = f"{len(far)} of {rows} rows {'is' if one else 'are'} far off, by up to {max(far, key=_size).miss}"
     if any(item.kept for item in far):
         yield "caution", f"{them}, and {'was' if one else 'were'} kept all the same; leave --no-robust out"
     elif causes:
@@ -191,15 +197,15 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal
         yield "caution" if many else "note", f"{them}, and {'was' if one else 'were'} left out"
 
 
-def figure_mm(listed: Sequence[LeftOut]) -> str:
-    """The largest miss, mm."""
-    return f"{max(item.position or 0.0 for item in listed) * 1e3:.3g}"
+def _size(item: LeftOut) -> float:
+    return item.position or 0.0
 
 
 def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, test: Observations) -> str:
     """Why most held-out rows miss: another unit, another place of base or tool, or something else."""
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
-    away = f"{np.median(found.misses_of(test)) * 1e3:.3g} mm"
+    scale, shown = MISS_UNITS[test.miss_unit], test.miss_unit
+    away = f"{np.median(found.misses_of(test)) * scale:.3g} {shown}"
     if isinstance(test, Measurements):
         unit = mixed_unit(arm, found, test, np.arange(len(test)))
         if unit is not None:
@@ -211,22 +217,21 @@ def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, te
             moved = geometry
         there = sizes_of(replace(found.identification.arm_model, geometry=moved), np.zeros(0), test, found.sizes)
         if float(np.median(there.sigma)) <= OUTLIER_SIGMA / 2:
-            base, tool = _apart(geometry.base, moved.base), _apart(geometry.tool, moved.tool)
+            base, tool = (
+                f"{metres * 1e3:.3g} mm and {np.degrees(angle):.3g} deg"
+                for metres, angle in (apart(geometry.base, moved.base), apart(geometry.tool, moved.tool))
+            )
             return (
                 f"{files}: the held-out rows were measured in another set-up (they miss by {away}, median): with the "
                 f"base moved by {base} and the tool by {tool} they fit; hold out rows of the training rows' own "
                 "set-up, or calibrate this file by itself"
             )
+    usual = f"{np.median(found.misses_of(train)) * scale:.2g} {shown}"
     return (
         f"{files}: most held-out rows miss by {away} (median), where half of the training rows miss by less than "
-        f"{np.median(found.misses_of(train)) * 1e3:.2g} mm, and no other place of base or tool explains it; check that "
-        "they are of this arm, with the same units, joint signs and order of rows"
+        f"{usual}, and no other place of base or tool explains it; check that they are of this arm, with the same "
+        "units, joint signs and order of rows"
     )
-
-
-def _apart(one: Pose, other: Pose) -> str:
-    angle = np.degrees(np.arccos(np.clip((np.trace(one.rotation.T @ other.rotation) - 1) / 2, -1, 1)))
-    return f"{np.linalg.norm(one.position - other.position) * 1e3:.3g} mm and {angle:.3g} deg"
 
 
 def mixed_unit(

@@ -19,6 +19,9 @@ from pickenv.calibration.model.error_model import LENGTH_TOLERANCE
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
 
+MISS_UNITS = {"mm": 1e3, "deg": float(np.degrees(1.0))}
+"""What misses are shown in, and the factor from SI."""
+
 NONE_KNOWN = Conditions()
 """Neither payload nor temperature nor torques were recorded."""
 

@@ -16,6 +16,7 @@ from pickenv.arm.kinematics.geometry import Array, geometry_fingerprint
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
+from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.terms import specification, term_from
 from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, uncertainty_from
 from pickenv.calibration.residuals.residual_models import LearntResidual
@@ -171,6 +172,23 @@ class Calibration:
     def predict(self, joints: ArrayLike, conditions: Conditions | None = None) -> Pose:
         """Expected true tool pose at joint commands ``(..., n)``."""
         return self.compensator(conditions=conditions).predict(joints)
+
+    def errors(self, data: Measurements, turn: Array | None = None) -> Array:
+        """Measured minus predicted ``(N, 6)`` or ``(N, 3)``, m and rad, with terms and the learnt residual, where any.
+
+        Args:
+            data: Poses or positions.
+            turn: How the base has turned ``(3, 3)`` since the residual was learnt, which was in its axes.
+        """
+        errors = data.difference(self.model)
+        if self.learnt is not None:
+            inputs = data.conditions.inputs() if self.learnt.inputs.conditions else None
+            learnt = self.learnt.predict(data.joints, inputs)
+            if turn is not None:
+                learnt = (learnt.reshape(len(learnt), -1, 3) @ turn.T).reshape(learnt.shape)
+            width = min(learnt.shape[1], errors.shape[1])
+            errors[:, :width] -= learnt[:, :width]
+        return errors
 
     def without_residual(self) -> Calibration:
         """This calibration without its learnt residual."""

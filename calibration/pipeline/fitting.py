@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, forward
-from pickenv.calibration.assessment.screen import MISS_UNITS
 from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
 from pickenv.calibration.identification.ladder import FULL, LadderChoice, Rung, climb, rung_of
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
@@ -24,7 +23,7 @@ from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_l
 from pickenv.calibration.model.error_model import frames_model, geometric_model, with_terms
 from pickenv.calibration.model.kinds.sockets import SocketObservations
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.observations import MISS_UNITS, Observations
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn

@@ -118,8 +118,8 @@ def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
     shape, wanted = data.joints.shape, arm.nominal.joints
     if shape != (len(data.joints), wanted):
         raise InputError(f"{data.source}: joints have shape {shape}, but arm '{arm.name}' has {wanted} joints")
-    for name in ("joints", "position", "rotation", "length"):
-        values = getattr(data, name, None)
+    named_values = {name: getattr(data, name, None) for name in ("joints", "position", "rotation", "length")}
+    for name, values in {**named_values, "what was read": data.readings()}.items():
         if values is not None and not np.isfinite(values).all():
             rows = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1)).tolist()
             places = named([origins_of(data).place(row) for row in rows])

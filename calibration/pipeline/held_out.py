@@ -173,16 +173,5 @@ def without_residual(fit: Fit) -> Fit:
 def what_is_left(fit: Fit, data: Observations) -> Array:
     """What a calibration leaves of data ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad."""
     if isinstance(data, Measurements):
-        return held_out_errors(fit.calibration, data)
+        return fit.calibration.errors(data)
     return data.misses(fit.identification.arm_model, unknowns_of(fit.identification, data))
-
-
-def held_out_errors(calibration: Calibration, data: Measurements) -> Array:
-    """Measured minus predicted ``(N, 6)`` or ``(N, 3)``, m and rad, with terms and the learnt residual, where any."""
-    errors = data.difference(calibration.model)
-    if calibration.learnt is not None:
-        inputs = data.conditions.inputs() if calibration.learnt.inputs.conditions else None
-        learnt = calibration.learnt.predict(data.joints, inputs)
-        width = min(learnt.shape[1], errors.shape[1])
-        errors[:, :width] -= learnt[:, :width]
-    return errors

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Pose, forward
+from pickenv.arm import forward
 from pickenv.arm.kinematics.geometry import Array, identity_pose
-from pickenv.calibration.identification.alignment import align, registered
-from pickenv.calibration.identification.diagnosis import LeftOut
+from pickenv.calibration.identification.alignment import align, apart, registered
+from pickenv.calibration.identification.diagnosis import MANY_FAR, LeftOut
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.identification.robust import OUTLIER_SIGMA, sizes_of
 from pickenv.calibration.model.arm_model import ArmModel
@@ -92,7 +91,7 @@ def restationed(
             f"{data.source}: {' and '.join(own)} are to be found from {count} of {len(data)} rows; give {least} rows "
             "or more, and measure at least 3 others to judge by"
         )
-    data = _weighed(calibration, data)
+    data = weighed_by_reach(calibration, data)
     frames = frames_model(calibration.identified)
     chosen = [i for i, name in enumerate(frames.names) if name.startswith(tuple(own))]
     model = ErrorModel(frames.columns[chosen], tuple(frames.names[i] for i in chosen), frames.tolerance[chosen])
@@ -101,18 +100,23 @@ def restationed(
     found = identify(model, _start(calibration.model, few, own), few, max_iterations=100)
     rest = np.setdiff1d(np.arange(len(data)), used)
     there = found.arm_model
-    jacobian = there.jacobian(data.joints[rest], data.conditions.select(rest))[:, :3][..., model.columns]
-    kept = jacobian[..., found.identifiability.kept]
-    scale = model.tolerance[found.identifiability.kept]
-    told = few.select(np.arange(count)).jacobian(there, np.zeros(0))[0][:, model.columns]
-    root = np.linalg.pinv(told[:, found.identifiability.kept] * scale) * scale[:, None]  # of the stated scatter
-    expected = np.sum((kept @ root) ** 2, axis=(1, 2)) + 3.0 * data.position_std**2
+    kept = found.identifiability.kept
+    columns, scale = model.columns[kept], model.tolerance[kept]
+    elsewhere = there.jacobian(data.joints[rest], data.conditions.select(rest))[:, :3][..., columns] * scale
+    told = few.jacobian(there, np.zeros(0))[0][:, columns] * scale
+    # With rows in standard uncertainties the covariance of the frames is pinv(told) pinv(told)^T.
+    expected = np.sum((elsewhere @ np.linalg.pinv(told)) ** 2, axis=(1, 2)) + expected_square(data)
     geometry = calibration.identified
-    moved = {name: _apart(getattr(geometry, name), getattr(there.geometry, name)) for name in OWN if name in own}
+    moved = {name: apart(getattr(geometry, name), getattr(there.geometry, name)) for name in OWN if name in own}
     return Restationed(replace(calibration, model=there), used, rest, expected, moved)
 
 
-def _weighed(calibration: Calibration, data: Measurements) -> Measurements:
+def expected_square(data: Measurements) -> float:
+    """Mean square of a position error that is scatter alone, m^2, of rows that say what one reach scatters by."""
+    return 3.0 * data.position_std**2
+
+
+def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measurements:
     """The data with what one reach scatters by as their uncertainty, where the calibration knows it."""
     known = calibration.record.get("uncertainty") or {}
     position = max(float(known.get("position_repeat_m") or 0.0), data.position_std)
@@ -144,44 +148,36 @@ def _start(model: ArmModel, few: Measurements, own: Collection[str]) -> ArmModel
     return replace(model, geometry=start)
 
 
-def _apart(one: Pose, other: Pose) -> tuple[float, float]:
-    angle = np.arccos(np.clip((np.trace(one.rotation.T @ other.rotation) - 1) / 2, -1, 1))
-    return float(np.linalg.norm(one.position - other.position)), float(angle)
-
-
 def errors_there(at: Restationed, before: Calibration, data: Measurements) -> Array:
     """Measured minus predicted ``(R, 6)`` or ``(R, 3)`` on the rows that the frames were not found from, m and rad.
 
     What was learnt is turned with the base, in whose axes it was learnt.
     """
-    rest = data.select(at.rest)
-    errors = rest.difference(at.calibration.model)
-    learnt = at.calibration.learnt
-    if learnt is not None:
-        inputs = rest.conditions.inputs() if learnt.inputs.conditions else None
-        turn = at.calibration.identified.base.rotation @ before.identified.base.rotation.T
-        said = learnt.predict(rest.joints, inputs)
-        turned = np.concatenate([part @ turn.T for part in np.split(said, said.shape[1] // 3, axis=1)], axis=1)
-        width = min(turned.shape[1], errors.shape[1])
-        errors[:, :width] -= turned[:, :width]
-    return np.asarray(errors)
+    turn = at.calibration.identified.base.rotation @ before.identified.base.rotation.T
+    return at.calibration.errors(data.select(at.rest), turn)
 
 
 def near_rows(
     calibration: Calibration, data: Measurements, refit: Collection[str], count: int
 ) -> tuple[Measurements, tuple[LeftOut, ...]]:
-    """The rows but those that are far off wherever base and tool may be."""
-    found = restationed(calibration, data, refit, max(count, min(len(data) - 3, 4 * count)))
-    sizes = sizes_of(found.calibration.model, np.zeros(0), data)
-    far = np.flatnonzero(~(sizes.sigma <= OUTLIER_SIGMA))
-    if 2 * len(far) >= len(data):
+    """The rows but a few that are far off; where many are, the arm has moved, and they must judge.
+
+    Args:
+        calibration: The calibration.
+        data: Rows, maybe of another station.
+        refit: Which frames are that station's own; then rows far off are so wherever base and tool may be.
+        count: Rows that these frames will be found from.
+    """
+    model = calibration.model
+    if refit:
+        model = restationed(calibration, data, refit, max(count, min(len(data) - 3, 4 * count))).calibration.model
+    sigma = sizes_of(model, np.zeros(0), data).sigma
+    far = np.flatnonzero(~(sigma <= OUTLIER_SIGMA))
+    if len(far) > max(1.0, MANY_FAR * len(data)):
         return data, ()
-    errors = data.difference(found.calibration.model)
-    return data.select(np.setdiff1d(np.arange(len(data)), far)), tuple(row_left_out(data, errors, row) for row in far)
-
-
-def row_left_out(data: Measurements, errors: Array, row: int | np.integer[Any]) -> LeftOut:
-    """A row far off, with its size beside the usual one."""
-    sizes = np.linalg.norm(errors[:, :3], axis=1)
-    sigma = float(sizes[row] / max(float(np.median(sizes)), 1e-9))
-    return LeftOut(*origins_of(data).place(int(row)), held_out=True, position=float(sizes[row]), sigma=sigma)
+    sizes = np.linalg.norm(data.difference(model)[:, :3], axis=1)
+    left_out = [
+        LeftOut(*origins_of(data).place(row), held_out=True, position=float(sizes[row]), sigma=float(sigma[row]))
+        for row in far.tolist()
+    ]
+    return data.select(np.setdiff1d(np.arange(len(data)), far)), tuple(left_out)

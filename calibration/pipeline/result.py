@@ -21,7 +21,7 @@ from pickenv.calibration.assessment.base_frame import BaseFrameError
 from pickenv.calibration.assessment.harmonic_table import OWN, harmonic_block, harmonic_rows
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import Quality
-from pickenv.calibration.assessment.screen import MISS_UNITS, Block, figure, main_parts, unit_of, unknowns_in
+from pickenv.calibration.assessment.screen import Block, figure, main_parts, unit_of, unknowns_in
 from pickenv.calibration.assessment.states import LOST, MEASURED
 from pickenv.calibration.assessment.stiffness_table import stiffness_block, stiffness_rows
 from pickenv.calibration.compensation.compensator import Compensator
@@ -32,7 +32,7 @@ from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.observations import MISS_UNITS, Observations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.export import export
 from pickenv.calibration.pipeline.fitting import Fit

@@ -12,14 +12,19 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.diagnosis import LeftOut
-from pickenv.calibration.identification.robust import OUTLIER_SIGMA
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.splits import BLOCKS, Rows
 from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.pipeline.held_out import held_out_errors
-from pickenv.calibration.pipeline.restation import REFIT_ROWS, errors_there, near_rows, restationed, row_left_out
+from pickenv.calibration.pipeline.restation import (
+    REFIT_ROWS,
+    errors_there,
+    expected_square,
+    near_rows,
+    restationed,
+    weighed_by_reach,
+)
 from pickenv.errors import InputError
 
 GROWN = 1.5
@@ -117,21 +122,17 @@ def verify(
     if len(data) < 3:
         raise InputError(f"{data.source}: {len(data)} rows judge nothing; measure at least 3")
     nominal = replace(calibration, model=ArmModel.of(calibration.nominal), learnt=None)
+    data, left_out = near_rows(calibration, data, refit, refit_rows)
     moved: dict[str, tuple[float, float]] = {}
     if refit:
-        data, left_out = near_rows(calibration, data, refit, refit_rows)
         at = restationed(calibration, data, refit, refit_rows)
         rest, expected, moved = at.rest, at.expected, at.moved
         errors = errors_there(at, calibration, data)
         # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
         before = errors_there(restationed(nominal, data, refit, refit_rows, at.used), nominal, data)
     else:
-        errors, before, rest = held_out_errors(calibration, data), held_out_errors(nominal, data), np.arange(len(data))
-        expected = np.full(len(data), _expected(calibration, data))
-        far = _far(errors, np.arange(len(data)))
-        left_out = tuple(row_left_out(data, errors, row) for row in far)
-        near = np.setdiff1d(np.arange(len(data)), far)
-        errors, before, rest, expected = errors[near], before[near], rest[near], expected[near]
+        errors, before, rest = calibration.errors(data), nominal.errors(data), np.arange(len(data))
+        expected = np.full(len(data), expected_square(weighed_by_reach(calibration, data)))
     blocks = np.arange(len(rest)) * BLOCKS // len(rest) if len(rest) >= 4 * BLOCKS else None
     mine, theirs = (error_statistics(e[:, :3] * 1e3, blocks) for e in (errors, before))
     wanted = float(np.sqrt(expected.mean())) * 1e3
@@ -140,18 +141,6 @@ def verify(
     return Verification(
         status, reason, mine, theirs, wanted, len(rest), refit_rows if refit else 0, moved, since, left_out
     )
-
-
-def _expected(calibration: Calibration, data: Measurements) -> float:
-    """Mean square of an error as the calibration knows it, m^2."""
-    known = calibration.record.get("uncertainty") or {}
-    return 3.0 * max(float(known.get("position_repeat_m") or 0.0), data.position_std) ** 2
-
-
-def _far(errors: Array, rows: Rows) -> Rows:
-    """Rows that are far off where most are not."""
-    sizes = np.linalg.norm(errors[:, :3], axis=1)
-    return np.asarray(rows[sizes > OUTLIER_SIGMA * max(float(np.median(sizes)), 1e-9)])
 
 
 def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> str | None:

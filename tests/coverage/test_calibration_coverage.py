@@ -13,7 +13,6 @@ from pickenv.arm import load_plant
 from pickenv.calibration import fit, identify, link_model, random_joints, simulated_tracker
 from pickenv.calibration.assessment.metrics import LEAST_ROWS
 from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.held_out import held_out_errors
 
 pytestmark = pytest.mark.slow
 DYNAMIC = load_plant("qiao2026")
@@ -31,7 +30,7 @@ def test_the_arms_own_mean_error(repeats: Any, held_out: int) -> None:
         train, test = data.select(np.arange(60)), data.select(np.arange(60, 60 + held_out))
         result = assess(arm, fit(arm, train, known_frames=True), train, test)
         there = simulated_tracker(DYNAMIC.without(["measurement_noise"]), random_joints(arm.nominal, 1000, rng), rng)
-        truth = 1e3 * np.linalg.norm(held_out_errors(result.fit.calibration, there)[:, :3], axis=1).mean()
+        truth = 1e3 * np.linalg.norm(result.fit.calibration.errors(there)[:, :3], axis=1).mean()
         ends = result.own_mean_ci95
         assert ends is not None
         return ends[0] - truth, ends[1] - truth

@@ -12,7 +12,6 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.pipeline.held_out import held_out_errors
 from pickenv.calibration.pipeline.uncertainty import uncertainty_from
 from pickenv.errors import InputError
 from pickenv.inspect.recordings.comparison_recording import record_comparison
@@ -129,7 +128,7 @@ def _measured(calibration: Calibration, data: Measurements, seed: int) -> Compar
         "LS": data.difference(calibration.model),
     }
     if calibration.learnt is not None:
-        errors[_best(calibration)] = held_out_errors(calibration, data)
+        errors[_best(calibration)] = calibration.errors(data)
     unknown = np.ones(calibration.nominal.joints)  # the joints' speeds, which no recording shows
     arm = Arm(calibration.arm_name, data.source, calibration.nominal, None, unknown)
     plant = Plant(f"{calibration.arm_name}, measured", arm, calibration.identified)

@@ -26,7 +26,6 @@ from pickenv.calibration.assessment.quality import (
 from pickenv.calibration.model.coverage import pose_coverage
 from pickenv.calibration.model.identifiability import Dropped, Identifiability
 from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.held_out import held_out_errors
 from pickenv.calibration.pipeline.uncertainty import pose_uncertainty, uncertainty_from
 
 
@@ -186,7 +185,7 @@ def test_predicted_uncertainty_is_what_repeated_calibration_shows(qiao, noisy, t
 
 def test_uncertainty_adds_what_one_reach_scatters_by_and_survives_the_file(calibrated, dynamic, tmp_path):
     found, train, test = calibrated
-    sure = pose_uncertainty(found.identification, held_out_errors(found.calibration, test))
+    sure = pose_uncertainty(found.identification, found.calibration.errors(test))
     joints = test.joints[:7].reshape(7, 1, 6)
     covariance = sure.pose_covariance(found.calibration.model, joints)
     assert covariance.shape == (7, 1, 6, 6) and (np.linalg.eigvalsh(covariance) > 0).all()
@@ -204,7 +203,7 @@ def test_uncertainty_adds_what_one_reach_scatters_by_and_survives_the_file(calib
 
 def test_most_held_out_errors_lie_within_two_standard_uncertainties(calibrated):
     found, _, test = calibrated
-    errors = held_out_errors(found.calibration, test)
+    errors = found.calibration.errors(test)
     half = np.arange(len(test)) % 2 == 0
     sure = pose_uncertainty(found.identification, errors[half])
     spread = np.sqrt(np.diagonal(sure.pose_covariance(found.calibration.model, test.joints[~half]), axis1=1, axis2=2))

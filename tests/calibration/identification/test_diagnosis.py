@@ -16,6 +16,7 @@ from pickenv.calibration.pipeline.choices import Choices
 from pickenv.calibration.pipeline.fitting import ENOUGH_FOR_LADDER
 from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.errors import InputError
+from tests.calibration.simulated_instruments import tilt
 
 PLAIN = Choices(terms="none", residual="none")
 
@@ -264,3 +265,40 @@ def test_an_automatic_choice_finds_the_weight_of_a_compliant_arm(dynamic):
     saved = found.fit.calibration
     left = saved.predict(whole.joints).position - dynamic.tool_pose(whole.joints).position
     assert np.linalg.norm(left, axis=1).mean() * 1e3 < 0.8 * found.position["geometric"].mean
+
+
+def test_directions_far_off_are_listed_in_degrees():
+    arm, rng = load_arm("ur5"), np.random.default_rng(0)
+    data = tilt(3)(arm.nominal, 120, rng, 1.0)
+    turned = data.components.copy()
+    turned[40] = rotation_matrix([0.0, 0.2, 0.0]) @ turned[40]
+    found = calibrate(arm, replace(data, components=turned), choices=PLAIN)
+    (item,) = found.left_out
+    wanted = np.degrees(np.linalg.norm(turned[40] - data.components[40]))
+    assert item.line == 41 and item.unit == "deg" and item.miss.endswith(" deg")
+    assert float(item.miss.split()[0]) == pytest.approx(wanted, rel=0.02)
+    assert f"far off, by up to {item.miss}" in found.report()
+
+
+def test_numbers_that_are_none_are_named_whatever_was_measured(qiao):
+    rng = np.random.default_rng(0)
+    joints = random_joints(qiao.nominal, 40, rng)
+    points, seen = rng.normal(size=(40, 2, 3)), np.ones((40, 2), dtype=bool)
+    points[7, 1, 2] = np.nan
+    data = ReflectorObservations(joints, points, seen, np.eye(3) * 1e-10)
+    with pytest.raises(InputError, match="row 8: what was read is no finite number"):
+        calibrate(qiao, data, choices=PLAIN)
+    seen[7, 1] = False  # a reflector that was lost may hold anything
+    with pytest.raises(InputError, match="check the arm, the units"):
+        calibrate(qiao, data, choices=PLAIN)
+
+
+def test_a_verdict_counts_rows_and_not_what_was_read_in_them(qiao):
+    rng = np.random.default_rng(1)
+    joints = random_joints(qiao.nominal, 100, rng)
+    pose = forward(qiao.true, joints)
+    points = pose.position[:, None] + np.einsum("nij,kj->nki", pose.rotation, TRIAD)
+    points += 2e-5 * rng.normal(size=points.shape)
+    data = ReflectorObservations(joints, points, np.ones((100, 3), dtype=bool), np.eye(3) * 2e-5**2)
+    found = calibrate(qiao, data.select(np.arange(70)), test=data.select(np.arange(70, 100)), choices=PLAIN)
+    assert found.quality.reason.startswith("on 30 held-out rows the error falls") and len(found.errors["nominal"]) == 90

@@ -11,7 +11,6 @@ from pickenv.arm import Pose, forward, joint_jacobian, load_arm, pose_error, rot
 from pickenv.calibration import Compensator, fit, random_joints, simulated_tracker
 from pickenv.calibration.pipeline.apply import _carried, apply_calibration, toward
 from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.held_out import held_out_errors
 from pickenv.calibration.reading.targets import Targets, joints_of, read_targets
 from pickenv.errors import InputError
 
@@ -268,7 +267,7 @@ def test_what_the_learnt_residual_explains_is_no_uncertainty(dynamic):
     rng = np.random.default_rng(0)
     sets = [simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, n, rng), rng) for n in (100, 200, 60)]
     found = fit(dynamic.arm, *sets[:2], known_frames=True, residual="rbf", rng=rng)
-    learnt, plain = (held_out_errors(c, sets[2]) for c in (found.calibration, found.calibration.without_residual()))
+    learnt, plain = (c.errors(sets[2]) for c in (found.calibration, found.calibration.without_residual()))
     np.testing.assert_allclose(plain - learnt, found.calibration.learnt.predict(sets[2].joints), atol=1e-15)
     kept = assess(dynamic.arm, found, sets[0], sets[2]).calibration.record["uncertainty"]
     assert kept["position_repeat_m"] == pytest.approx(np.sqrt(np.mean(learnt[:, :3] ** 2)))

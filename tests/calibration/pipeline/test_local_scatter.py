@@ -163,29 +163,15 @@ def test_a_calibration_knows_where_its_arm_is_bad() -> None:
     np.testing.assert_allclose(again, radius, rtol=1e-3)
 
 
-MEASURED = {
-    "ur5": ("ur5", "ur5_jacobi2025", "ur5_wam_jacobi2025/UR5/*grid*cleaned.csv", 0.3),
-    "wam": ("wam", "wam_jacobi2025", "ur5_wam_jacobi2025/WAM/*grid*cleaned.csv", 0.1),
-    "ur10 b": ("ur10", "ur10_landgraf2021_repeats", "ur10_ipa_landgraf2021/Series_B/*configurations.csv", 0.1),
-    "ur10 c": ("ur10", "ur10_landgraf2021_repeats", "ur10_ipa_landgraf2021/Series_C/*poses.csv", 0.0),
-    "ur10 d": ("ur10", "ur10_landgraf2021_repeats", "ur10_ipa_landgraf2021/Series_D/*cubes.csv", 0.3),
-}
-"""Arm, columns, files, and how well the size of what remains is told: what harmonics leave of UR10 B and C differs
-little from pose to pose (0.17 and 0.05), of UR5 and UR10 D more (0.33 and 0.56)."""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", MEASURED)
-def test_95_of_100_errors_of_measured_arms_lie_within(name: str, data_folder: Path) -> None:
-    """Blocks held out of fit, size and factor alike; in 3-D."""
-    arm, columns, pattern, told = MEASURED[name]
-    files = sorted(data_folder.glob(pattern))
+def test_95_of_100_errors_of_wam_lie_within(data_folder: Path) -> None:
+    """In 3-D; blocks held out of fit, size and factor alike. UR5 and UR10 stand with their harmonics."""
+    files = sorted(data_folder.glob("ur5_wam_jacobi2025/WAM/*grid*cleaned.csv"))
     if not files:
-        pytest.skip(f"no {pattern} in {data_folder}")
-    found = calibrate(arm, files, columns=columns, split="blocked", choices=Choices(residual="none"))
+        pytest.skip(f"no grid of WAM in {data_folder}")
+    found = calibrate("wam", files, columns="wam_jacobi2025", split="blocked", choices=Choices(residual="none"))
     known = found.uncertainty.position_within95
-    assert known is not None and 0.93 <= known.covered <= 0.97
-    assert known.rank_correlation > told
+    assert known is not None and 0.93 <= known.covered <= 0.97 and known.rank_correlation > 0.1
 
 
 def test_an_episode_ends_with_the_radius_of_its_command(tmp_path: Path) -> None:

@@ -245,3 +245,17 @@ def test_the_command_says_what_the_function_says(result: Result, true: Geometry,
         assert said.output.startswith(f"verdict: {there['status'].upper()}: {there['reason']}")
         assert there["refit_rows"] == (8 if refit else 0)
         assert f"{there['calibrated_mm']['rms']:#.4g}" in said.output
+
+
+@pytest.mark.parametrize("frames", [(), ("base", "tool")], ids=["as it was", "refitted"])
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_a_drift_is_not_taken_for_rows_far_off(
+    result: Result, true: Geometry, frames: tuple[str, ...], share: float
+) -> None:
+    """A collision near the end of the file moved the arm by fifty times its noise; those rows judge too."""
+    bad = round(120 * share)
+    good, moved = seen(true, 5, rows=120 - bad), seen(drifted(true, 8e-3), 6, rows=bad)
+    joints, position = (np.concatenate(pair) for pair in ((good.joints, moved.joints), (good.position, moved.position)))
+    found = verify(result.calibration, replace(good, joints=joints, position=position), frames, 12)
+    assert found.status == "drifted" and len(found.left_out) <= 6  # one row in twenty
+    assert found.calibrated.rms > 3 * found.expected
