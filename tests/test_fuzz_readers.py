@@ -79,7 +79,8 @@ def read_described(path: Path) -> None:
 MODEL = """<mujoco model="small"><compiler angle="radian" eulerseq="XYZ"/>
 <default><joint axis="0 1 0"/><default class="odd"><joint ref="0.1" range="-2 2"/></default></default><worldbody>
 <body name="one" pos="0 0 1" euler="0.1 0 0"><joint name="a" range="-1 1"/>
-<body name="two" pos="1 0 0" childclass="odd"><joint name="b"/><body name="three" xyaxes="0 1 0 0 0 1"><joint name="c" type="slide" pos="1 2 3" range="0 1"/>
+<body name="two" pos="1 0 0" childclass="odd"><joint name="b"/><body name="three" xyaxes="0 1 0 0 0 1">
+<joint name="c" type="slide" pos="1 2 3" range="0 1"/>
 <site name="tool0" zaxis="1 0 0"/></body></body></body></worldbody>
 <equality><joint joint1="c" joint2="b" polycoef="0.1 0.2 0 0 0"/></equality></mujoco>"""
 
