@@ -330,7 +330,9 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _covariance(matrix: Array, weighted: Array, found: Identifiability, tolerance: Array, rows: Rows | None) -> Array:
+def _covariance(
+    matrix: Array, weighted: Array, found: Identifiability, tolerance: Array, rows: Rows | None = None
+) -> Array:
     """Covariance of the kept parameters, with the residual's own scatter as the noise (GUM type A); else NaN."""
     freedom = len(weighted) - found.rank
     if freedom <= 0:
