@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from pickenv.arm.kinematics.forward import forward, split_joints
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.motion import Pace, moved
-from pickenv.arm.plant.plant import EFFECTS, Plant
+from pickenv.arm.plant.plant import EFFECTS, FOUND, Plant
 
-TABLE = ("geometry", *(name for name in EFFECTS if name != "measurement_noise"))
+TABLE = ("geometry", *(name for name in (*EFFECTS, *FOUND) if name != "measurement_noise"))
 """Rows of the table; measurement noise never moves the arm."""
 
 
@@ -113,7 +113,7 @@ def effect_shares(
     believed = forward(plant.arm.nominal, joints).position
 
     def reached(*effects: str) -> Array:
-        some = plant.without(name for name in EFFECTS if name not in effects)
+        some = plant.without(name for name in (*EFFECTS, *FOUND) if name not in effects)
         if "geometry" not in effects:
             some = replace(some, geometry=plant.arm.nominal)
         return _reached(some, joints, running_time, pace)

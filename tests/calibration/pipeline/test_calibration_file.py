@@ -12,7 +12,7 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import BpnnSettings, Calibration, Measurements, fit
-from pickenv.calibration.model.geometry_arrays import geometry_arrays
+from pickenv.arm.files.geometry_arrays import geometry_arrays
 from pickenv.calibration.pipeline.calibration import FORMAT
 from pickenv.container import read_container, write_container
 from pickenv.errors import InputError
