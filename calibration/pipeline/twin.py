@@ -33,8 +33,8 @@ from pickenv.calibration.residuals.residual_models import JointInputs, fit_resid
 from pickenv.errors import InputError
 from pickenv.toml_tables import GRAVITY
 
-SMOOTH, ROUGH = 512, 32
-"""Features of one output: of the process, and of the arm's own scatter."""
+SMOOTH, ROUGH = 256, 8
+"""Waves of one output, cosine and sine each: of the process, and of the arm's own scatter."""
 
 ROUGH_LENGTH = 1e-3
 """Poses farther apart than this scatter independently, rad or m."""
@@ -259,9 +259,8 @@ def _residual(
     if process is None or inputs is None:
         joints = calibration.identified.joints
         noise = np.full(3, repeat)
-        smooth = FeatureProcess(
-            np.zeros((3, joints, 0)), np.zeros(0), np.zeros((3, 0)), np.zeros((3, 0, 0)), np.zeros(3), noise
-        )
+        nothing = (np.zeros((3, joints, 0)), np.zeros((3, 0)), np.zeros((3, 0, 0)), np.zeros(3))
+        smooth = FeatureProcess(*nothing, noise)
         inputs = JointInputs(np.zeros(joints, dtype=bool), 0, np.zeros(joints), np.ones(joints))
     else:
         smooth = feature_process(process, SMOOTH, rng)
@@ -299,26 +298,16 @@ def _process(
 
 
 def _field(smooth: FeatureProcess, inputs: JointInputs) -> ResidualField:
-    """The mean as a function of the joints, with features for the arm's own scatter, which has none on average."""
-    joints = len(inputs.periodic) + int(inputs.periodic.sum())
-    outputs, rough = len(smooth.mean), _rough_frequencies(joints)
-    scaled = smooth.frequency[:, :joints] / inputs.std[:joints, None]  # conditions stay at their mean
-    phase = smooth.phase - np.einsum("ofk,f->ok", scaled, inputs.mean[:joints])
-    still = np.concatenate([np.zeros(ROUGH // 2), np.full(ROUGH // 2, -np.pi / 2)])
-    frequency = np.concatenate([scaled, np.broadcast_to(rough, (outputs, joints, ROUGH))], axis=-1)
-    phase = np.concatenate([phase, np.broadcast_to(still, (outputs, ROUGH))], axis=-1)
-    weight = np.concatenate([smooth.mean, np.zeros((outputs, ROUGH))], axis=-1)
+    """The mean as a function of the joints, with waves for the arm's own scatter, whose weights are zero on average."""
+    joints = len(inputs.periodic) + int(inputs.periodic.sum())  # conditions come after them, and stay at their mean
+    scaled = smooth.frequency[:, :joints] / inputs.std[:joints, None]
+    outputs = len(scaled)
+    rough = np.random.default_rng(0).standard_normal((outputs, joints, ROUGH)) / ROUGH_LENGTH
+    frequency = np.concatenate([scaled, rough], axis=-1).transpose(1, 0, 2).reshape(joints, -1)
+    weight = np.zeros((outputs, 2, scaled.shape[-1] + ROUGH))
+    weight[..., : scaled.shape[-1]] = smooth.mean.reshape(outputs, 2, -1)
     features = Features(
-        np.ascontiguousarray(np.moveaxis(frequency, 0, 1).reshape(joints, -1)),
-        phase.ravel(),
-        tuple(inputs.periodic.tolist()),
-        outputs,
+        np.ascontiguousarray(frequency, dtype=np.float32), inputs.mean[:joints], tuple(inputs.periodic.tolist()), outputs
     )
     unturned = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    return ResidualField(features, weight.ravel(), tuple(smooth.offset.tolist()), unturned)
-
-
-def _rough_frequencies(inputs: int) -> Array:
-    """Frequencies ``(F, ROUGH)`` of a length scale of `ROUGH_LENGTH`, cosines and sines; the same for every arm."""
-    drawn = np.random.default_rng(0).standard_normal((inputs, ROUGH // 2)) / ROUGH_LENGTH
-    return np.tile(drawn, 2)
+    return ResidualField(features, weight.astype(np.float32), tuple(smooth.offset.tolist()), unturned)

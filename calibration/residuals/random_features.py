@@ -22,16 +22,14 @@ class FeatureProcess:
     """A process' posterior over functions.
 
     Attributes:
-        frequency: Of each output's features by the standardised inputs ``(O, F, K)``.
-        phase: ``(K,)``, rad; the same for all outputs.
-        mean: Mean weights ``(O, K)``, m and rad.
-        factor: Weights per standard normal number ``(O, K, K)``.
+        frequency: Of each output's waves by the standardised inputs ``(O, F, K)``.
+        mean: Mean weights of their cosines, then their sines ``(O, 2 K)``, m and rad.
+        factor: Weights per standard normal number ``(O, 2 K, 2 K)``.
         offset: Constant part of each output ``(O,)``.
         noise: Standard deviation of what is no function of the inputs ``(O,)``, m and rad.
     """
 
     frequency: Array
-    phase: Array
     mean: Array
     factor: Array
     offset: Array
@@ -39,24 +37,25 @@ class FeatureProcess:
 
 
 def feature_process(process: GaussianProcess, count: int, rng: np.random.Generator) -> FeatureProcess:
-    """The posterior of a fitted process in ``count`` features per output (an even number)."""
-    drawn = qmc.Sobol(process.rows.shape[1], rng=rng).random(count // 2)
+    """The posterior of a fitted process in ``count`` waves per output, each a cosine and a sine; a power of two."""
+    drawn = qmc.Sobol(process.rows.shape[1], rng=rng).random(count)
     normal = norm.ppf(np.clip(drawn, 1e-9, 1.0 - 1e-9))
-    phase = np.concatenate([np.zeros(count // 2), np.full(count // 2, -np.pi / 2)])  # cosines, then sines
-    parts = [_of_output(process, output, normal, phase) for output in range(len(process.noise))]
+    parts = [_of_output(process, output, normal) for output in range(len(process.noise))]
     frequency, mean, factor = (np.stack(each) for each in zip(*parts, strict=True))
-    return FeatureProcess(frequency, phase, mean, factor, process.output_mean, process.noise * process.output_std)
+    return FeatureProcess(frequency, mean, factor, process.output_mean, process.noise * process.output_std)
 
 
-def _of_output(process: GaussianProcess, output: int, normal: Array, phase: Array) -> tuple[Array, Array, Array]:
+def _of_output(process: GaussianProcess, output: int, normal: Array) -> tuple[Array, Array, Array]:
     """Frequencies ``(F, K)``, mean weights and their factor of one output."""
-    frequency = np.tile(normal.T / process.length_scales[output][:, None], 2)
-    scale = float(process.amplitude[output]) * np.sqrt(2.0 / len(phase))
-    waves = scale * np.cos(process.rows @ frequency + phase)
+    frequency = normal.T / process.length_scales[output][:, None]
+    scale = float(process.amplitude[output]) / np.sqrt(len(normal))
+    angle = process.rows @ frequency
+    waves = scale * np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
     noise = float(process.noise[output])
     precision = waves.T @ waves / noise**2
     precision[np.diag_indices_from(precision)] += 1.0
     factor = cho_factor(precision, lower=True)
     mean = cho_solve(factor, waves.T @ process.targets(output)) / noise**2
-    root = solve_triangular(factor[0], np.eye(len(phase)), lower=True).T
-    return frequency, mean * scale * process.output_std[output], root * scale * process.output_std[output]
+    root = solve_triangular(factor[0], np.eye(len(mean)), lower=True).T
+    size = scale * process.output_std[output]
+    return frequency, mean * size, root * size

@@ -1,9 +1,10 @@
-"""What no table of links holds: the tool's displacement as a random function of the joints, a sum of cosines.
+"""What no table of links holds: the tool's displacement as a random function of the joints, a sum of waves.
 
-Random features of a Gaussian process (Rahimi and Recht 2007): output o is the sum of weight_k cos(w_k x + b_k), where x
-are the joints, those that turn far by sine and cosine. Arms share the features and differ in their weights. Inside one
-output's smooth features (what a calibration learnt) come first, then rough ones, whose length scale is so short that no
-measurement tells them from scatter. Units: m and rad, world axes.
+Random features of a Gaussian process (Rahimi and Recht 2007): an output is the sum over k of a_k cos(w_k x) + b_k
+sin(w_k x), where x are the joints less a centre, those that turn far by sine and cosine. Arms share the frequencies and
+differ in their weights. Of one output's frequencies the smooth ones (what a calibration learnt) come first, then rough
+ones, whose length scale is so short that no measurement tells them from scatter. Waves are taken in single precision,
+which is exact to nanometres, for they are most of the cost. Units: m and rad.
 """
 
 from __future__ import annotations
@@ -15,55 +16,58 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.forward import Frame, Scalar
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import displaced_frame
 
 CHUNK = 64
-"""Arms or poses worked on together in NumPy: their features then stay in a core's cache."""
+"""Arms or poses worked on together in NumPy: their waves then stay in a core's cache."""
+
+Single = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """The cosines, the same for all arms.
+    """The waves, the same for all arms.
 
     Attributes:
-        frequency: Of each feature by each input ``(F, O K)``, 1/rad or 1/m; the K features of an output side by side.
-        phase: ``(O K,)``, rad.
-        periodic: For each joint, whether it enters by sine and cosine ``(n,)``.
+        frequency: Of each output's K waves, side by side, by each input ``(F, O K)``, 1/rad or 1/m.
+        centre: What is taken off each input ``(F,)``.
+        periodic: For each joint, whether it enters by sine and cosine.
         outputs: Number of outputs O: 3 (position) or 6 (pose).
     """
 
     shared: ClassVar[bool] = True  # `pickenv.arm.plant.tree` leaves it as it is
 
-    frequency: Array
-    phase: Array
+    frequency: Single
+    centre: Array
     periodic: tuple[bool, ...]
     outputs: int
 
     @property
     def count(self) -> int:
-        """Number of features K of one output."""
-        return len(self.phase) // self.outputs
+        """Number of waves K of one output."""
+        return self.frequency.shape[1] // self.outputs
 
     def inputs(self, m: ModuleType, q: Sequence[Scalar]) -> list[Scalar]:
-        """Inputs of joints: those that enter directly, then sines, then cosines."""
+        """Inputs of joints, less the centre: those that enter directly, then sines, then cosines."""
         turning = [value for value, far in zip(q, self.periodic, strict=True) if far]
         direct = [value for value, far in zip(q, self.periodic, strict=True) if not far]
-        return [*direct, *(m.sin(value) for value in turning), *(m.cos(value) for value in turning)]
+        raw = [*direct, *(m.sin(value) for value in turning), *(m.cos(value) for value in turning)]
+        return [value - centre for value, centre in zip(raw, self.centre.tolist(), strict=True)]
 
-    def waves(self, q: Array) -> Array:
-        """The features ``(..., O K)`` at joints ``(..., n)``."""
-        inputs = self.inputs(np, [q[..., i] for i in range(q.shape[-1])])
-        angle = self.phase
-        for value, row in zip(inputs, self.frequency, strict=True):  # in a fixed order, so that sums repeat to the bit
-            angle = angle + value[..., None] * row
-        return np.asarray(np.cos(angle))
+    def angles(self, inputs: Array) -> Single:
+        """The waves' angles ``(..., O, K)`` at inputs ``(F, ...)``."""
+        total: Any = np.float32(0.0)
+        for value, row in zip(inputs.astype(np.float32), self.frequency, strict=True):
+            total = total + value[..., None] * row  # one after the other, so that sums repeat to the bit
+        return np.asarray(total.reshape(*total.shape[:-1], self.outputs, self.count))
 
     @cached_property
-    def tensors(self) -> dict[Any, tuple[Any, Any]]:
-        """Frequencies and phases as tensors, by number type and device."""
+    def tensors(self) -> dict[Any, Any]:
+        """Frequencies as a tensor, by number type and device."""
         return {}
 
 
@@ -72,8 +76,8 @@ class ResidualField:
     """Displacement of the tool, of one arm or of many.
 
     Attributes:
-        features: The cosines.
-        weight: Weight of each ``(O K,)``, or of each arm ``(N, O K)``, m and rad.
+        features: The waves.
+        weight: Weights of their cosines and sines ``(O, 2, K)``, or of each arm ``(N, O, 2, K)``, m and rad.
         offset: Constant part of each output, O numbers.
         turn: Rotation of the frame in which it was learnt into the arm's own, row by row.
     """
@@ -103,34 +107,40 @@ def strayed(m: ModuleType, field: ResidualField, q: Sequence[Scalar], frame: Fra
 
 def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[Scalar]:
     """The outputs, component by component."""
-    features, shape = field.features, (field.features.outputs, field.features.count)
+    features = field.features
     if m.__name__ == "torch":
         return _tensor_outputs(m, field, q)
-    joints = np.stack(np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in q)), -1)
-    if joints.ndim == 1 and np.ndim(field.weight) == 1:
-        parts = (features.waves(joints) * field.weight).reshape(shape).sum(-1)
-        return list(parts.tolist()) if m is not np else list(parts)
-    lead = np.broadcast_shapes(joints.shape[:-1], np.shape(field.weight)[:-1])
-    found = np.empty((*lead, shape[0]))
-    joints = np.broadcast_to(joints, (*lead, joints.shape[-1]))
-    weight = np.broadcast_to(field.weight, (lead[-1], features.count * features.outputs))
-    for first in range(0, lead[-1], CHUNK):
+    inputs = np.stack(np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in features.inputs(m, q))))
+    if inputs.ndim == 1 and field.weight.ndim == 3:
+        parts = _weighed(features, inputs, field.weight)
+        return list(parts) if m is np else list(parts.tolist())
+    shape = np.broadcast_shapes(inputs.shape[1:], field.weight.shape[:-3])
+    inputs = np.broadcast_to(inputs, (len(inputs), *shape))
+    weight = np.broadcast_to(field.weight, (shape[-1], *field.weight.shape[-3:]))
+    found = np.empty((features.outputs, *shape))
+    for first in range(0, shape[-1], CHUNK):
         part = slice(first, first + CHUNK)
-        waves = features.waves(joints[..., part, :]) * weight[part]
-        found[..., part, :] = waves.reshape(*waves.shape[:-1], *shape).sum(-1)
-    return list(np.ascontiguousarray(np.moveaxis(found, -1, 0)))
+        found[..., part] = np.moveaxis(_weighed(features, inputs[..., part], weight[part]), -1, 0)
+    return list(found)
+
+
+def _weighed(features: Features, inputs: Array, weight: Single) -> Array:
+    """Sums of waves ``(..., O)`` at inputs ``(F, ...)``, each with its weight."""
+    angle = features.angles(inputs)
+    cosines, sines = (np.cos(angle) * weight[..., 0, :]).sum(-1), (np.sin(angle) * weight[..., 1, :]).sum(-1)
+    return np.asarray(cosines + sines, dtype=float)
 
 
 def _tensor_outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[Scalar]:
     features, like, weight = field.features, q[0], field.weight
     key = (like.dtype, like.device)
     if key not in features.tensors:
-        parts = (m.as_tensor(part, dtype=like.dtype, device=like.device) for part in (features.frequency, features.phase))
-        features.tensors[key] = tuple(parts)
+        features.tensors[key] = m.as_tensor(features.frequency, dtype=like.dtype, device=like.device)
     if isinstance(weight, np.ndarray):  # of a single arm, which stays on NumPy
         if key not in field.tensors:
             field.tensors[key] = m.as_tensor(weight, dtype=like.dtype, device=like.device)
         weight = field.tensors[key]
-    frequency, phase = features.tensors[key]
-    waves = m.cos(m.stack(features.inputs(m, q), -1) @ frequency + phase) * weight
-    return list(waves.unflatten(-1, (features.outputs, features.count)).sum(-1).unbind(-1))
+    angle = m.stack(features.inputs(m, q), -1) @ features.tensors[key]
+    angle = angle.unflatten(-1, (features.outputs, features.count))
+    waves = m.cos(angle) * weight[..., 0, :] + m.sin(angle) * weight[..., 1, :]
+    return list(waves.sum(-1).unbind(-1))

@@ -52,8 +52,9 @@ class Posterior:
         unseen: Places of the parameters that were not identified ``(d,)``.
         traces: Parameters per unit of each of them ``(P, d)``: itself, and what gives way.
         field: The residual's mean, or None.
-        field_factor: Weights of each output's smooth features per standard normal number ``(O, K, K)``.
-        rough: Standard deviation of each output's rough features together ``(O,)``, m and rad.
+        field_factor: Weights of each output's smooth waves, cosines then sines, per standard normal number
+            ``(O, 2 K, 2 K)``.
+        rough: Standard deviation of each output's rough waves together ``(O,)``, m and rad.
         notes: What was told apart and how, one sentence each.
     """
 

@@ -53,7 +53,7 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
         unseen = zone(rng.random(len(known.unseen)))
         deltas.append(known.traces @ unseen + known.factor @ rng.standard_normal(known.factor.shape[1]))
         if field is not None:
-            weights.append(field.weight + _weights(known, field, rng))
+            weights.append((field.weight + _weights(known, field, rng)).astype(np.float32))
     delta, count = np.array(deltas), len(known.identified.parameter_names)
     geometry = _carried(plant.arm, known, [known.identified.displaced(row[:count]) for row in delta])
     parts = _effects(plant.arm, known, known.coefficients + delta[:, count:])
@@ -63,13 +63,14 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
 
 
 def _weights(known: Posterior, field: ResidualField, rng: np.random.Generator) -> Array:
-    """Deviation of the features' weights ``(O K,)`` from their mean."""
-    outputs, count, smooth = field.features.outputs, field.features.count, known.field_factor.shape[-1]
-    drawn = np.zeros((outputs, count))
-    drawn[:, :smooth] = np.einsum("okl,ol->ok", known.field_factor, rng.standard_normal((outputs, smooth)))
-    rough = rng.standard_normal((outputs, count - smooth))
-    drawn[:, smooth:] = rough * known.rough[:, None] * np.sqrt(2.0 / max(count - smooth, 1))
-    return drawn.ravel()
+    """Deviation of the waves' weights ``(O, 2, K)`` from their mean."""
+    outputs, count, smooth = field.features.outputs, field.features.count, known.field_factor.shape[-1] // 2
+    drawn = np.zeros((outputs, 2, count))
+    normal = rng.standard_normal((outputs, 2 * smooth))
+    drawn[..., :smooth] = np.einsum("okl,ol->ok", known.field_factor, normal).reshape(outputs, 2, smooth)
+    rough = rng.standard_normal((outputs, 2, count - smooth))
+    drawn[..., smooth:] = rough * known.rough[:, None, None] / np.sqrt(max(count - smooth, 1))
+    return drawn
 
 
 def _carried(arm: Arm, known: Posterior, found: Sequence[Geometry]) -> Geometry:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
-from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
+from pickenv.arm.kinematics.geometry import Geometry, Pose
 from pickenv.arm.plant.plant import MeasurementNoise, Plant
 from pickenv.arm.plant.posterior import Layout, Posterior
 from pickenv.arm.plant.twin_arms import twin_plant
@@ -44,7 +44,7 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
     arrays |= {"speed": plant.arm.speed} | {name: getattr(known, name) for name in parts}
     if known.field is not None:
         field = known.field
-        arrays |= {"frequency": field.features.frequency, "phase": field.features.phase, "weight": field.weight}
+        arrays |= {"frequency": field.features.frequency, "centre": field.features.centre, "weight": field.weight}
         arrays |= {"offset": np.array(field.offset), "turn": np.array(field.turn)}
     header = {
         "name": plant.name,
@@ -107,7 +107,7 @@ def _plant_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
         rough=finite(arrays, "rough", (outputs,), TWIN),
         notes=tuple(str(note) for note in header["notes"]),
     )
-    if field is not None and smooth > field.features.count:
+    if field is not None and smooth > 2 * field.features.count:
         raise InputError("its residual has fewer features than its posterior")
     speed = finite(arrays, "speed", (nominal.joints,), TWIN)
     arm = Arm(str(header["arm"]), str(header["source"]), nominal, None, speed)
@@ -135,13 +135,15 @@ def _layout(content: Mapping[str, Any], geometry: Geometry) -> Layout:
 
 
 def _field(periodic: Any, arrays: Mapping[str, NDArray[Any]], joints: int) -> ResidualField:
-    outputs, features = arrays["offset"].shape[0], arrays["phase"].shape[0]
-    if outputs not in (3, 6) or features % outputs or len(periodic) != joints:
+    outputs, waves = arrays["offset"].shape[0], arrays["frequency"].shape[1]
+    if outputs not in (3, 6) or waves % outputs or len(periodic) != joints:
         raise InputError("its residual is neither of a position nor of a pose, or of another arm")
     rows = joints + sum(map(bool, periodic))
-    frequency = finite(arrays, "frequency", (rows, features), TWIN)
-    shape = Features(frequency, finite(arrays, "phase", (features,), TWIN), tuple(map(bool, periodic)), outputs)
-    turn: Array = finite(arrays, "turn", (3, 3), TWIN)
+    centre, turn = finite(arrays, "centre", (rows,), TWIN), finite(arrays, "turn", (3, 3), TWIN)
+    frequency, weight = (
+        finite({name: arrays[name].astype(float)}, name, shape, TWIN).astype(np.float32)
+        for name, shape in (("frequency", (rows, waves)), ("weight", (outputs, 2, waves // outputs)))
+    )
     offset = finite(arrays, "offset", (outputs,), TWIN)
-    weight = finite(arrays, "weight", (features,), TWIN)
-    return ResidualField(shape, weight, tuple(offset.tolist()), tuple(map(tuple, turn.tolist())))  # type: ignore[arg-type]
+    features = Features(frequency, centre, tuple(map(bool, periodic)), outputs)
+    return ResidualField(features, weight, tuple(offset.tolist()), tuple(map(tuple, turn.tolist())))  # type: ignore[arg-type]
