@@ -21,7 +21,7 @@ from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.arm.plant.plant import MeasurementNoise
 from pickenv.arm.plant.posterior import Layout, Posterior
 from pickenv.arm.plant.twin_arms import twin_plant
-from pickenv.calibration.model.arm_model import Term
+from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
 from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, GravityTerm, LeadTerm, PeriodicTerm
 from pickenv.calibration.pipeline.calibration import Calibration
@@ -36,7 +36,7 @@ from pickenv.toml_tables import GRAVITY
 SMOOTH, ROUGH = 256, 8
 """Waves of one output, cosine and sine each: of the process, and of the arm's own scatter."""
 
-ROUGH_LENGTH = 1e-3
+ROUGH_LENGTH = 1e-2
 """Poses farther apart than this scatter independently, rad or m."""
 
 SCATTER = "scatter"
@@ -99,6 +99,7 @@ def twin(
     *,
     name: str | None = None,
     seed: int = 0,
+    geometry_only: bool = False,
 ) -> Plant:
     """The plant of a calibrated arm: fixed it is the best guess; its arms are drawn with `draw_plants`.
 
@@ -107,14 +108,18 @@ def twin(
         arm: Its arm.
         rows: Poses or positions that it was fitted to: needed where it has no Gaussian process of its own.
         name: Name of the plant.
-        seed: Of the features, and of the process where one is fitted.
+        seed: Of the waves, and of the process where one is fitted.
+        geometry_only: Whether terms and residual stay out.
 
     Raises:
         InputError: If it is another arm's, joints move several links, it holds no covariance, or a term needs what a
             plant does not have.
     """
     calibration.refuse_another(arm)
-    if calibration.arm.coupling is not None:
+    if geometry_only:
+        model = ArmModel(calibration.identified)
+        calibration = replace(calibration, model=model, learnt=None)
+    elif calibration.arm.coupling is not None:
         raise InputError(f"a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet")
     sure = uncertainty_from(calibration.record)
     if sure is None:
@@ -125,8 +130,9 @@ def twin(
     links = len(calibration.identified.parameter_names)
     matrix = np.eye(links)
     matrix = np.block([[matrix, np.zeros((links, carry.shape[1]))], [np.zeros((carry.shape[0], links)), carry]])
-    factor = np.zeros((len(names), len(sure.names)))
-    factor[[names.index(each) for each in sure.names]] = _root(sure.covariance)
+    known = [i for i, each in enumerate(sure.names) if each in names]
+    factor = np.zeros((len(names), len(known)))
+    factor[[names.index(sure.names[i]) for i in known]] = _root(sure.covariance[np.ix_(known, known)])
     unseen, traces = _unseen(calibration, names)
     scatter = Scatter() if rows is None else scatter_of(rows)
     if SCATTER in calibration.record:
