@@ -127,7 +127,10 @@ def drawn(ends: Mapping[str, Array], millimetres: float) -> Figure:
             share = [np.mean(values <= most) for most in within]
             (shown,) = axes.plot(within, 100.0 * np.array(share), linestyle=line, label=name)
             if len(values) > 1:
-                each = [clustered_share_interval((values <= most).sum(axis=1), [values.shape[1]] * len(values)) for most in within]
+                each = [
+                    clustered_share_interval((values <= most).sum(axis=1), [values.shape[1]] * len(values))
+                    for most in within
+                ]
                 low, high = np.array([(np.nan, np.nan) if ends is None else ends for ends in each]).T
                 axes.fill_between(within, 100.0 * low, 100.0 * high, color=shown.get_color(), alpha=0.2, linewidth=0)
         axes.set(xscale="log", xlabel="a reach counts within (mm)", ylabel="success (%)", ylim=(0, 102))
@@ -153,10 +156,15 @@ def main(
         "as the environment has it": reaches(env, perfect, None, count)[None],
         f"{millimetres:g} mm arm, raw": np.array([reaches(env, plant, None, count) for plant in plants]),
         "the same, calibrated (LS)": np.array(
-            [reaches(env, plant, calibrated(plant, start, rng), count) for plant, rng in zip(plants, streams, strict=True)]
+            [
+                reaches(env, plant, calibrated(plant, start, rng), count)
+                for plant, rng in zip(plants, streams, strict=True)
+            ]
         ),
     }
-    print("| arm | mean error (mm) | within 50 mm | within 5 mm | within 3 mm | within 1 mm |\n|---|---|---|---|---|---|")
+    print(
+        "| arm | mean error (mm) | within 50 mm | within 5 mm | within 3 mm | within 1 mm |\n|---|---|---|---|---|---|"
+    )
     for name, values in ends.items():
         shares = " | ".join(f"{np.mean(values <= most):.0%}" for most in (OWN_MM, 5.0, 3.0, 1.0))
         print(f"| {name} | {values.mean():.2f} | {shares} |")

@@ -56,7 +56,8 @@ def folds_of(count: int, split: str) -> list[tuple[Rows, Rows]]:
     """Rows to fit and rows held out: of a shuffled file, or contiguous blocks of it."""
     order = np.random.default_rng(SEED).permutation(count) if split == "random" else np.arange(count)
     return [
-        (np.sort(order[fitted]), np.sort(order[held])) for fitted, held in contiguous_folds(np.zeros(count, dtype=np.int64), FOLDS)
+        (np.sort(order[fitted]), np.sort(order[held]))
+        for fitted, held in contiguous_folds(np.zeros(count, dtype=np.int64), FOLDS)
     ]
 
 
@@ -127,7 +128,10 @@ def table_of(found: Mapping[str, Any]) -> str:
     """The table in Markdown."""
     lines = ["| calibration | gain predicted by the twin | gain measured | ratio |", "|---|---|---|---|"]
     for name, row in found["gains"].items():
-        cells = [f"{row[key]:.1%} ({row[f'{key}_95'][0]:.1%} to {row[f'{key}_95'][1]:.1%})" for key in ("predicted", "measured")]
+        cells = [
+            f"{row[key]:.1%} ({row[f'{key}_95'][0]:.1%} to {row[f'{key}_95'][1]:.1%})"
+            for key in ("predicted", "measured")
+        ]
         lines.append(f"| {name} | {cells[0]} | {cells[1]} | {row['ratio']:.2f} |")
     return "\n".join(lines)
 

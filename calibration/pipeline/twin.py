@@ -1,10 +1,10 @@
-"""A calibrated arm as a plant: its truth is what the calibration found, and its arms are drawn from what the data allow.
+"""A calibrated arm as a plant: its truth is what the calibration found; its arms are drawn from what the data allow.
 
-Geometry and terms come with their covariance; parameters that were dropped lie anywhere in their tolerance. What no term
-says is a Gaussian process: that of the calibration where it learnt one (alone, or as a part of a blend), else one fitted
-to what geometry and terms leave of its rows, which stands in for the posterior that networks and forests do not have.
-What is no smooth function of the joints is scatter; of that the instrument's share is taken off, and the rest is the
-arm's. SI units.
+Geometry and terms come with their covariance; parameters that were dropped lie anywhere in their tolerance. What no
+term says is a Gaussian process: that of the calibration where it learnt one (alone, or as a part of a blend), else one
+fitted to what geometry and terms leave of its rows, which stands in for the posterior that networks and forests do not
+have. What is no smooth function of the joints is scatter; of that the instrument's share is taken off, and the rest is
+the arm's. SI units.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def twin(
     field, root, rough, notes = _residual(calibration, rows, scatter, sure.position_repeat, rng)
     if field is not None:
         turn = arm.nominal.base.rotation @ calibration.nominal.base.rotation.T
-        field = replace(field, turn=tuple(map(tuple, turn.tolist())))  # type: ignore[arg-type]
+        field = replace(field, turn=tuple(map(tuple, turn.tolist())))
     posterior = Posterior(
         identified=calibration.identified,
         aligned=(calibration.nominal.base, calibration.nominal.tool),
@@ -228,7 +228,7 @@ def _moments(
                 sizes.append((term.joints.index(moment[0]), size))
     elif term.load is not None:
         # Gravity points along -z of the instrument's frame, as in `gravity_torques`.
-        up = tuple((geometry.base.rotation.T @ [0.0, 0.0, 1.0]).tolist())  # type: ignore[assignment]
+        up = tuple((geometry.base.rotation.T @ [0.0, 0.0, 1.0]).tolist())
         for number, joint in enumerate(term.joints):
             for link in range(joint, geometry.links):
                 mass, centre = float(term.load.mass[link]), term.load.centre[link]
@@ -293,8 +293,8 @@ def _process(
         return model, learnt.inputs, "the residual is the calibration's own Gaussian process"
     if rows is None and learnt is not None:
         raise InputError(
-            f"the residual model '{learnt.kind}' of the calibration does not know how sure it is; give the rows that it "
-            "was fitted to (--rows), or calibrate with --residual gp"
+            f"the residual model '{learnt.kind}' of the calibration does not know how sure it is; give the rows that "
+            "it was fitted to (--rows), or calibrate with --residual gp"
         )
     if rows is None:
         return None, None, "no residual was learnt: what geometry and terms leave is taken as scatter"
@@ -313,7 +313,10 @@ def _field(smooth: FeatureProcess, inputs: JointInputs) -> ResidualField:
     weight = np.zeros((outputs, 2, scaled.shape[-1] + ROUGH))
     weight[..., : scaled.shape[-1]] = smooth.mean.reshape(outputs, 2, -1)
     features = Features(
-        np.ascontiguousarray(frequency, dtype=np.float32), inputs.mean[:joints], tuple(inputs.periodic.tolist()), outputs
+        np.ascontiguousarray(frequency, dtype=np.float32),
+        inputs.mean[:joints],
+        tuple(inputs.periodic.tolist()),
+        outputs,
     )
     unturned = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     return ResidualField(features, weight.astype(np.float32), tuple(smooth.offset.tolist()), unturned)

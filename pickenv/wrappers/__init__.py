@@ -1,5 +1,4 @@
-"""Around environments: a calibration between policy and arm, a real arm's error in somebody else's environment, and
-Stable-Baselines3's way of asking for many at once.
+"""Around environments: a calibration, a real arm's error, and Stable-Baselines3's way of asking for many at once.
 
     env = CompensationWrapper(gymnasium.make("pickenv/Reach-v0"), calibration.compensator())
     model = PPO("MlpPolicy", make_sb3_vec("pickenv/Reach-v0", 16))

@@ -1,4 +1,4 @@
-"""A real arm's error in somebody else's environment: success is judged where the true tool is, not where it is believed.
+"""A real arm's error in somebody else's environment: success is judged where the true tool is, not where it seems.
 
 Reaching tasks on MuJoCo end where their perfect arm believes to be. Here the environment's own arm is that belief; the
 true tool differs from it by what a plant says at the same joints, and the policy never sees it. Metres, radians.
@@ -24,16 +24,16 @@ FAR = 1e-3
 class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Let a foreign reaching environment on MuJoCo have an arm that errs.
 
-    For environments of Gymnasium-Robotics' goal interface (`achieved_goal`, `desired_goal`, `compute_reward`) whose goal
-    is a position of the tool, commanded by joint or by tool targets. The observation stays what the controller believes;
-    reward and `info["is_success"]` are of the true tool. `info` gets `tool_error_mm`, how far it is from where it is
-    believed, and `true_distance_mm`, how far from the goal.
+    For environments of Gymnasium-Robotics' goal interface (`achieved_goal`, `desired_goal`, `compute_reward`) whose
+    goal is a position of the tool, commanded by joint or by tool targets. The observation stays what the controller
+    believes; reward and `info["is_success"]` are of the true tool. `info` gets `tool_error_mm`, how far it is from
+    where it is believed, and `true_distance_mm`, how far from the goal.
 
     Example:
         >>> import gymnasium as gym
         >>> from pickenv.wrappers import Miscalibrate, geometry_in_mujoco
         >>> def with_error(env: gym.Env, plant) -> gym.Env:
-        ...     return Miscalibrate(env, plant.arm.nominal, plant)  # the plant's arm: geometry_in_mujoco(env's model, …)
+        ...     return Miscalibrate(env, plant.arm.nominal, plant)
 
     Change log:
      * v0.2.0 - Added.

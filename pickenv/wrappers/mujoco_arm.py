@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,8 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
     if number < 0:
         raise InputError(f"the model has no site '{site}'; name the one at the arm's tool")
-    chain, body = [], int(model.site_bodyid[number])
+    chain: list[int] = []
+    body = int(model.site_bodyid[number])
     while body > 0:
         first = int(model.body_jntadr[body])
         chain += reversed(range(first, first + int(model.body_jntnum[body])))
@@ -51,7 +53,9 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
         still.mocap_pos[:], still.mocap_quat[:] = data.mocap_pos, data.mocap_quat
     still.qpos[model.jnt_qposadr[own]] = 0.0
     mujoco.mj_kinematics(model, still)
-    ranges = [model.jnt_range[j] if model.jnt_limited[j] and np.ptp(model.jnt_range[j]) else [-np.pi, np.pi] for j in own]
+    ranges = [
+        model.jnt_range[j] if model.jnt_limited[j] and np.ptp(model.jnt_range[j]) else [-np.pi, np.pi] for j in own
+    ]
     tool = Pose(still.site_xpos[number].copy(), still.site_xmat[number].reshape(3, 3).copy())
     return geometry_from_axes(
         tuple(name for name in names if name in wanted),
@@ -75,7 +79,6 @@ def mujoco_or_sentence() -> Any:
         InputError: If it is not installed.
     """
     try:
-        import mujoco
+        return import_module("mujoco")
     except ImportError as error:
         raise InputError("MuJoCo is not installed, and the environment is one of it; pip install mujoco") from error
-    return mujoco

@@ -49,7 +49,7 @@ class Features:
     @property
     def count(self) -> int:
         """Number of waves K of one output."""
-        return self.frequency.shape[1] // self.outputs
+        return int(self.frequency.shape[1]) // self.outputs
 
     def inputs(self, m: ModuleType, q: Sequence[Scalar]) -> list[Scalar]:
         """Inputs of joints, less the centre: those that enter directly, then sines, then cosines."""

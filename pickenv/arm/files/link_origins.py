@@ -1,4 +1,4 @@
-"""Where each link's frame stands in the one before it at zero displacement, as formats without DH parameters have it."""
+"""Where each link stands in the one before it with all joints at zero, as formats without DH parameters have it."""
 
 from __future__ import annotations
 

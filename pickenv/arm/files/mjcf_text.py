@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.link_origins import link_origins
-from pickenv.arm.files.urdf import leading_links
+from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.errors import InputError
 from pickenv.files import write_text
 
-DENSITY, LEAST_MASS, ROD = 3.0, 0.2, 0.02
-"""kg/m of a link, the lightest one's mass in kg, and the radius of its rod in m."""
+DENSITY, LEAST_MASS = 3.0, 0.2
+"""kg/m of a link, and the lightest one's mass in kg."""
 
 STIFFNESS, DAMPING = 2000.0, 200.0
 """Of the position drives, N*m/rad or N/m, and N*m*s/rad or N*s/m."""
@@ -85,11 +85,13 @@ def _weigh(body: Element, end: Array) -> None:
     """Mass and inertia of a rod from a link's origin to ``end``, m, and its picture."""
     length = float(np.linalg.norm(end))
     mass = max(DENSITY * length, LEAST_MASS)
-    inertia = mass * (length**2 / 12.0 + ROD**2 / 2.0)  # across the rod; along it no less, so that it is never singular
+    inertia = mass * (
+        length**2 / 12.0 + ROD_RADIUS**2 / 2.0
+    )  # across the rod; along it no less, so that it is never singular
     inertial = {"pos": _words(end / 2.0), "mass": repr(mass), "diaginertia": _words([inertia] * 3)}
     ElementTree.SubElement(body, "inertial", inertial)
-    if length > ROD:
-        shape = {"type": "capsule", "fromto": _words([0.0, 0.0, 0.0, *end]), "size": repr(ROD)}
+    if length > ROD_RADIUS:
+        shape = {"type": "capsule", "fromto": _words([0.0, 0.0, 0.0, *end]), "size": repr(ROD_RADIUS)}
         ElementTree.SubElement(body, "geom", {**shape, "contype": "0", "conaffinity": "0"})
 
 

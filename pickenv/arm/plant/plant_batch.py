@@ -76,5 +76,7 @@ def with_links(geometry: Geometry, change: Callable[..., Any], *others: Geometry
     values: dict[str, Any] = {name: change(*(getattr(each, name) for each in tables)) for name in LINK_PARAMETERS}
     for name in ("base", "tool"):
         if getattr(geometry, name).position.ndim > 1:
-            values[name] = Pose(*(change(*parts) for parts in zip(*(getattr(each, name) for each in tables), strict=True)))
+            values[name] = Pose(
+                *(change(*parts) for parts in zip(*(getattr(each, name) for each in tables), strict=True))
+            )
     return replace(geometry, **values)

@@ -1,7 +1,8 @@
 """What a calibration knows of one arm, and how surely: numbers from which `pickenv.arm.plant.twin_arms` makes plants.
 
-The arm's numbers are linear in standard normal ones, plus what was not identified: a parameter that the data cannot tell
-from others may lie anywhere in its tolerance, as long as the others give way so that what was measured stays. SI units.
+The arm's numbers are linear in standard normal ones, plus what was not identified: a parameter that the data cannot
+tell from others may lie anywhere in its tolerance, as long as the others give way so that what was measured stays. SI
+units.
 """
 
 from __future__ import annotations

@@ -213,10 +213,8 @@ def _geometry(draws: _Draws) -> Geometry:
     count = len(deviation)
     numbers: dict[str, Any] = {name: np.tile(getattr(nominal, name), (count, 1)) for name in LINK_PARAMETERS}
     for k, name in enumerate(("alpha", "a", "theta", "d")):
-        if name in ("a", "d"):
-            half = _length_zone(tolerances, getattr(nominal, name))
-        else:
-            half = np.full(n, tolerances.angle)
+        length = name in ("a", "d")
+        half = _length_zone(tolerances, getattr(nominal, name)) if length else np.full(n, tolerances.angle)
         numbers[name] = numbers[name] + half * deviation[:, k * n : (k + 1) * n]
     return replace(nominal, **numbers)
 

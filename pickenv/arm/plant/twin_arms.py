@@ -30,9 +30,7 @@ def twin_plant(name: str, arm: Arm, posterior: Posterior, noise: MeasurementNois
     """The arm as it was found; its residual is the mean, which is no arm: judge on draws."""
     geometry = _carried(arm, posterior, [posterior.identified])
     parts = _effects(arm, posterior, posterior.coefficients)
-    return Plant(
-        name, arm, geometry, measurement_noise=noise, residual=posterior.field, posterior=posterior, **parts
-    )
+    return Plant(name, arm, geometry, measurement_noise=noise, residual=posterior.field, posterior=posterior, **parts)
 
 
 def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) -> Plant:
@@ -81,13 +79,9 @@ def _carried(arm: Arm, known: Posterior, found: Sequence[Geometry]) -> Geometry:
     bases = [_product(before, each.base) for each in found]
     tools = [_product(each.tool, behind) for each in found]
     if len(found) == 1 and found[0] is known.identified:
-        return replace(own, **_links(found[0]), base=bases[0], tool=tools[0])
-    links = {name: np.stack([getattr(each, name) for each in found]) for name in LINK_PARAMETERS}
+        return replace(own, **{name: getattr(found[0], name) for name in LINK_PARAMETERS}, base=bases[0], tool=tools[0])
+    links: dict[str, Any] = {name: np.stack([getattr(each, name) for each in found]) for name in LINK_PARAMETERS}
     return replace(own, **links, base=_together(bases), tool=_together(tools))
-
-
-def _links(geometry: Geometry) -> dict[str, Any]:
-    return {name: getattr(geometry, name) for name in LINK_PARAMETERS}
 
 
 def _together(poses: Sequence[Pose]) -> Pose:

@@ -1,4 +1,4 @@
-"""A calibrated arm's plant as one verified file (.npz), with all that its arms are drawn from; see `pickenv.container`."""
+"""A calibrated arm's plant as one verified file (.npz), with all that its arms are drawn from (`pickenv.container`)."""
 
 from __future__ import annotations
 
@@ -129,7 +129,9 @@ def _layout(content: Mapping[str, Any], geometry: Geometry) -> Layout:
     )
     joints = [*layout.leads, *(joint for joint, _ in layout.harmonics), *(pair[0] for pair in layout.moments)]
     joints += [pair[1] for pair in layout.moments] + ([layout.boom[0]] if layout.boom else [])
-    if not all(0 <= joint < geometry.joints for joint in joints) or not {pair[2] for pair in layout.moments} <= set("mxyz"):
+    if not all(0 <= joint < geometry.joints for joint in joints) or not {pair[2] for pair in layout.moments} <= set(
+        "mxyz"
+    ):
         raise InputError("it names a joint that its arm does not have")
     return layout
 
@@ -146,4 +148,4 @@ def _field(periodic: Any, arrays: Mapping[str, NDArray[Any]], joints: int) -> Re
     )
     offset = finite(arrays, "offset", (outputs,), TWIN)
     features = Features(frequency, centre, tuple(map(bool, periodic)), outputs)
-    return ResidualField(features, weight, tuple(offset.tolist()), tuple(map(tuple, turn.tolist())))  # type: ignore[arg-type]
+    return ResidualField(features, weight, tuple(offset.tolist()), tuple(map(tuple, turn.tolist())))

@@ -78,7 +78,7 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
     plant, joints = comparison.plant, comparison.field_joints
     believed = forward(comparison.nominal, joints).position
     fields = {}
-    for name in TABLE:
+    for name in (*TABLE, *FOUND):
         if name != "geometry" and getattr(plant, name) is None:
             continue
         alone = plant.without(other for other in (*EFFECTS, *FOUND) if other != name)

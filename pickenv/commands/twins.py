@@ -20,7 +20,9 @@ def twin(
     ] = None,
     rows: Annotated[
         list[Path] | None,
-        typer.Option(help="Poses or positions that it was fitted to, where it has no Gaussian process.", show_default=False),
+        typer.Option(
+            help="Poses or positions that it was fitted to, where it has no Gaussian process.", show_default=False
+        ),
     ] = None,
     columns: Annotated[str | None, typer.Option(help="Column description of --rows; ours if left out.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the residual's waves.", min=0)] = 0,
