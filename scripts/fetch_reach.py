@@ -27,7 +27,6 @@ from pickenv.calibration import fit, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.files import write_json
 from pickenv.inspect.figures.style import COLUMN, LINES, STYLE, save_figure
-from pickenv.intervals import clustered_share_interval
 from pickenv.wrappers import Compensate, Miscalibrate, geometry_in_mujoco
 from pickenv.wrappers.mujoco_arm import joints_in_mujoco
 
@@ -118,25 +117,22 @@ def reaches(env: Any, plant: Plant, compensator: Compensate | None, count: int) 
 
 
 def drawn(ends: Mapping[str, Array], millimetres: float) -> Figure:
-    """Success against the distance within which a reach counts; bands are 95 % intervals over arms."""
+    """Success against the distance within which a reach counts; bands reach from the worst arm to the best."""
     within = np.geomspace(0.1, OWN_MM, 60)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(COLUMN, 2.6), layout="constrained")
+        figure = Figure(figsize=(COLUMN, 3.2), layout="constrained")
         axes = figure.add_subplot()
         for (name, values), line in zip(ends.items(), LINES, strict=False):
             share = [np.mean(values <= most) for most in within]
             (shown,) = axes.plot(within, 100.0 * np.array(share), linestyle=line, label=name)
-            if len(values) > 1:
-                each = [
-                    clustered_share_interval((values <= most).sum(axis=1), [values.shape[1]] * len(values))
-                    for most in within
-                ]
-                low, high = np.array([(np.nan, np.nan) if ends is None else ends for ends in each]).T
-                axes.fill_between(within, 100.0 * low, 100.0 * high, color=shown.get_color(), alpha=0.2, linewidth=0)
+            each = np.array([(values <= most).mean(axis=1) for most in within])
+            axes.fill_between(
+                within, 100.0 * each.min(axis=1), 100.0 * each.max(axis=1), color=shown.get_color(), alpha=0.2, linewidth=0
+            )
         axes.set(xscale="log", xlabel="a reach counts within (mm)", ylabel="success (%)", ylim=(0, 102))
         axes.set_title(f"FetchReach, arm of {millimetres:g} mm")
         axes.set_xticks([0.1, 1, 3, 10, 50], ["0.1", "1", "3", "10", "50"])
-        axes.legend(loc="upper left")
+        figure.legend(loc="outside lower center")
     return figure
 
 
