@@ -104,6 +104,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         corrections.apply,
         corrections.export,
         check,
+        plants.arms,
         schema,
     ),
     "Simulate, learn and judge": (

@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, Geometry, rotation_vector
-from pickenv.arm.files.urdf import leading_links, urdf_text
+from pickenv.arm.files.urdf_text import leading_links, urdf_text
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import Bpnn
 from pickenv.calibration.residuals.residual_models import LearntResidual
 from pickenv.errors import InputError
+from pickenv.extras import require
 from pickenv.files import write_text, write_whole
 
 OPSET = 17
@@ -172,10 +173,9 @@ def write_onnx(calibration: Calibration, path: str | Path) -> Path:
         raise InputError("this calibration has no learnt residual, so there is nothing to write as ONNX")
     if not isinstance(learnt.model, Bpnn):
         raise InputError(f"the residual model '{learnt.kind}' cannot be written as ONNX; only 'bpnn' can")
-    try:
-        import onnx
-    except ImportError as error:
-        raise InputError("the package onnx is missing; install it with: pip install onnx") from error
+    require("onnx")
+    import onnx
+
     model = _onnx_model(learnt, learnt.model, calibration.identified, provenance(calibration))
     onnx.checker.check_model(model)
     return write_whole(path, lambda temporary: temporary.write_bytes(model.SerializeToString()))

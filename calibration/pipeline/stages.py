@@ -132,7 +132,7 @@ def calibrate(
         result.save("ur5.npz")
 
     Args:
-        arm: The arm, its name, or its file (TOML, or URDF as ``file.urdf#tip``); None where files hold finished poses.
+        arm: The arm, its name, or its file (`pickenv.arm.load_arm`); None where files hold finished poses.
         data: Measurements, observations of any kind or several of them, or files that hold them (CSV or YAML).
         columns: Description of the files' columns, by name or path; our own columns when left out. Several: one for
             each file.
@@ -391,6 +391,7 @@ def _error_on_both(verdict: GateVerdict) -> float:
 
     Both lie within the training rows here, so both may rank; a model that shone on one of them by luck counts half.
     """
+    assert verdict.blocked_rms is not None
     assert verdict.inner_rms is not None and verdict.geometric_inner_rms is not None
     return verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms
 

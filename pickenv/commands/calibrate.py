@@ -11,6 +11,7 @@ import typer
 
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import progress_bars
+from pickenv.extras import require
 from pickenv.files import separate, write_json
 from pickenv.provenance import command_line
 
@@ -31,7 +32,8 @@ def calibrate(
     arm: Annotated[
         str | None,
         typer.Option(
-            help="Arm name, arm file (.toml) or URDF (file.urdf#tip); not for finished poses.", show_default=False
+            help="Arm name or file: .toml, .urdf#link, .xml#body (MJCF), UR .yaml; not for finished poses.",
+            show_default=False,
         ),
     ] = None,
     columns: Annotated[
@@ -69,7 +71,7 @@ def calibrate(
         str | None,
         typer.Option(help="--test is another station: find its base, tool or base,tool from a few rows of it."),
     ] = None,
-    refit_rows: Annotated[int, typer.Option(help="Rows to find them from.", min=3)] = 6,
+    refit_rows: Annotated[int | None, typer.Option(help="Rows to find them from; 6 if left out.", min=3)] = None,
     fit: Annotated[
         Literal["auto", "offsets", "compliance", "reduced", "full"],
         typer.Option(
@@ -119,14 +121,16 @@ def calibrate(
     from pickenv.calibration.camera.lens_files import write_lens
     from pickenv.calibration.pipeline.choices import Choices
     from pickenv.calibration.pipeline.pixel_figures import lens_of
-    from pickenv.calibration.pipeline.restation import frames_of
+    from pickenv.calibration.pipeline.restation import frames_and_rows
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
-    from pickenv.inspect.reports.calibration_report import write_calibration_report
 
     separate(
         {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
         {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run, "--lens-out": lens_out},
     )
+    if report is not None or run is not None:
+        require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
+    moved, count = frames_and_rows(refit, refit_rows)
     choices = Choices(
         fit=fit,
         terms=terms,
@@ -136,8 +140,8 @@ def calibrate(
         seed=seed,
         frames=frames,
         lens=lens,
-        refit=frames_of(refit) if refit else (),
-        refit_rows=refit_rows,
+        refit=moved,
+        refit_rows=count,
     )
     with progress_bars() if sys.stderr.isatty() else nullcontext() as told:
         result = calibrated(
@@ -170,14 +174,14 @@ def calibrate(
         "lens": lens,
         "unit": unit,
         "refit": refit,
-        "refit_rows": refit_rows if refit else None,
+        "refit_rows": refit_rows,
     }
     command = command_line("pickenv", "calibrate", *files, arm=arm, test=test, **options)
     deliver(
         [
             (out, result.calibration.save),
             (lens_out, lambda path: write_lens(lens_of(result.geometric, result.train), path)),
-            (report, lambda path: write_calibration_report(path, result, seeds)),
+            (report, lambda path: result.write_page(path, seeds)),
             (run, lambda folder: write_run(folder, command, seed, result, seeds)),
             (json_file, lambda path: write_json(path, result.as_dict())),
         ],

@@ -18,7 +18,9 @@ from typer.testing import CliRunner
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import Calibration, random_joints
 from pickenv.calibration.camera.boards import Board
+from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.lens import Lens, projected
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.cli import app
@@ -231,3 +233,30 @@ def test_rendered_pictures_correct_an_arm(so101: str, tmp_path: Path, mount: str
     assert walked["shown"]["views"] >= 25 and 0.15 < walked["shown"]["rms_px"] < 0.5
     assert len(zeros) == 3 and max(map(abs, zeros.values())) < 3.0, zeros
     assert walked["missed"]["calibrated"] < walked["missed"]["nominal"] / 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("scatter_deg", "noise"), [(0.0, 0.03), (0.02, 0.03), (0.02, NOISE)])
+def test_what_is_printed_of_a_zero_holds_where_the_arm_scatters_under_sharp_pictures(
+    so101: str, scatter_deg: float, noise: float
+) -> None:
+    """Twelve arms; the truth is what the same pictures without noise and scatter lead to."""
+    arm, scores = load_arm(so101), []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        true, start = (set_up(arm, g, "hand") for g in (off(arm, rng), arm.nominal))
+        clean = views_of(true, "hand", 40, rng)
+        data = replace(
+            clean,
+            corners=clean.corners + noise * rng.normal(size=clean.corners.shape),
+            joints=clean.joints + np.radians(scatter_deg) * rng.normal(size=clean.joints.shape),
+        )
+        model = geometric_model(start, False)
+        truth, found = (identify(model, start, [views]) for views in (clean, data))
+        seen = found.identifiability
+        assert seen.kept_names == truth.identifiability.kept_names
+        zeros = [k for k in seen.kept if seen.names[k].startswith("theta")]
+        scores.append((found.delta - truth.delta)[zeros] / found.standard_deviation[zeros])
+    size = np.abs(np.array(scores))
+    assert size.shape == (12, 3) and (size < 1.96).mean() > 0.85 and size.max() < 5.0
+    assert 0.4 < np.sqrt(np.mean(size**2)) < 1.5

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.link_origins import link_origins
-from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
+from pickenv.arm.files.urdf_text import ROD_RADIUS, leading_links
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.errors import InputError
 from pickenv.files import write_text
