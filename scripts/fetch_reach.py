@@ -127,7 +127,12 @@ def drawn(ends: Mapping[str, Array], millimetres: float) -> Figure:
             (shown,) = axes.plot(within, 100.0 * np.array(share), linestyle=line, label=name)
             each = np.array([(values <= most).mean(axis=1) for most in within])
             axes.fill_between(
-                within, 100.0 * each.min(axis=1), 100.0 * each.max(axis=1), color=shown.get_color(), alpha=0.2, linewidth=0
+                within,
+                100.0 * each.min(axis=1),
+                100.0 * each.max(axis=1),
+                color=shown.get_color(),
+                alpha=0.2,
+                linewidth=0,
             )
         axes.set(xscale="log", xlabel="a reach counts within (mm)", ylabel="success (%)", ylim=(0, 102))
         axes.set_title(f"FetchReach, arm of {millimetres:g} mm")

@@ -39,7 +39,9 @@ def found_by_hand(
     delta = np.zeros(len(nominal.parameter_names))
     delta[: 4 * nominal.links] = rng.uniform(-1e-4, 1e-4, 4 * nominal.links)
     model = ArmModel.of(nominal.displaced(delta), terms)
-    model = ArmModel(model.geometry, terms, size * rng.uniform(-1.0, 1.0, len(model.coefficients)) * model.term_tolerances)
+    model = ArmModel(
+        model.geometry, terms, size * rng.uniform(-1.0, 1.0, len(model.coefficients)) * model.term_tolerances
+    )
     uncertainty: dict[str, Any] = {
         "parameters": list(parameters),
         "covariance": np.zeros((len(parameters),) * 2).tolist() if covariance is None else covariance.tolist(),

@@ -141,7 +141,9 @@ def test_a_geometry_will_do_for_the_truth():
 def test_what_cannot_be_wrapped_is_refused_in_a_sentence(monkeypatch):
     env = JointReach("ur5")
     nominal = geometry_in_mujoco(env.model, "tool")
-    with pytest.raises(InputError, match="CartPoleEnv has no achieved_goal and compute_reward; wrap a goal environment"):
+    with pytest.raises(
+        InputError, match="CartPoleEnv has no achieved_goal and compute_reward; wrap a goal environment"
+    ):
         Miscalibrate(gym.make("CartPole-v1"), nominal, nominal)
     with pytest.raises(InputError, match="ReachGoalEnv has no MuJoCo model and data"):
         Miscalibrate(gym.make("pickenv/ReachGoal-v0"), nominal, nominal)

@@ -82,7 +82,7 @@ def test_drives_hold_the_arm_at_its_target():
     np.testing.assert_allclose(data.qpos, target, rtol=0, atol=1e-6)
 
 
-def test_mjx_and_warp_stand_where_the_arm_stands(draw):
+def test_mjx_stands_where_the_arm_stands(draw):
     mjx = pytest.importorskip("mujoco.mjx", reason="MJX is not installed; pip install mujoco-mjx")
     geometry = load_arm("qiao2026").nominal
     model = mujoco.MjModel.from_xml_string(mjcf_text(geometry, "qiao2026"))
@@ -93,10 +93,20 @@ def test_mjx_and_warp_stand_where_the_arm_stands(draw):
         np.testing.assert_allclose(np.asarray(data.site_xpos)[-1], forward(geometry, q).position, rtol=0, atol=2e-6)
 
 
-def test_warp_takes_the_model():
-    warp = pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed; pip install mujoco-warp")
-    model = mujoco.MjModel.from_xml_string(mjcf_text(load_arm("ur5").nominal, "ur5"))
-    assert warp.put_model(model).nq == 6
+def test_warp_stands_where_the_arm_stands(draw):
+    reason = "MuJoCo Warp of this MuJoCo's version is not installed; pip install mujoco-warp"
+    mjw = pytest.importorskip("mujoco_warp", reason=reason)
+    geometry = load_arm("qiao2026").nominal
+    model = mujoco.MjModel.from_xml_string(mjcf_text(geometry, "qiao2026"))
+    host = mujoco.MjData(model)
+    for q in draw(geometry, 3):
+        host.qpos[:] = q
+        mujoco.mj_forward(model, host)
+        device, data = mjw.put_model(model), mjw.put_data(model, host)
+        data.site_xpos.zero_()
+        mjw.kinematics(device, data)
+        seen = data.site_xpos.numpy()[0, -1]  # single precision
+        np.testing.assert_allclose(seen, forward(geometry, q).position, rtol=0, atol=2e-6)
 
 
 def test_a_joint_without_a_link_of_its_own_is_refused():

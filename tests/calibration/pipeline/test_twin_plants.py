@@ -23,7 +23,14 @@ from pickenv.arm import (
 from pickenv.arm.effects.structure import Load
 from pickenv.arm.kinematics.geometry import Coupling
 from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker, twin
-from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, GravityTerm, LeadTerm, PeriodicTerm, ThermalTerm
+from pickenv.calibration.model.terms import (
+    BendingTerm,
+    ComplianceTerm,
+    GravityTerm,
+    LeadTerm,
+    PeriodicTerm,
+    ThermalTerm,
+)
 from pickenv.calibration.pipeline.twin import SMOOTH, Scatter, repeated_std, scatter_of
 from pickenv.calibration.residuals.random_features import feature_process
 from pickenv.container import write_container
