@@ -20,8 +20,9 @@ from pickenv.calibration import Calibration, random_joints
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import geometric_model
+from pickenv.calibration.model.error_model import frames_model, geometric_model
 from pickenv.calibration.model.lens import Lens, projected
+from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.cli import app
 from tests.calibration.camera.conftest import render
@@ -220,6 +221,41 @@ def test_corners_and_joints_correct_an_arm(so101: str, tmp_path: Path, mount: st
         rows = list(csv.DictReader(stream))
     assert [row["reached"] for row in rows] == ["yes", "yes"]
     assert all(float(row["predicted_error_mm"]) < float(row["uncorrected_error_mm"]) for row in rows)
+
+
+@pytest.mark.slow
+def test_a_camera_on_the_hand_and_one_in_the_world_are_one_fit_and_better_than_either(
+    so101: str, tmp_path: Path
+) -> None:
+    """Each with its own description, its own board and frames; the arm is one."""
+    rng, arm = np.random.default_rng(5), load_arm(so101)
+    printed = off(arm, rng)
+    files, descriptions = [], []
+    for mount in ("hand", "world"):
+        folder = tmp_path / mount
+        folder.mkdir()
+        files.append(write_table(folder, arm, views_of(set_up(arm, printed, mount), mount, 14, rng), rng))
+        descriptions.append(folder / "views.toml")
+        descriptions[-1].write_text(DESCRIPTION.format(mount=mount, lens="fixed", found=TABLE), encoding="utf-8")
+    there, sizes = random_joints(printed, 200, rng), {}
+    for name, chosen in (("hand", [0]), ("world", [1]), ("both", [0, 1])):
+        saved, figures = tmp_path / f"{name}.npz", tmp_path / f"{name}.json"
+        columns = [word for i in chosen for word in ("--columns", descriptions[i])]
+        call("calibrate", *(files[i] for i in chosen), "--arm", so101, *columns, "--out", saved, "--json", figures)
+        sizes[name] = inner_error(Calibration.load(saved).identified, printed, there)
+        shown = json.loads(figures.read_text(encoding="utf-8"))
+        assert shown["kind"] == "pixels" and shown["rows"]["train"] >= 12 * len(chosen)
+    nominal = inner_error(arm.nominal, printed, there)
+    assert sizes["both"] < min(sizes["hand"], sizes["world"]) and sizes["both"] < nominal / 10
+
+
+def inner_error(found: Geometry, true: Geometry, joints: np.ndarray) -> float:
+    """What a geometry misses by, m RMS, where its own base and tool are laid onto the true ones as well as they can."""
+    found = replace(found, base=true.base, tool=true.tool)
+    model = frames_model(found)
+    data = Measurements(joints, *forward(true, joints), found.prismatic)
+    laid = identify(model, found, data, max_iterations=50).arm_model
+    return float(np.sqrt(np.mean(np.sum(data.difference(laid)[:, :3] ** 2, axis=1))))
 
 
 @pytest.mark.slow

@@ -124,7 +124,7 @@ def test_a_drifted_arm_is_told_and_by_how_much(result: Result, true: Geometry) -
     )
     size = float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) * 1e3
     assert found.status == "drifted" and found.since is None
-    said = float(found.reason.partition("moved by ")[2].split()[0])
+    said = float(found.reason.partition("but ")[2].split()[0])
     assert said == pytest.approx(size, rel=0.15)
 
 
