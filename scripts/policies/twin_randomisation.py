@@ -1,4 +1,4 @@
-"""Randomise around what is known, or around a guess? One small policy, trained on a twin's draws and on invented ranges.
+"""Randomise around what is known, or around a guess? A small policy, trained on a twin's draws and on invented ranges.
 
 The simulated arm of Qiao 2026 is measured at 100 poses and calibrated; its twin gives the arms to train on. Beside it
 the same policy learns on arms drawn about the nominal one from a tolerance class, as domain randomisation does. A

@@ -132,7 +132,7 @@ def test_a_calibration_brings_the_success_back():
 def test_a_geometry_will_do_for_the_truth():
     env = JointReach("ur5")
     nominal = geometry_in_mujoco(env.model, "tool")
-    moved = replace(nominal, base=nominal.base._replace(position=nominal.base.position + [0.0, 0.003, 0.0]))
+    moved = replace(nominal, base=nominal.base._replace(position=nominal.base.position + np.array([0.0, 0.003, 0.0])))
     wrapped = Miscalibrate(env, nominal, moved)
     assert wrapped.reset(seed=0)[1]["tool_error_mm"] == pytest.approx(3.0, abs=1e-9)
     np.testing.assert_allclose(wrapped.tool_error(), [0.0, 0.003, 0.0], rtol=0, atol=1e-12)

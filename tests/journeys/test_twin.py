@@ -1,4 +1,4 @@
-"""A calibration → `pickenv twin` → gymnasium.make with that plant, as docs/twin.md prints it: errors raw and calibrated.
+"""A calibration → `pickenv twin` → gymnasium.make with that plant, as docs/twin.md has it: errors raw and calibrated.
 
 From an empty folder. The last number on the screen is the mean error of calibrated reaches on arms that the data allow,
 mm (simulated arm qiao2026); it is what the calibration's report promised, and raw arms err as the true one does.

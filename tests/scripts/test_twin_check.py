@@ -1,4 +1,4 @@
-"""UR5's twin predicts what corrections gain on measured rows that it never saw; the page prints what the script finds."""
+"""UR5's twin predicts what corrections gain on measured rows that it never saw; the page prints what is found."""
 
 import re
 import sys
