@@ -314,7 +314,7 @@ def _field(smooth: FeatureProcess, inputs: JointInputs) -> ResidualField:
     weight[..., : scaled.shape[-1]] = smooth.mean.reshape(outputs, 2, -1)
     features = Features(
         np.ascontiguousarray(frequency, dtype=np.float32),
-        inputs.mean[:joints],
+        tuple(inputs.mean[:joints].tolist()),
         tuple(inputs.periodic.tolist()),
         outputs,
     )

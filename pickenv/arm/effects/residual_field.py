@@ -34,7 +34,7 @@ class Features:
 
     Attributes:
         frequency: Of each output's K waves, side by side, by each input ``(F, O K)``, 1/rad or 1/m.
-        centre: What is taken off each input ``(F,)``.
+        centre: What is taken off each input, F numbers.
         periodic: For each joint, whether it enters by sine and cosine.
         outputs: Number of outputs O: 3 (position) or 6 (pose).
     """
@@ -42,7 +42,7 @@ class Features:
     shared: ClassVar[bool] = True  # `pickenv.arm.plant.tree` leaves it as it is
 
     frequency: Single
-    centre: Array
+    centre: tuple[float, ...]
     periodic: tuple[bool, ...]
     outputs: int
 
@@ -56,7 +56,7 @@ class Features:
         turning = [value for value, far in zip(q, self.periodic, strict=True) if far]
         direct = [value for value, far in zip(q, self.periodic, strict=True) if not far]
         raw = [*direct, *(m.sin(value) for value in turning), *(m.cos(value) for value in turning)]
-        return [value - centre for value, centre in zip(raw, self.centre.tolist(), strict=True)]
+        return [value - centre for value, centre in zip(raw, self.centre, strict=True)]
 
     def angles(self, inputs: Array) -> Single:
         """The waves' angles ``(..., O, K)`` at inputs ``(F, ...)``."""

@@ -44,7 +44,7 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
     arrays |= {"speed": plant.arm.speed} | {name: getattr(known, name) for name in parts}
     if known.field is not None:
         field = known.field
-        arrays |= {"frequency": field.features.frequency, "centre": field.features.centre, "weight": field.weight}
+        arrays |= {"frequency": field.features.frequency, "centre": np.array(field.features.centre), "weight": field.weight}
         arrays |= {"offset": np.array(field.offset), "turn": np.array(field.turn)}
     header = {
         "name": plant.name,
@@ -147,5 +147,5 @@ def _field(periodic: Any, arrays: Mapping[str, NDArray[Any]], joints: int) -> Re
         for name, shape in (("frequency", (rows, waves)), ("weight", (outputs, 2, waves // outputs)))
     )
     offset = finite(arrays, "offset", (outputs,), TWIN)
-    features = Features(frequency, centre, tuple(map(bool, periodic)), outputs)
+    features = Features(frequency, tuple(centre.tolist()), tuple(map(bool, periodic)), outputs)
     return ResidualField(features, weight, tuple(offset.tolist()), tuple(map(tuple, turn.tolist())))
