@@ -1,4 +1,4 @@
-"""What of Li et al. 2016 comes out again: a verdict for each table, equation and figure, decided by the numbers beside it.
+"""What of Li et al. 2016 comes out again: a verdict for each table, equation and figure, by the numbers beside it.
 
 ``reproduced``, ``fitted`` (a constant of ours was chosen so) or ``not reproduced``, each with its reason.
 """
@@ -50,10 +50,10 @@ def table_2(paper: Mapping[str, Sequence[float]], by_spacing: Mapping[int, Mappi
         for name, printed in paper.items()
     ]
     exact = [s for s, found in by_spacing.items() if all(agrees(paper[name], found[name]) for name in paper)]
-    apart = max(abs(by_spacing[350][name][0] - paper[name][0]) for name in paper if name != "master")
+    apart = max(abs(by_spacing[350][name][2] - paper[name][2]) for name in paper if name != "master")
     reason = (
         f"exact for a slave spacing of {', '.join(map(str, exact))} mm" if exact else "exact for no spacing tried"
-    ) + f"; text and Table 1 say 350 mm, with which it is up to {apart:.0f} mm off"
+    ) + f"; text and Table 1 say 350 mm, with which d6 is up to {apart:.0f} mm off"
     return judged(REPRODUCED if exact else NOT, reason, rows, exact_for_spacing_mm=exact)
 
 
@@ -81,8 +81,9 @@ def pick_points(paper_mm: Sequence[float], found_mm: Array, reach: Mapping[str, 
     reason = (
         f"they give ({', '.join(f'{v:.0f}' for v in found_mm)}) mm where the paper prints "
         f"({', '.join(f'{v:.0f}' for v in paper_mm)}) mm: three targets stand for the fruit of its image, which it "
-        f"does not list; twelve fruit a zone are reached by {reach['as_printed']:.1%} as printed, "
-        f"{reach['search']:.1%} with a search around the corrected ones"
+        f"does not list; of twelve fruit a zone {reach['as_printed']:.1%} are reached with the misprint of eq (7), "
+        f"{reach['equations']:.1%} without it, {reach['corrected']:.1%} with theta2 as heading, {reach['search']:.1%} "
+        "with a search around that"
     )
     return judged(REPRODUCED if apart < NEAR_MM else NOT, reason, rows, apart_mm=apart)
 
@@ -116,6 +117,6 @@ def recovery(paper: Sequence[int], first: Sequence[int], rate: float, ends: Sequ
     row = {"paper": list(paper), "first_images": list(first), "rate": rate, "ci95": list(ends)}
     reason = (
         f"{first[0]} of {first[1]} on the first images and {rate:.1%} of all; how far a push moves a fruit, how well a "
-        "camera sees it and how fruit cluster are constants of ours, with which the rate runs from 0.58 to 0.97"
+        "camera sees it and how fruit cluster are constants of ours, and any rate of this size could be had with them"
     )
     return judged(FITTED, reason, [row])

@@ -36,7 +36,17 @@ def test_the_script_gives_tables_figures_recording_and_json(tmp_path):
     assert found["recovery"]["optimised"]["rate"] >= 0.95
     speed = {name: way["picks_per_hour"] for name, way in found["recovery"].items()}
     assert speed["optimised"] >= 1.5 * speed["raw"]
-    assert set(found["table2"]) == set(found["table3"]) == {"master", "left", "middle", "right"}
+    tables = found["tables"]
+    assert list(tables) == ["1", "2", "3"] and list(found["figures"]) == ["8", "9"]
+    for kind in ("tables", "equations", "figures", "experiments"):
+        for part in found[kind].values():
+            assert part["verdict"] in ("reproduced", "not reproduced", "fitted")
+            assert len(part["reason"]) > 40 and part["rows"]
+    assert [row["arm"] for row in tables["2"]["rows"]] == ["master", "left", "middle", "right"]
+    assert tables["2"]["exact_for_spacing_mm"] == [450] and tables["3"]["verdict"] == "fitted"
+    assert found["figures"]["9"]["verdict"] == "reproduced"
+    for row in found["figures"]["9"]["rows"]:
+        assert row["ours"] == pytest.approx(row["paper"], rel=2e-3)
     figures = {path.stem for path in (tmp_path / "figures").glob("*.png")}
     assert figures == {"gantt", "pick_map", "funnel", "throughput", "workspace", "joint_curves"}
     assert (tmp_path / "zone.rrd").stat().st_size > 10_000
