@@ -333,6 +333,7 @@ UNIT = re.compile(
 WITH_UNITS_IN = ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.envs")
 IN_CODE = {
     "CONTROL_PERIOD": "an environment's period is part of what it is",
+    "USUAL_TILT": "the usual value of an environment's argument",
     "STILL": "where an observation of Pick-v0 ends",
     "MOST_CAMERA_NOISE_MM": "a bound on arguments",
     "MOST_NUMBER": "a bound on arguments",
