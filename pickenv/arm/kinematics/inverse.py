@@ -151,7 +151,7 @@ def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> A
 
 
 def _descend_damped(geometry: Geometry, goals: Pose, q: Array) -> Array:
-    """Damped steps within the joint limits; a step that does not come nearer is not taken, and damped more next time."""
+    """Damped steps within the joint limits; one that does not come nearer is not taken, and damped more next time."""
     damping = np.full(len(q), 1e-3)
     error = pose_error(forward(geometry, q), goals)
     for _ in range(DAMPED_STEPS):

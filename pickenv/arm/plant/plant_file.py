@@ -56,7 +56,9 @@ def shipped_plants() -> list[str]:
 
 
 def read_plant(name: str | Path) -> Plant:
-    """Read a plant by name (a preset) or from a path to a TOML file; its true arm is the arm file's, or the nominal one.
+    """Read a plant by name (a preset) or from a path to a TOML file.
+
+    The true arm is the arm file's, or the nominal one where that gives none.
 
     Raises:
         InputError: If the plant is unknown or a number is impossible; names the file and the key.

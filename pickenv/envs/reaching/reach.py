@@ -133,8 +133,9 @@ class ReachEnv(ArmEnv):
       is given, and 60, 90, … for an arm that cannot point its tool up so far.
     - `end_on_success` (bool, default False): whether the first step inside the capture region ends the episode.
     - `arms` ("fixed", "per_env" or "per_episode"): the plant's own true arm, or one of a population, chosen once per
-      environment or anew in every episode. `tolerances` (class or file, default "medium"; a class that `plant` names goes
-      before), `population` (int, default 256) and `population_seed` (int, default 0) say which; judge a policy on a population that it never saw.
+      environment or anew in every episode. `tolerances` (class or file, default "medium"; a class that `plant` names
+      goes before), `population` (int, default 256) and `population_seed` (int, default 0) say which; judge a policy on
+      a population that it never saw.
     - `executor` ("floats" or "numpy"): floats are fast; with "numpy" an environment gives the same bits as the native
       vector environment on NumPy.
     - `render_mode` (None, "human" or "rgb_array").

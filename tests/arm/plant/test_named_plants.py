@@ -1,4 +1,4 @@
-"""Plants by the name of an arm: without error, or drawn from a tolerance class that sizes what the arm does not bring."""
+"""Plants by the name of an arm: without error, or of a tolerance class that sizes what the arm does not bring."""
 
 from dataclasses import replace
 
