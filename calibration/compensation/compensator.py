@@ -1,7 +1,8 @@
 """From a wanted nominal pose to corrected joints: Qiao 2026 eqs (13)-(16) and Fig. 3 through the rank-aware inverse.
 
 q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints, J+ truncated to the
-task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. Near joint limits and singular poses such
+task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. An arm of fewer than six joints cannot
+have both position and attitude: it is brought to the position first (`POSITION_FIRST`). Near joint limits and singular poses such
 steps can lead away: of the target and its corrections the one that the model expects nearest is commanded. One pose
 runs on Python floats, many on NumPy in blocks: a compensator stands in a control loop and in vector environments. The
 residual's network is most of the cost, so it is evaluated once, at the joints that geometry alone corrects.
@@ -31,6 +32,9 @@ from pickenv.errors import InputError
 
 BLOCK = 2048
 """Poses worked on together: what a core's first caches hold."""
+
+POSITION_FIRST = 0.05
+"""What a radian counts, in m, where fewer than six joints have to choose between position and attitude; else 1."""
 
 NEGLIGIBLE = 1e-6
 """What a correction may be expected to lose, m or rad: what single precision rounds where nothing is to be gained."""
@@ -140,23 +144,30 @@ def corrected(
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
-        columns = jacobian_columns(nominal, links, tool)
+        columns = [_weighed(nominal, column) for column in jacobian_columns(nominal, links, tool)]
         solve = solve or _solver(m, columns)
-        error: Sequence[Scalar] = frame_error(m, tool, wanted)
+        error = _weighed(nominal, frame_error(m, tool, wanted))
         if residual is not None:
             if learnt is None:
-                learnt = residual(_moved(m, command, solve(error, columns), limits))
+                learnt = _weighed(nominal, residual(_moved(m, command, solve(error, columns), limits)))
             error = _less(error, learnt)
         best = _nearer(m, best, _expected(m, command, error))
         command = _moved(m, command, solve(error, columns), limits)
     if best is None:
         return target
-    error = frame_error(m, tool_frame(m, identified, command), wanted)
+    error = _weighed(nominal, frame_error(m, tool_frame(m, identified, command), wanted))
     return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt))).joints
 
 
+def _weighed(nominal: Geometry, parts: Sequence[Scalar]) -> Sequence[Scalar]:
+    """The six components of an error, or of a column of the Jacobian, as the task weighs them."""
+    if nominal.joints >= 6:
+        return parts
+    return [*parts[:3], *(POSITION_FIRST * part for part in parts[3:])]
+
+
 class _Expected(NamedTuple):
-    """Joints, and the size of the pose error expected there, with a radian as a metre, as the inverse weighs them."""
+    """Joints, and the size of the pose error expected there, as the task weighs it."""
 
     joints: Sequence[Scalar]
     error: Scalar
