@@ -9,6 +9,7 @@ stand nearest. Targets that cannot be reached are said to be so, with the error 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +31,9 @@ NUMERIC_TOLERANCE = 1e-6
 
 POOL, NEAREST, DAMPED_STEPS = 2**13, 8, 40
 """Poses among which starts are sought, starts per restart, and steps from each."""
+
+WHOLE = slice(0, 6)
+"""Which components of a pose error are to vanish: position and attitude."""
 
 TURN = 0.5
 """What the entries of a rotation matrix count against a position, as a share of the tool's spread, in "nearest"."""
@@ -64,6 +68,7 @@ def inverse(
     rank_tolerance: float = DIRECTION_TOLERANCE,
     max_iterations: int = 100,
     restarts: int = 4,
+    position_only: bool = False,
 ) -> InverseSolution:
     """Joints that bring the tool to ``target``, as far as rank and joint limits allow.
 
@@ -77,6 +82,7 @@ def inverse(
         max_iterations: Gauss-Newton steps per start.
         restarts: Further starts, spread evenly over the joint ranges, for targets not reached, and then `NEAREST` times
             as many from poses near the target; with 0 there are none of either.
+        position_only: Whether the attitude is free: an arm of few joints reaches few places with a given one.
 
     Returns:
         An `InverseSolution`; unreachable targets have ``reached`` False and the closest joints found.
@@ -99,7 +105,11 @@ def inverse(
         raise ValueError("the start is not finite; give finite joints (rad or m)")
     best = np.broadcast_to(first, (*shape, n)).reshape(-1, n).clip(geometry.lower, geometry.upper)
     spread = qmc.Halton(n, scramble=False).random(restarts + 1)[1:] * 2 - 1 if restarts else np.empty((0, n))
-    best = _descend(geometry, goals, best, middle, half, rank_tolerance, max_iterations)
+    descend, descend_damped = _descend, _descend_damped
+    if position_only:
+        attitude_tolerance, first_three = np.inf, slice(0, 3)
+        descend, descend_damped = partial(descend, parts=first_three), partial(descend_damped, parts=first_three)
+    best = descend(geometry, goals, best, middle, half, rank_tolerance, max_iterations)
     state = _judge(geometry, goals, best, position_tolerance, attitude_tolerance, rank_tolerance)
     # None: from the best joints so far, using the directions near a singular pose that the truncation left alone.
     for offset in (None, *spread, None):
@@ -109,7 +119,7 @@ def inverse(
         some = Pose(goals.position[open_], goals.rotation[open_])
         begin = best[open_] if offset is None else np.broadcast_to(middle + 0.9 * half * offset, (open_.size, n))
         tolerance = rank_tolerance if offset is not None else min(rank_tolerance, NUMERIC_TOLERANCE)
-        tried = _descend(geometry, some, begin, middle, half, tolerance, max_iterations)
+        tried = descend(geometry, some, begin, middle, half, tolerance, max_iterations)
         new = _judge(geometry, some, tried, position_tolerance, attitude_tolerance, rank_tolerance)
         better = new.reached | ((_cost(new) < _cost(state)[open_]) & (offset is not None))
         best[open_[better]] = tried[better]
@@ -150,12 +160,12 @@ def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> A
     return np.asarray(joints[np.asarray(nearest).reshape(-1)])
 
 
-def _descend_damped(geometry: Geometry, goals: Pose, q: Array) -> Array:
+def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice = WHOLE) -> Array:
     """Damped steps within the joint limits; one that does not come nearer is not taken, and damped more next time."""
     damping = np.full(len(q), 1e-3)
-    error = pose_error(forward(geometry, q), goals)
+    error = pose_error(forward(geometry, q), goals)[:, parts]
     for _ in range(DAMPED_STEPS):
-        jacobian = joint_jacobian(geometry, q)
+        jacobian = joint_jacobian(geometry, q)[:, parts]
         downhill = np.einsum("kij,ki->kj", jacobian, error)
         held = ((q <= geometry.lower) & (downhill < 0)) | ((q >= geometry.upper) & (downhill > 0))
         free = jacobian * ~held[:, None, :]
@@ -164,7 +174,7 @@ def _descend_damped(geometry: Geometry, goals: Pose, q: Array) -> Array:
         normal = normal + weights[:, :, None] * np.eye(q.shape[-1])
         step = np.linalg.solve(normal, (downhill * ~held)[..., None])[..., 0]
         tried = (q + step).clip(geometry.lower, geometry.upper)
-        left = pose_error(forward(geometry, tried), goals)
+        left = pose_error(forward(geometry, tried), goals)[:, parts]
         nearer = np.sum(left**2, axis=-1) < np.sum(error**2, axis=-1)
         q, error = np.where(nearer[:, None], tried, q), np.where(nearer[:, None], left, error)
         damping = np.where(nearer, 0.2 * damping, 5.0 * damping).clip(1e-12, 1e6)
@@ -193,15 +203,22 @@ def _judge(
 
 
 def _descend(
-    geometry: Geometry, goals: Pose, q: Array, middle: Array, half: Array, rank_tolerance: float, max_iterations: int
+    geometry: Geometry,
+    goals: Pose,
+    q: Array,
+    middle: Array,
+    half: Array,
+    rank_tolerance: float,
+    max_iterations: int,
+    parts: slice = WHOLE,
 ) -> Array:
     """Damped-step Gauss-Newton with null-space pull; rows that have settled are left alone."""
     q = q.copy()
     active = np.arange(len(q))
     for _ in range(max_iterations):
         here, some = q[active], Pose(goals.position[active], goals.rotation[active])
-        error = pose_error(forward(geometry, here), some)
-        jacobian = joint_jacobian(geometry, here)
+        error = pose_error(forward(geometry, here), some)[:, parts]
+        jacobian = joint_jacobian(geometry, here)[:, parts]
         step = _step(jacobian, error, (middle - here) / half**2, half, rank_tolerance)
         # A joint at its limit that would be pushed outwards is locked, and the others take over its share.
         outward = ((here <= geometry.lower) & (step < 0)) | ((here >= geometry.upper) & (step > 0))
