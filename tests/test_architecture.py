@@ -339,6 +339,7 @@ IN_CODE = {
     "MOST_NUMBER": "a bound on arguments",
     "ROD_RADIUS": "how viewers draw a link; kinematics do not look at it",
     "SHORTEST_ROD": "the same",
+    "POSITION_FIRST": "how a task is weighed",
     "STEP_LIMIT": "the inverse's own",
     "DEGREES": "a conversion",
     "ROUNDING": "a rounding error",

@@ -2,7 +2,7 @@
 
 q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints, J+ truncated to the
 task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. An arm of fewer than six joints cannot
-have both position and attitude: it is brought to the position first (`POSITION_FIRST`). Near joint limits and singular poses such
+have both position and attitude: it is brought to the position first (`attitude_weight`). Near joint limits and singular poses such
 steps can lead away: of the target and its corrections the one that the model expects nearest is commanded. One pose
 runs on Python floats, many on NumPy in blocks: a compensator stands in a control loop and in vector environments. The
 residual's network is most of the cost, so it is evaluated once, at the joints that geometry alone corrects.
@@ -26,15 +26,12 @@ from pickenv.arm.kinematics.forward import Chain, Scalar, attach, chain_of, fram
 from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.arm.kinematics.jacobians import jacobian_columns
 from pickenv.arm.kinematics.pose_error import frame_error
-from pickenv.arm.kinematics.task_space import truncated_inverse
+from pickenv.arm.kinematics.task_space import attitude_weight, truncated_inverse
 from pickenv.calibration.compensation.truncated_solve import TruncatedSolver
 from pickenv.errors import InputError
 
 BLOCK = 2048
 """Poses worked on together: what a core's first caches hold."""
-
-POSITION_FIRST = 0.05
-"""What a radian counts, in m, where fewer than six joints have to choose between position and attitude; else 1."""
 
 NEGLIGIBLE = 1e-6
 """What a correction may be expected to lose, m or rad: what single precision rounds where nothing is to be gained."""
@@ -161,9 +158,8 @@ def corrected(
 
 def _weighed(nominal: Geometry, parts: Sequence[Scalar]) -> Sequence[Scalar]:
     """The six components of an error, or of a column of the Jacobian, as the task weighs them."""
-    if nominal.joints >= 6:
-        return parts
-    return [*parts[:3], *(POSITION_FIRST * part for part in parts[3:])]
+    weight = attitude_weight(nominal.joints)
+    return parts if weight == 1.0 else [*parts[:3], *(weight * part for part in parts[3:])]
 
 
 class _Expected(NamedTuple):
