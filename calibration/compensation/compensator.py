@@ -2,10 +2,11 @@
 
 q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints, J+ truncated to the
 task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. An arm of fewer than six joints cannot
-have both position and attitude: it is brought to the position first (`attitude_weight`). Near joint limits and singular poses such
-steps can lead away: of the target and its corrections the one that the model expects nearest is commanded. One pose
-runs on Python floats, many on NumPy in blocks: a compensator stands in a control loop and in vector environments. The
-residual's network is most of the cost, so it is evaluated once, at the joints that geometry alone corrects.
+have both position and attitude: it is brought to the position first (`attitude_weight`). Near joint limits and singular
+poses such steps can lead away: of the target and its corrections the one that the model expects nearest is commanded.
+One pose runs on Python floats, many on NumPy in blocks: a compensator stands in a control loop and in vector
+environments. The residual's network is most of the cost, so it is evaluated once, at the joints that geometry alone
+corrects.
 """
 
 from __future__ import annotations

@@ -6,7 +6,6 @@ under load its encoder shows, and LeRobot reads encoders, so the readings here l
 
 import csv
 import json
-import math
 import re
 import shlex
 from dataclasses import replace
@@ -23,6 +22,7 @@ from pickenv.arm.plant.named_plants import draw_arms
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.calibration import Calibration
 from pickenv.cli import app
+from pickenv.study.design.config import load_study
 from tests.calibration.camera.conftest import render
 from tests.journeys.test_camera import BOARD, DIM, LENS, after, back, call, set_up, views_of
 
@@ -108,10 +108,57 @@ def missed(believed: Geometry, eye: Plant, board: Pose, before: str) -> float:
     return 1e3 * float(np.sqrt(np.mean(np.sum(away**2, axis=-1))))
 
 
+def stated(pattern: str) -> list[float]:
+    """Numbers on the page."""
+    found = re.search(pattern, PAGE)
+    assert found is not None, pattern
+    return [float(number) for number in found.groups()]
+
+
 @pytest.mark.slow
-def test_an_owner_gets_from_a_printed_board_to_corrected_offsets(walked: tuple[Path, Plant, Pose, str]) -> None:
-    folder, eye, board, said = walked
+def test_an_owner_gets_from_a_printed_board_to_a_corrected_arm(walked: tuple[Path, Plant, Pose, str]) -> None:
+    """What the page prints is what its commands give; another machine's pictures may differ by a tenth."""
+    folder, eye, board, _ = walked
+    assert (folder / "board.pdf").stat().st_size > 1000 and (folder / "so101.html").is_file()
     calibration = Calibration.load(folder / "so101.npz")
-    print(said)
-    for before in ("same side", "anywhere"):
-        print(before, missed(calibration.nominal, eye, board, before), missed(calibration.identified, eye, board, before))
+    after_it, before_it = stated(r"to ([\d.]+) mm \(RMS\), the nominal arm to ([\d.]+) mm")
+    assert missed(calibration.identified, eye, board, "same side") == pytest.approx(after_it, rel=0.1)
+    assert missed(calibration.nominal, eye, board, "same side") == pytest.approx(before_it, rel=0.1)
+    (careless,) = stated(r"the calibrated arm misses by ([\d.]+) mm")
+    assert missed(calibration.identified, eye, board, "anywhere") == pytest.approx(careless, rel=0.1)
+    assert after_it < before_it / 3 and careless > 1.5 * after_it
+    shown = json.loads((folder / "so101.json").read_text(encoding="utf-8"))
+    assert shown["verdict"]["grade"] == "with care" and shown["views"] > 50
+    assert shown["leave_one_out_px"] == pytest.approx(stated(r"\| calibrated \| [\d.]+ mm \| ([\d.]+) px")[0], rel=0.1)
+
+
+@pytest.mark.slow
+def test_commands_and_the_corrected_arm_say_the_same(walked: tuple[Path, Plant, Pose, str]) -> None:
+    """Where commands.csv sends it, the exported arm stands nearly where the nominal arm was meant to."""
+    folder, _, _, said = walked
+    assert "3 of 3 targets can be reached" in said
+    with (folder / "commands.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert all(float(row["predicted_error_mm"]) < 0.1 * float(row["uncorrected_error_mm"]) for row in rows)
+    assert load_arm(folder / "my_so101.toml").nominal.joint_names == load_arm("so101").nominal.joint_names
+
+
+@pytest.mark.slow
+def test_the_figures_of_repeatability_are_those_of_the_command(walked: tuple[Path, Plant, Pose, str]) -> None:
+    said = walked[3]
+    poses = re.findall(r"^P\d +([\d.]+) +([\d.]+) +[\d.]+ to [\d.]+ +[\d.]+ +[\d.]+ *([\d.]*)$", said, re.MULTILINE)
+    columns = [[float(row[i]) for row in poses if row[i]] for i in range(3)]
+    names = ("accuracy AP", "repeatability RP", "variation vAP")
+    ranges = [stated(rf"\| {name}[^|]*\| ([\d.]+) to ([\d.]+) mm") for name in names]
+    for column, ends in zip(columns, ranges, strict=True):
+        assert [min(column), max(column)] == pytest.approx(ends, abs=0.06)
+    assert max(columns[1]) < min(columns[2]) < max(columns[0])
+
+
+def test_the_pages_study_is_of_this_arm_and_class() -> None:
+    config = load_study(Path(__file__).parents[2] / "scripts/so101_study.toml")
+    assert config.load_plant().arm.fingerprint() == load_arm("so101").fingerprint()
+    arms, places = config.arms, config.fruit
+    assert (
+        arms == 60 and f"each calibrated and sent to {places} places" in PAGE and list(config.tolerances) == ["printed"]
+    )

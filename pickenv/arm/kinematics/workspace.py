@@ -52,9 +52,7 @@ class Cube:
         return Pose(self.centre + offsets, np.broadcast_to(self.rotation, (5, 3, 3)))
 
 
-def largest_cube(
-    geometry: Geometry, rotation: Array | None = None, *, steps: int = 20, free: bool = False
-) -> Cube:
+def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: int = 20, free: bool = False) -> Cube:
     """The largest cube within reach.
 
     Args:
