@@ -45,8 +45,9 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
     """Read a plant.
 
     Args:
-        name: A preset's name, a path to a plant file (.toml), "ideal:ARM", or "CLASS:ARM" with a tolerance class and
-            an arm or plant, each by name or path. Of a class, it is the design that arms are drawn from (`draw_arms`).
+        name: A preset's name, a path to a plant file (.toml) or a twin (.npz), "ideal:ARM", or "CLASS:ARM" with a
+            tolerance class and an arm or plant, each by name or path. Of a class, it is the design that arms are drawn
+            from (`draw_arms`).
         without: Effects to switch off.
 
     Raises:
@@ -150,8 +151,8 @@ def _split(name: str | Path) -> tuple[str, str]:
 
 def _design(name: str, tolerances: Tolerances) -> Plant:
     """The plant of that name, or one of an arm of that name that the class sizes."""
-    of_its_own = name in shipped_plants() or (name.endswith(".toml") and is_file(name) and "arm" in toml_of(name)[0])
-    if of_its_own:
+    plant_file = name.endswith(".toml") and is_file(name) and "arm" in toml_of(name)[0]
+    if plant_file or name in shipped_plants() or name.endswith(".npz"):
         return read_plant(name)
     if tolerances.sizes is None:
         raise InputError(

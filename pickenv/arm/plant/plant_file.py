@@ -1,4 +1,7 @@
-"""Plants are TOML files: which arm, and the size and source of each effect. The presets lie in `plants`."""
+"""Plants are TOML files: which arm, and the size and source of each effect. The presets lie in `plants`.
+
+A calibrated arm's plant is a file of its own kind (`pickenv.arm.plant.twin_file`).
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.load import load_arm
 from pickenv.arm.plant.effect_tables import BY_JOINT
 from pickenv.arm.plant.plant import EFFECTS, Plant
+from pickenv.arm.plant.twin_file import read_twin
 from pickenv.errors import InputError
 from pickenv.toml_tables import LINE, Check, Then, file_named, read, shipped_in, toml_table
 
@@ -56,14 +60,16 @@ def shipped_plants() -> list[str]:
 
 
 def read_plant(name: str | Path) -> Plant:
-    """Read a plant by name (a preset) or from a path to a TOML file.
+    """Read a plant by name (a preset) or from a path to a TOML file, or to that of a calibrated arm (.npz).
 
-    The true arm is the arm file's, or the nominal one where that gives none.
+    The true arm of a TOML file is its arm file's, or the nominal one where that gives none.
 
     Raises:
         InputError: If the plant is unknown or a number is impossible; names the file and the key.
     """
-    path = file_named("plant", name, PLANTS)
+    if Path(name).suffix == ".npz":
+        return read_twin(name)
+    path = file_named("plant", name, PLANTS, ".toml, .npz")
     parts = dict(vars(read(PlantFile, path, context={})))
     del parts["source"]
     arm = parts["arm"]
