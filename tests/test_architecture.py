@@ -333,11 +333,13 @@ UNIT = re.compile(
 WITH_UNITS_IN = ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.envs")
 IN_CODE = {
     "CONTROL_PERIOD": "an environment's period is part of what it is",
+    "USUAL_TILT": "the usual value of an environment's argument",
     "STILL": "where an observation of Pick-v0 ends",
     "MOST_CAMERA_NOISE_MM": "a bound on arguments",
     "MOST_NUMBER": "a bound on arguments",
     "ROD_RADIUS": "how viewers draw a link; kinematics do not look at it",
     "SHORTEST_ROD": "the same",
+    "POSITION_FIRST": "how a task is weighed",
     "DENSITY": "of the rods that stand for links nobody has weighed, so that a simulation runs",
     "LEAST_MASS": "the same",
     "STIFFNESS": "of the drives in that simulation",

@@ -19,8 +19,8 @@ from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of,
 from pickenv.agents.evaluation.rollout import Rollout, roll_out
 from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
-from pickenv.envs.shared.task import CONTROL_PERIOD, FEEDBACK, check_choice, check_number, load_true_arm
+from pickenv.arm.plant.named_plants import draw_arms
+from pickenv.envs.shared.task import CONTROL_PERIOD, FEEDBACK, check_choice, check_number
 from pickenv.errors import InputError
 from pickenv.limits import check_limit
 from pickenv.orchard.gripper import Gripper, load_gripper
@@ -225,7 +225,7 @@ def run_grid(
 def population(settings: GridSettings, plant: str) -> Any:
     """The arms of a plant, as the environments draw them."""
     rng = np.random.default_rng(settings.population_seed)
-    return draw_plants(load_true_arm(plant), load_tolerances(settings.tolerances), settings.arms, rng)
+    return draw_arms(plant, settings.tolerances, settings.arms, rng)
 
 
 def _nothing_fits(settings: GridSettings, kinds: Mapping[str, Kind]) -> str:

@@ -1,10 +1,12 @@
 """From a wanted nominal pose to corrected joints: Qiao 2026 eqs (13)-(16) and Fig. 3 through the rank-aware inverse.
 
 q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints, J+ truncated to the
-task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. Near joint limits and singular poses such
-steps can lead away: of the target and its corrections the one that the model expects nearest is commanded. One pose
-runs on Python floats, many on NumPy in blocks: a compensator stands in a control loop and in vector environments. The
-residual's network is most of the cost, so it is evaluated once, at the joints that geometry alone corrects.
+task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. An arm of fewer than six joints cannot
+have both position and attitude: it is brought to the position first (`attitude_weight`). Near joint limits and singular
+poses such steps can lead away: of the target and its corrections the one that the model expects nearest is commanded.
+One pose runs on Python floats, many on NumPy in blocks: a compensator stands in a control loop and in vector
+environments. The residual's network is most of the cost, so it is evaluated once, at the joints that geometry alone
+corrects.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from pickenv.arm.kinematics.forward import Chain, Scalar, attach, chain_of, fram
 from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.arm.kinematics.jacobians import jacobian_columns
 from pickenv.arm.kinematics.pose_error import frame_error
-from pickenv.arm.kinematics.task_space import truncated_inverse
+from pickenv.arm.kinematics.task_space import attitude_weight, truncated_inverse
 from pickenv.calibration.compensation.truncated_solve import TruncatedSolver
 from pickenv.errors import InputError
 
@@ -140,23 +142,29 @@ def corrected(
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
-        columns = jacobian_columns(nominal, links, tool)
+        columns = [_weighed(nominal, column) for column in jacobian_columns(nominal, links, tool)]
         solve = solve or _solver(m, columns)
-        error: Sequence[Scalar] = frame_error(m, tool, wanted)
+        error = _weighed(nominal, frame_error(m, tool, wanted))
         if residual is not None:
             if learnt is None:
-                learnt = residual(_moved(m, command, solve(error, columns), limits))
+                learnt = _weighed(nominal, residual(_moved(m, command, solve(error, columns), limits)))
             error = _less(error, learnt)
         best = _nearer(m, best, _expected(m, command, error))
         command = _moved(m, command, solve(error, columns), limits)
     if best is None:
         return target
-    error = frame_error(m, tool_frame(m, identified, command), wanted)
+    error = _weighed(nominal, frame_error(m, tool_frame(m, identified, command), wanted))
     return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt))).joints
 
 
+def _weighed(nominal: Geometry, parts: Sequence[Scalar]) -> Sequence[Scalar]:
+    """The six components of an error, or of a column of the Jacobian, as the task weighs them."""
+    weight = attitude_weight(nominal.joints)
+    return parts if weight == 1.0 else [*parts[:3], *(weight * part for part in parts[3:])]
+
+
 class _Expected(NamedTuple):
-    """Joints, and the size of the pose error expected there, with a radian as a metre, as the inverse weighs them."""
+    """Joints, and the size of the pose error expected there, as the task weighs it."""
 
     joints: Sequence[Scalar]
     error: Scalar

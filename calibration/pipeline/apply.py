@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Arm, Geometry, Pose, forward, inverse, joint_jacobian, noncompensable_error, pose_error
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.kinematics.task_space import truncated_inverse
+from pickenv.arm.kinematics.task_space import attitude_weight, truncated_inverse
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import joint_columns, write_table
@@ -169,7 +169,8 @@ def apply_calibration(
     commands = toward(compensator, wanted, wanted_joints)
     before = pose_error(wanted, compensator.predict(wanted_joints))
     remaining = pose_error(wanted, compensator.predict(commands))
-    impossible = noncompensable_error(calibration.identified, commands, remaining)
+    weight = attitude_weight(arm.nominal.joints)
+    impossible = noncompensable_error(calibration.identified, commands, remaining, weight=weight)
     left = remaining - impossible
     missed_position, missed_attitude = np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1)
     reached = (missed_position <= POSITION_TOLERANCE) & (missed_attitude <= ATTITUDE_TOLERANCE)
@@ -213,13 +214,15 @@ def _sizes(errors: Array) -> tuple[Array, Array]:
 def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
     """Commands ``(N, n)`` that bring the real tool to ``wanted`` poses, from joints near them; eq (15), repeated.
 
-    A joint at its limit that would have to go further is held there, and the others take over what they can.
+    A joint at its limit that would have to go further is held there, and the others take over what they can. Fewer than
+    six joints go for the position first.
     """
     lower, upper = compensator.nominal.lower, compensator.nominal.upper
+    weights = np.repeat([1.0, attitude_weight(compensator.nominal.joints)], 3)
     command = start.clip(lower, upper)
     for _ in range(PASSES):
-        error = pose_error(compensator.predict(command), wanted)
-        jacobian = joint_jacobian(compensator.identified, command)
+        error = pose_error(compensator.predict(command), wanted) * weights
+        jacobian = joint_jacobian(compensator.identified, command) * weights[:, None]
         free = np.ones_like(command)
         for _ in range(command.shape[1]):
             step = np.einsum("...ij,...j->...i", truncated_inverse(jacobian * free[:, None]), error) * free

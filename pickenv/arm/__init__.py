@@ -23,10 +23,10 @@ from pickenv.arm.kinematics.pose_error import rotation_vector as rotation_vector
 from pickenv.arm.kinematics.task_space import noncompensable_error as noncompensable_error
 from pickenv.arm.kinematics.task_space import task_directions as task_directions
 from pickenv.arm.plant.dynamics import PlantState as PlantState
+from pickenv.arm.plant.named_plants import load_plant as load_plant
 from pickenv.arm.plant.plant import Plant as Plant
 from pickenv.arm.plant.plant_batch import plant_at as plant_at
 from pickenv.arm.plant.plant_batch import plants_on as plants_on
-from pickenv.arm.plant.plant_file import load_plant as load_plant
 from pickenv.arm.plant.plant_file import shipped_plants as shipped_plants
 from pickenv.arm.plant.tolerances import Tolerances as Tolerances
 from pickenv.arm.plant.tolerances import draw_plants as draw_plants

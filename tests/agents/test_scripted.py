@@ -6,6 +6,8 @@ import pytest
 
 import pickenv  # noqa: F401
 from pickenv.agents import ScriptedReach
+from pickenv.agents.policies.policy import read_observation
+from pickenv.arm import forward, pose_error, shipped_arms
 from pickenv.errors import InputError
 
 
@@ -60,3 +62,25 @@ def test_a_fruit_out_of_reach_is_said_so(env):
     observation[9:12] += 2.0
     with pytest.raises(InputError, match=r"fruit at .* mm cannot be reached: .* mm and .* deg remain"):
         policy.act(observation)
+
+
+def missed(arm: str, count: int, seed: int) -> int:
+    """How many of an environment's goals the policy's joints leave by 0.1 mm or 0.05 deg."""
+    envs = gym.make_vec("pickenv/Reach-v0", num_envs=count, plant=f"ideal:{arm}")
+    observation, _ = envs.reset(seed=seed)
+    policy = ScriptedReach(envs)
+    reading = read_observation(policy.geometry, observation)
+    error = pose_error(policy.wanted_pose(reading), forward(policy.geometry, policy.wanted_joints(reading)))
+    envs.close()
+    return int(np.sum(np.any(np.abs(error) > [1e-4] * 3 + [np.radians(0.05)] * 3, axis=-1)))
+
+
+@pytest.mark.parametrize("arm", shipped_arms())
+def test_it_finds_joints_for_every_goal_that_an_environment_draws(arm):
+    assert missed(arm, 100, seed=0) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", shipped_arms())
+def test_it_finds_joints_for_thousands_of_goals(arm):
+    assert missed(arm, 4000, seed=1) == 0

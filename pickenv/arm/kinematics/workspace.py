@@ -34,11 +34,13 @@ class Cube:
         centre: Its centre (3,), m.
         edge: Its edge, m; parallel to the world axes.
         rotation: Tool attitude with which it is reached (3, 3).
+        free: Whether it is reached with any attitude.
     """
 
     centre: Array
     edge: float
     rotation: Array
+    free: bool = False
 
     def inclined_plane(self) -> Pose:
         """The five test poses of ISO 9283: P1 in the centre, P2 to P5 a tenth of the diagonals from the corners.
@@ -50,7 +52,7 @@ class Cube:
         return Pose(self.centre + offsets, np.broadcast_to(self.rotation, (5, 3, 3)))
 
 
-def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: int = 20) -> Cube:
+def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: int = 20, free: bool = False) -> Cube:
     """The largest cube within reach.
 
     Args:
@@ -58,6 +60,7 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
         rotation: Tool attitude (3, 3); that of the middle of all joint ranges when left out. Only the part of it that
             the joints can turn counts.
         steps: Grid steps along the longest side of the workspace.
+        free: Whether any attitude will do, as for an arm that cannot hold one and go everywhere.
 
     Raises:
         InputError: If not even the smallest cube of the grid is within reach.
@@ -74,7 +77,9 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
     distance, nearest = cKDTree(points).query(targets)
     near = np.flatnonzero(distance < step)
     goals = Pose(targets[near], np.broadcast_to(rotation, (near.size, 3, 3)))
-    solution = inverse(geometry, goals, joints[np.asarray(nearest)[near]], max_iterations=ITERATIONS, restarts=0)
+    options = {"position_only": True} if free else {}
+    start = joints[np.asarray(nearest)[near]]
+    solution = inverse(geometry, goals, start, max_iterations=ITERATIONS, restarts=0, **options)
     within = np.zeros(len(targets), dtype=bool)
     within[near] = solution.reached
     corner, size = _largest_filled(within.reshape(grid.shape[:-1]))
@@ -83,7 +88,7 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
             f"this arm reaches no cube of {1e3 * step:.0f} mm with one tool attitude; give another attitude"
         )
     edge = size * step
-    return Cube(grid[corner] + edge / 2.0, edge, np.asarray(rotation, dtype=float))
+    return Cube(grid[corner] + edge / 2.0, edge, np.asarray(rotation, dtype=float), free)
 
 
 def farthest(geometry: Geometry) -> float:

@@ -171,7 +171,8 @@ class Iso9283Result:
         lines = [
             f"ISO 9283 on the simulated arm {self.plant}: {s.cycles} cycles at {100 * s.pace.speed:.0f} % speed, "
             f"measured {s.pace.dwell:g} s after arrival, on for {s.warm_up / 3600:g} h",
-            f"cube of {1e3 * self.cube.edge:.0f} mm about ({centre}) mm",
+            f"cube of {1e3 * self.cube.edge:.0f} mm about ({centre}) mm"
+            + (", its places with any attitude: the arm cannot hold one" if self.cube.free else ""),
             f"the instrument's noise alone would show RP {self.instrument_mm:.3f} mm",
             "figures are of this one simulated arm; intervals of RP are over its cycles"
             + ("" if s.cycles >= CYCLES else f", and need {CYCLES} of them"),
@@ -222,11 +223,11 @@ def iso9283(
         InputError: If a test pose cannot be reached.
     """
     settings = settings or Iso9283Settings()
-    cube = cube or largest_cube(plant.arm.nominal)
+    cube = cube or _cube_for(plant.arm.nominal)
     seed = int(rng.integers(2**63))
     poses = cube.inclined_plane()
-    targets = _joints_for(plant, poses, None)
-    approaches = _approaches(plant, poses, targets, settings.approach)
+    targets = _joints_for(plant, poses, None, cube.free)
+    approaches = _approaches(plant, poses, targets, settings.approach, cube.free)
     wanted = forward(reference or plant.arm.nominal, targets)
 
     def performance(change: Compensate) -> Performance:
@@ -243,8 +244,18 @@ def iso9283(
     )
 
 
-def _joints_for(plant: Plant, poses: Pose, start: Array | None) -> Array:
-    solution = inverse(plant.arm.nominal, poses, start)
+def _cube_for(geometry: Geometry) -> Cube:
+    """The largest cube; with any attitude where an arm of fewer than six joints can hold none."""
+    try:
+        return largest_cube(geometry)
+    except InputError:
+        if geometry.joints >= 6:
+            raise
+        return largest_cube(geometry, free=True)
+
+
+def _joints_for(plant: Plant, poses: Pose, start: Array | None, free: bool) -> Array:
+    solution = inverse(plant.arm.nominal, poses, start, position_only=free)
     if not solution.reached.all():
         raise InputError(
             f"arm '{plant.arm.name}' does not reach all test poses of this cube; give a smaller one or another attitude"
@@ -252,14 +263,14 @@ def _joints_for(plant: Plant, poses: Pose, start: Array | None) -> Array:
     return solution.joints
 
 
-def _approaches(plant: Plant, poses: Pose, targets: Array, length: float) -> Array:
+def _approaches(plant: Plant, poses: Pose, targets: Array, length: float, free: bool) -> Array:
     """Joints ``(3 poses, 3 directions, n)`` a short way before P1, P2, P4 along x, y and z, towards the centre."""
     some = list(VARIATION_POSES)
     inwards = np.where(poses.position[some] - poses.position[0] > 0, -1.0, 1.0)
     before = poses.position[some][:, None, :] + length * inwards[:, :, None] * np.eye(3)
     rotation = np.broadcast_to(poses.rotation[some][:, None], (*before.shape[:-1], 3, 3))
     start = np.broadcast_to(targets[some][:, None, :], (*before.shape[:-1], targets.shape[-1]))
-    return _joints_for(plant, Pose(before, rotation), start)
+    return _joints_for(plant, Pose(before, rotation), start, free)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ A calibrated arm's plant is a file of its own kind (`pickenv.arm.plant.twin_file
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -25,12 +24,18 @@ NAMED = Check(lambda value: isinstance(value, str), "the name of a shipped arm o
 
 def _arm(name: Any, context: Any) -> Arm:
     """The arm that a file names; what is read after it finds it in the context."""
-    arm = load_arm(name)
+    context["arm"] = arm = one_link_per_joint(load_arm(name))
+    return arm
+
+
+def one_link_per_joint(arm: Arm) -> Arm:
+    """The arm, if each of its joints moves one link.
+
+    Raises:
+        InputError: If one moves several.
+    """
     if arm.nominal.coupling is not None:
         raise InputError(f"a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet")
-    if arm.true is None:
-        raise InputError(f"arm '{arm.name}' has no true_… values, so there is no true arm to simulate")
-    context["arm"] = arm
     return arm
 
 
@@ -54,22 +59,21 @@ def shipped_plants() -> list[str]:
     return shipped_in(PLANTS)
 
 
-def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
-    """Read a plant by name (a preset) or from a path to a TOML file, or to that of a calibrated arm.
+def read_plant(name: str | Path) -> Plant:
+    """Read a plant by name (a preset) or from a path to a TOML file, or to that of a calibrated arm (.npz).
 
-    Args:
-        name: A preset's name or a path ending in .toml or .npz.
-        without: Effects to switch off.
+    The true arm of a TOML file is its arm file's, or the nominal one where that gives none.
 
     Raises:
-        InputError: If the plant or an effect is unknown or a number is impossible; names the file and the key.
+        InputError: If the plant is unknown or a number is impossible; names the file and the key.
     """
     if Path(name).suffix == ".npz":
-        return _without(read_twin(name), without)
+        return read_twin(name)
     path = file_named("plant", name, PLANTS, ".toml, .npz")
     parts = dict(vars(read(PlantFile, path, context={})))
     del parts["source"]
-    plant = Plant(geometry=parts["arm"].true, **parts)
+    arm = parts["arm"]
+    plant = Plant(geometry=arm.nominal if arm.true is None else arm.true, **parts)
     for effect in ("joint_compliance", "base_tilt"):
         if parts[effect] is not None and plant.load is None:
             raise InputError(f"{path}: {effect} needs [load], the masses that gravity pulls at")
@@ -78,11 +82,4 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
             f"{path}: overlap_mm of [roller_play] is {play.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
             f"that joint {play.joint + 1} runs out"
         )
-    return _without(plant, without)
-
-
-def _without(plant: Plant, without: Iterable[str]) -> Plant:
-    try:
-        return plant.without(without)
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    return plant

@@ -51,6 +51,29 @@ class SpreadTable:
     damping: LogSize = 0.0
 
 
+@toml_tables.toml_table
+class SizesTable:
+    """[sizes] of a tolerance file: how large the effects of an arm are that brings no plant of its own.
+
+    Attributes:
+        turning_sag: What a revolute joint yields under the arm's own weight where its torque is largest, rad.
+        sliding_sag: The same for a slide, m.
+        turning_gap: Backlash of a revolute joint, rad.
+        sliding_gap: The same for a slide, m.
+        preload_share: Share of a joint's largest torque above which gravity holds its gap closed.
+        expansion: Coefficient of linear expansion of the links, 1/K.
+        warm_up: Time constant of the warm-up, s.
+    """
+
+    turning_sag: Annotated[float, toml_tables.ARCMIN.positive]
+    sliding_sag: Annotated[float, toml_tables.UM.positive]
+    turning_gap: Annotated[float, toml_tables.ARCMIN.not_negative]
+    sliding_gap: Annotated[float, toml_tables.UM.not_negative]
+    preload_share: Annotated[float, toml_tables.SHARE]
+    expansion: Annotated[float, toml_tables.Unit("um_per_m_K", 1e-6).not_negative]
+    warm_up: Annotated[float, toml_tables.HOURS.positive]
+
+
 def _range(rise: Any, _context: Any) -> Any:
     if rise[0] > rise[1]:
         raise toml_tables.fault("the lower number first")
@@ -70,6 +93,7 @@ class Tolerances:
             deviations.
         spread: The standard deviation of the logarithm of each size (0.1 is about 10 %).
         temperature_rise: Range of the warm arm's temperature rise, K; drawn evenly.
+        sizes: Effects of an arm that brings none, or None.
     """
 
     name: str
@@ -81,6 +105,7 @@ class Tolerances:
     temperature_rise: Annotated[
         tuple[float, float], toml_tables.KELVIN, toml_tables.Then(_range), toml_tables.Key("rise_K", "temperature")
     ]
+    sizes: SizesTable | None = None
 
 
 def it_tolerance(grade: int, length: Array | float) -> Array:

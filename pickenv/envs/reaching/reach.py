@@ -118,7 +118,9 @@ class ReachEnv(ArmEnv):
     ```
 
     - `plant` (str, default "qiao2026"): preset or path of a plant file; "geometry_only" is Table 1 alone, "ideal" has
-      no error at all.
+      no error at all. "ideal:ur5e" is any other arm without error, shipped (`pickenv arms`) or by its file
+      ("ideal:my.urdf#flange"), and "coarse:ur5e" one that `population_seed` draws from a tolerance class: geometry,
+      compliance, backlash and heat.
     - `without` (sequence of str): effects of the plant to switch off.
     - `feedback` ("encoders" or "camera"): whether the camera's tool-to-fruit offset is part of the observation.
     - `camera_noise_mm` (float, 0 to 100, default 0): standard deviation per axis of all that the camera sees.
@@ -127,11 +129,13 @@ class ReachEnv(ArmEnv):
     - `tolerance_mm` (float, default 5): radius of the gripper's capture region; 5 mm is the clearance of Li's cup.
     - `angle_tolerance_deg` (float, default 10): attitude tolerance of the capture region.
     - `reward` ("dense" or "sparse").
-    - `max_tilt_deg` (float, default 30): largest angle between the wanted tool axis and the vertical.
+    - `max_tilt_deg` (float, default None): largest angle between the wanted tool axis and the vertical; 30 where none
+      is given, and 60, 90, … for an arm that cannot point its tool up so far.
     - `end_on_success` (bool, default False): whether the first step inside the capture region ends the episode.
     - `arms` ("fixed", "per_env" or "per_episode"): the plant's own true arm, or one of a population, chosen once per
-      environment or anew in every episode. `tolerances` (class or file, default "medium"), `population` (int, default
-      256) and `population_seed` (int, default 0) say which; judge a policy on a population that it never saw.
+      environment or anew in every episode. `tolerances` (class or file, default "medium"; a class that `plant` names
+      goes before), `population` (int, default 256) and `population_seed` (int, default 0) say which; judge a policy on
+      a population that it never saw.
     - `executor` ("floats" or "numpy"): floats are fast; with "numpy" an environment gives the same bits as the native
       vector environment on NumPy.
     - `render_mode` (None, "human" or "rgb_array").

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from pickenv.arm.plant.named_plants import IDEAL
 from pickenv.envs.reaching.reach import ReachEnv
-from pickenv.envs.shared.task import IDEAL
 
 
 class ReachIdealEnv(ReachEnv):

@@ -11,13 +11,14 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plant_at
+from pickenv.arm.plant.named_plants import IDEAL
 from pickenv.envs.reaching.batch import Batch, Flags, Start, Views
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared import spaces
 from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.streams import fresh_seed, seed_word
-from pickenv.envs.shared.task import IDEAL, Compensate, Task, check_choice, check_count, make_task
+from pickenv.envs.shared.task import Compensate, Task, check_choice, check_count, make_task
 from pickenv.errors import InputError
 from pickenv.extras import require
 

@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import qmc
 
-from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, load_arm, load_plant, load_tolerances
+from pickenv.arm import Array, Geometry, Plant, draw_plants, forward, load_plant, plant_at
 from pickenv.arm.kinematics.forward import Chain, chain_of, frames
+from pickenv.arm.plant.named_plants import class_of, draw_arms
 from pickenv.arm.plant.plant_batch import plant_count
 from pickenv.envs.shared.exact import exact_chain
 from pickenv.errors import InputError
@@ -37,13 +39,16 @@ MOST_NUMBER = 1e6
 FEEDBACK = ("encoders", "camera")
 REWARDS = ("dense", "sparse")
 ARMS = ("fixed", "per_env", "per_episode")
-IDEAL = "ideal"
-"""Name of the plant without any error: the true arm is the nominal one."""
-
 GOAL_MARGIN = 0.05
 """Goals keep this share of each joint's range away from its limits."""
 
 GOAL_ATTEMPTS = 10_000
+
+USUAL_TILT = 30.0
+"""Largest tilt of goals where none is asked for, deg."""
+
+UPRIGHT, TILTED_POSES = 0.01, 2**10
+"""The share of an arm's poses that must keep within the largest tilt, and how many poses show that."""
 
 Compensate = Callable[[Array], Array]
 """Turns joint targets into joint commands."""
@@ -159,7 +164,7 @@ def make_task(
     tolerance_mm: float = 5.0,
     angle_tolerance_deg: float = 10.0,
     reward: str = "dense",
-    max_tilt_deg: float = 30.0,
+    max_tilt_deg: float | None = None,
     end_on_success: bool = False,
     arms: str = "fixed",
     tolerances: str = "medium",
@@ -181,17 +186,19 @@ def make_task(
         check_number(name, noise)
         if noise > MOST_CAMERA_NOISE_MM:
             raise InputError(f"{name} is {noise}; give at most {MOST_CAMERA_NOISE_MM:.0f}")
-    check_number("max_tilt_deg", max_tilt_deg, positive=True)
+    if max_tilt_deg is not None:
+        check_number("max_tilt_deg", max_tilt_deg, positive=True)
     check_choice("arms", arms, ARMS)
-    true_arm = load_true_arm(plant, without)
+    check_count("population_seed", population_seed, least=0)
+    true_arm = load_true_arm(plant, without, population_seed)
     if arms != "fixed":
         check_count("population", population)
         check_limit("population", int(population), "population")
-        check_count("population_seed", population_seed, least=0)
         check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
-        design = load_tolerances(tolerances)
-        true_arm = draw_plants(true_arm, design, population, np.random.default_rng(population_seed))
+        drawn = np.random.default_rng(population_seed)
+        true_arm = draw_arms(plant, tolerances, population, drawn, without=without)
     geometry = true_arm.arm.nominal
+    tilt = usual_tilt(geometry) if max_tilt_deg is None else float(max_tilt_deg)
     return Task(
         plant=true_arm,
         arms=arms,
@@ -206,21 +213,32 @@ def make_task(
         angle_tolerance_deg=float(angle_tolerance_deg),
         sparse=reward == "sparse",
         end_on_success=bool(end_on_success),
-        min_upright=math.cos(math.radians(min(max_tilt_deg, 180.0))),
+        min_upright=math.cos(math.radians(min(tilt, 180.0))),
         lost_axes=lost_axes(geometry),
     )
 
 
-def load_true_arm(plant: str, without: Sequence[str] = ()) -> Plant:
-    """`pickenv.arm.load_plant`, and "ideal" or "ideal:ARM" for an arm without error (qiao2026 by default)."""
-    check_name("plant", plant, 'a plant preset or a path to a plant file (.toml), or "ideal"')
-    name, _, arm_name = str(plant).partition(":")
+def load_true_arm(plant: str, without: Sequence[str] = (), seed: int = 0) -> Plant:
+    """`pickenv.arm.load_plant`; of a tolerance class, as in "coarse:ur5e", the first arm that ``seed`` draws."""
+    check_name("plant", plant, 'a plant preset or a path to a plant file (.toml), "ideal:ARM" or "CLASS:ARM"')
     if isinstance(without, str) or not isinstance(without, Sequence) or not all(isinstance(e, str) for e in without):
         raise InputError(f"without is {without!r}; give a list of names of effects")
-    if name != IDEAL:
+    own = class_of(plant)
+    if own is None:
         return load_plant(plant, without=without)
-    arm: Arm = load_arm(arm_name or "qiao2026")
-    return Plant(name=IDEAL, arm=arm, geometry=arm.nominal)
+    return plant_at(draw_plants(load_plant(plant, without=without), own, 1, np.random.default_rng(seed)), 0)
+
+
+def usual_tilt(geometry: Geometry) -> float:
+    """Largest angle between a goal's tool axis and the vertical where none is asked for, deg.
+
+    `USUAL_TILT`, or as many times that as an arm needs that cannot point upwards in a share of `UPRIGHT` of its poses.
+    """
+    shares = qmc.Halton(geometry.joints, scramble=False).random(TILTED_POSES)
+    shares = GOAL_MARGIN + (1.0 - 2.0 * GOAL_MARGIN) * shares
+    upright = forward(geometry, geometry.lower + (geometry.upper - geometry.lower) * shares).rotation[:, 2, 2]
+    least = math.degrees(math.acos(np.clip(np.quantile(upright, 1.0 - UPRIGHT), -1.0, 1.0)))
+    return USUAL_TILT * max(1.0, math.ceil(least / USUAL_TILT + 1e-6))  # not at the edge, where rounding decides
 
 
 def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Annotated
 
 from pickenv.arm.files.content import content_sha256
+from pickenv.arm.plant.named_plants import load_plant
 from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_file import load_plant
 from pickenv.arm.plant.tolerances import GRADE, Tolerances, load_tolerances
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
 from pickenv.calibration.residuals.residual_models import FITTERS

@@ -2,9 +2,10 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from pickenv.arm import load_plant
+from pickenv.arm import forward, load_plant
 from pickenv.errors import InputError
 
 SOUND = """
@@ -71,7 +72,6 @@ MISTAKES = {
     "load missing": (SOUND[SOUND.index("[load]") : SOUND.index("[joint_c")], "", ["joint_compliance", "[load]"]),
     "arm unknown": ('arm = "qiao2026"', 'arm = "qiao"', ["unknown arm 'qiao'"]),
     "arm missing": ('arm = "qiao2026"\n', "", ["arm is missing"]),
-    "arm without true values": ('arm = "qiao2026"', 'arm = "ur5"', ["'ur5'", "true_"]),
 }
 
 
@@ -110,6 +110,16 @@ def test_a_mistake_is_named_with_file_and_key(write, old, new, named):
     assert "\n" not in message
     for word in (str(path), *named):
         assert word in message
+
+
+def test_an_arm_without_true_values_is_built_as_its_controller_believes(write):
+    """Its effects are the file's all the same."""
+    text = SOUND[: SOUND.index("[boom_bending]")].replace("qiao2026", "ur5")
+    plant = load_plant(write(text + SOUND[SOUND.index("[measurement_noise]") :]))
+    assert plant.geometry is plant.arm.nominal and plant.joint_compliance.stiffness[0] == 9e3
+    q = np.array([0.3, -1.0, 1.0, 0.2, 0.4, 0.5])
+    sagged = forward(plant.arm.nominal, q).position - plant.tool_pose(q).position
+    assert sagged[2] > 0
 
 
 def test_an_effect_that_is_no_table_is_refused(write):

@@ -272,3 +272,18 @@ def test_what_the_learnt_residual_explains_is_no_uncertainty(dynamic):
     kept = assess(dynamic.arm, found, sets[0], sets[2]).calibration.record["uncertainty"]
     assert kept["position_repeat_m"] == pytest.approx(np.sqrt(np.mean(learnt[:, :3] ** 2)))
     assert kept["position_repeat_m"] < 0.6 * np.sqrt(np.mean(plain[:, :3] ** 2))
+
+
+def test_targets_of_an_arm_of_five_joints_are_met_in_position_first():
+    """Links off in every direction: the attitude cannot be had too, and what is left of it counts as reached."""
+    nominal = load_arm("so101").nominal
+    rng = np.random.default_rng(3)
+    sizes = np.concatenate([np.repeat([np.radians(0.6), 0.3e-3, np.radians(0.6), 0.3e-3, 0.0], 5), np.zeros(12)])
+    identified = nominal.displaced(sizes * rng.normal(size=len(sizes)))
+    span = nominal.upper - nominal.lower
+    joints = rng.uniform(nominal.lower + 0.2 * span, nominal.upper - 0.2 * span, (50, 5))
+    wanted = forward(nominal, joints)
+    error = pose_error(wanted, forward(identified, toward(Compensator(nominal, identified), wanted, joints)))
+    before = pose_error(wanted, forward(identified, joints))
+    left, raw = (np.median(np.linalg.norm(part[:, :3], axis=1)) for part in (error, before))
+    assert left < 0.1 * raw
