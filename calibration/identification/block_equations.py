@@ -7,6 +7,7 @@ alone. Rows are whitened; coefficients are in their tolerances, with their prior
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -78,11 +79,11 @@ class Linearised:
 
     def misses(self, data: Observations, solution: Array) -> Array:
         """What remains of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
-        change = dict(zip(self.names, solution * self.scale, strict=True))
+        change = defaultdict(float, zip(self.names, solution * self.scale, strict=True))
         terms = tuple(term for i, term in enumerate(self.arm.terms) if solution[self.coefficients_of(i)].any())
         arm = ArmModel.of(self.arm.geometry, terms)
-        arm = arm.displaced(np.array([change.get(name, 0.0) for name in arm.parameter_names]))
-        return data.misses(arm, np.array([self.unknowns[name] + change.get(name, 0.0) for name in data.unknowns()]))
+        arm = arm.displaced(np.array([change[name] for name in arm.parameter_names]))
+        return data.misses(arm, np.array([self.unknowns[name] + change[name] for name in data.unknowns()]))
 
 
 @dataclass(frozen=True, eq=False)

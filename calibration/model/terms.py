@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Geometry, forward, joint_jacobian, parameter_jacobian
+from pickenv.arm import Frame, Geometry, forward, joint_jacobian, parameter_jacobian
 from pickenv.arm.effects.structure import Load, gravity_torques
 from pickenv.arm.kinematics.forward import chain_of, frames, split_joints
 from pickenv.arm.kinematics.geometry import Array
@@ -102,8 +102,8 @@ class BendingTerm:
             raise InputError("the bending of a boom needs an arm whose joints move one link each; leave the term out")
         chain = chain_of(geometry)
         found = frames(np, chain, split_joints(geometry.joints, joints))
-        tip, tool = np.stack(found[self.joint + 1][9:], -1), forward(geometry, joints).position
-        z = np.stack(np.broadcast_arrays(*found[self.joint + 1][6:9], joints[:, 0])[:3], -1)
+        boom, tool = _placed(found[self.joint + 1], len(joints)), forward(geometry, joints).position
+        z, tip = boom[:, 2], boom[:, 3]
         across = z * z[:, 2:] - np.array([0.0, 0.0, 1.0])
         turn = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], -1)
         length = (joints[:, self.joint] + self.length)[:, None]
@@ -258,8 +258,7 @@ class GravityTerm:
         if self.payload and conditions.payload is None:
             raise InputError("the payload's deflection needs payloads; give a payload column")
         chain = frames(np, chain_of(geometry), split_joints(geometry.joints, joints))
-        placed = np.stack([np.stack(np.broadcast_arrays(*frame, joints[:, 0])[:12], -1) for frame in chain], 1)
-        placed = placed.reshape(len(joints), geometry.links + 1, 4, 3)
+        placed = np.stack([_placed(frame, len(joints)) for frame in chain], 1)
         up = geometry.base.rotation @ np.array(self.up)
         tool, found = forward(geometry, joints).position, []
         for i, j, moment in self._moments(geometry):
@@ -280,6 +279,11 @@ class GravityTerm:
                     torque -= ratio * (z @ up) * (1.0 if moment == "m" else np.asarray(conditions.payload))
             found.append(torque)
         return np.stack(found, -1)
+
+
+def _placed(frame: Frame, count: int) -> Array:
+    """Axes and origin of a frame ``(count, 4, 3)``, one row each, where it may have plain numbers for all poses."""
+    return np.stack([np.broadcast_to(part, count) for part in frame], 1).reshape(count, 4, 3)
 
 
 def weighed(weight: GravityTerm, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:

@@ -126,10 +126,10 @@ def page_of(
     ]
     if before:
         lines += [
-            f"**First try** is such a sample: drawn with seed {seed}, scored before any of its survivors was seen. It is",
-            "the honest score of the tests as they were then. Since tests were written, and code that made",
-            f"no difference was taken out. **Now** counts the changes {sample}: among them are those that tests were",
-            "written for, so that its interval says too much.",
+            f"**First try** is such a sample, drawn with seed {seed}, scored before any of its survivors was seen: the",
+            "honest score of the tests as they were then. Since then tests were written, and code that makes no",
+            f"difference was taken out. **Now** counts the changes {sample}: among them are",
+            "those that tests were written for, so that its interval says too much.",
         ]
     else:
         lines += [f"**Now** counts the changes {sample}. Where survivors were killed since, another seed scores lower."]

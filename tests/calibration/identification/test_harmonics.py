@@ -14,13 +14,14 @@ from pickenv.calibration.identification.harmonics import (
     MOST,
     ROWS_EACH,
     WITHIN,
+    _OrderTerm,
     chosen_orders,
     every_order,
     harmonics_of,
     pursued,
 )
-from pickenv.calibration.identification.term_choice import choose_terms, identify_terms, terms_of
-from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.identification.term_choice import choose_terms, identify_terms, plain_term, terms_of
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.splits import contiguous_folds
 from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, kind_of_term
 from pickenv.errors import InputError
@@ -248,3 +249,35 @@ def test_a_saved_calibration_holds_its_harmonics_and_corrects_them(planted, tmp_
     bare = replace(again, model=ArmModel(again.identified))
     left, without = (np.linalg.norm(each.predict(commands).position - wanted, axis=1) for each in (again, bare))
     assert np.quantile(left, 0.95) < 5e-6 and np.median(without) > 1e-4  # some poses are near a singular one
+
+
+def test_an_orders_column_is_the_difference_of_what_its_harmonic_does():
+    joints = np.random.default_rng(0).uniform(-2, 2, (20, 6))
+    sines, cosines, step = (2e-4, -1e-4), (1e-4, 3e-4), 1e-5
+    amplitudes = np.ravel(np.column_stack([sines, cosines]))
+    columns = _OrderTerm(PeriodicTerm((0, 2), (13.4, 4.7)), sines, cosines).columns(ARM.nominal, joints, Conditions())
+    for k in range(2):
+        up, down = (
+            PeriodicTerm((0, 2), tuple(np.array([13.4, 4.7]) + side * step * (np.arange(2) == k))).columns(
+                ARM.nominal, joints, Conditions()
+            )
+            @ amplitudes
+            for side in (1, -1)
+        )
+        np.testing.assert_allclose(columns[..., k], (up - down) / (2 * step), atol=1e-9)
+
+
+def test_terms_are_chosen_on_fifteen_hundred_rows_of_the_whole_at_most(monkeypatch):
+    data, seen = tracked(np.random.default_rng(0), rows=1502), []
+    monkeypatch.setattr(term_choice.BlockEquations, "of", staticmethod(lambda model, blocks: seen.extend(blocks)))
+    bare = bare_of(data.select(np.arange(60)))
+    term_choice._Trial.of(ARM, bare, data, ())
+    joints = np.concatenate([block.joints for block in seen])
+    assert len(joints) == 1500 and (joints[[0, -1]] == data.joints[[0, -1]]).all()
+
+
+@pytest.mark.parametrize(("payload", "varied"), [(None, False), ([0.5] * 40, False), ([0.0, 0.5] * 20, True)])
+def test_a_payload_takes_part_in_the_weight_where_it_varies(payload, varied):
+    data = tracked(np.random.default_rng(0), rows=40)
+    data = replace(data, conditions=Conditions(payload=None if payload is None else np.array(payload)))
+    assert plain_term("gravity", ARM, data).payload == varied
