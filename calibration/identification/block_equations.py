@@ -131,7 +131,7 @@ class BlockEquations:
 
 def solved(matrix: Array, right: Array, places: Places) -> Array:
     """Solution ``(P,)`` of normal equations with the parameters at ``places`` alone; the others stay zero."""
-    scale = np.sqrt(np.diag(matrix)[places]) + 1e-300
+    scale = np.sqrt(np.diag(matrix)[places])
     small = matrix[np.ix_(places, places)] / np.outer(scale, scale) + 1e-12 * np.eye(len(places))
     found = np.zeros(len(right))
     found[places] = np.linalg.solve(small, right[places] / scale) / scale

@@ -19,6 +19,7 @@ from pickenv.calibration.identification.harmonics import (
     every_order,
     harmonics_of,
     pursued,
+    refined,
 )
 from pickenv.calibration.identification.term_choice import choose_terms, identify_terms, plain_term, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
@@ -91,12 +92,18 @@ def test_an_arm_without_harmonics_gets_none(seeds):
     assert terms_of("periodic", ARM, bare_of(found[0]), found[0]) == ()
 
 
-def test_the_pursuit_takes_what_explains_most_each_time():
-    """As a search by least squares of every candidate in turn finds."""
-    rng = np.random.default_rng(1)
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_pursuit_takes_what_explains_most_each_time(seed, size):
+    """As a search by least squares of every candidate in turn finds; sines and cosines may be much alike."""
+    rng = np.random.default_rng(seed)
     base, pairs = rng.normal(size=(300, 5)), rng.normal(size=(300, 12, 2))
     pairs += 0.7 * pairs[:, [3]] + base[:, [1], None]
-    right = pairs[:, 7] @ [0.5, 1.0] + pairs[:, 2] @ [0.8, -0.1] + 0.3 * rng.normal(size=300)
+    pairs[..., 1] += rng.uniform(-2, 2, 12) * pairs[..., 0]
+    pairs *= 10.0 ** rng.uniform(-1, 1, (12, 2))
+    base[:, 4] = base[:, 2] - base[:, 3]  # one that says nothing new
+    right = base @ rng.normal(size=5) + pairs.reshape(300, -1) @ (rng.normal(size=24) * rng.integers(0, 2, 24))
+    right = size * (right + 0.3 * rng.normal(size=300))
     columns = np.concatenate([base, pairs.reshape(300, -1)], axis=1)
     candidates = 5 + np.arange(24).reshape(12, 2)
     taken = pursued(columns.T @ columns, columns.T @ right, np.arange(5), candidates, 6)
@@ -281,3 +288,40 @@ def test_a_payload_takes_part_in_the_weight_where_it_varies(payload, varied):
     data = tracked(np.random.default_rng(0), rows=40)
     data = replace(data, conditions=Conditions(payload=None if payload is None else np.array(payload)))
     assert plain_term("gravity", ARM, data).payload == varied
+
+
+def test_of_a_pair_that_says_one_thing_twice_no_more_is_expected_than_that():
+    """A sine and a cosine that are one column explain what it explains, and what says more is taken first."""
+    rng = np.random.default_rng(0)
+    one, other = rng.normal(size=(200, 2)).T
+    pairs = np.stack([np.stack([one, one], 1), np.stack([other, rng.normal(size=200)], 1)], 1)
+    columns = np.concatenate([np.ones((200, 1)), pairs.reshape(200, -1)], axis=1)
+    right = columns.T @ (0.5 * one + other)
+    prior = np.diag([0.0, 1e-6, 1e-6, 1e-6, 1e-6])
+    candidates = 1 + np.arange(4).reshape(2, 2)
+    assert pursued(columns.T @ columns + prior, right, np.arange(1), candidates, 2) == [1, 0]
+
+
+@pytest.mark.parametrize(("grid", "ended"), [(13.3, 13.348), (13.45, 13.402), (13.4, None)])
+def test_orders_are_refined_to_their_optimum_but_not_beyond_their_place_on_the_grid(planted, grid, ended):
+    """With uncertainties as those of least squares, from the Jacobian written out and priors as further rows."""
+    data, bare = planted
+    others = (PeriodicTerm((1, 2), (26.1, 4.72)),)
+    found = refined(PeriodicTerm((0,), (grid,)), others, bare, data)
+    assert found.orders[0] == pytest.approx(ended) if ended else abs(found.orders[0] - 13.37) < 4 * found.order_std[0]
+
+    def stacked(*more):
+        linear = Linearised.of(bare, (*others, found, *more))
+        columns, left = linear.equations(data)
+        rows = np.vstack([columns, np.diag(np.sqrt(linear.ridge))])
+        solution = np.linalg.lstsq(rows, np.r_[left, np.zeros(len(linear.ridge))], rcond=None)[0]
+        return linear, rows, solution, left - columns @ solution
+
+    linear, _, solution, _ = stacked()
+    sine, cosine = (solution * linear.scale)[linear.coefficients_of(1)]
+    linear, rows, solution, remains = stacked(_OrderTerm(found, (sine,), (cosine,)))
+    (place,) = linear.coefficients_of(2)
+    if ended is None:
+        assert abs(solution[place] * linear.scale[place]) < 0.02 * found.order_std[0]
+    variance = np.linalg.inv(rows.T @ rows)[place, place] * (remains @ remains) / (len(remains) - rows.shape[1])
+    assert found.order_std[0] == pytest.approx(np.sqrt(variance) * linear.scale[place], rel=0.02)
