@@ -101,7 +101,7 @@ def identifiability(
     kept = np.flatnonzero(adds)
     triangle = basis.T @ r[:, kept]
     dropped = []
-    for k in np.flatnonzero(~adds):
+    for k in np.flatnonzero(~adds).tolist():
         share = solve_triangular(triangle, basis.T @ r[:, k]) * tolerance[kept] / tolerance[k]
         scaled = np.abs(share) * tolerance[k] / tolerance[kept]
         absorbed = {names[j]: float(c) for j, c, s in zip(kept, share, scaled, strict=True) if s > 1e-3}

@@ -178,7 +178,8 @@ ROOMS = {
         "calibration",
         "identification/harmonics identification/block_equations identification/term_choice model/terms",
         "tests/calibration",
-        "model/terms identification/harmonics pipeline/stage_choices pipeline/blocks",
+        "model/terms_by_hand model/terms identification/mimic identification/harmonics pipeline/stage_choices "
+        "pipeline/blocks",
         most=SECOND,
     ),
     "uncertainty": room(
