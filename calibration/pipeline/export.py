@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, Geometry, rotation_vector
-from pickenv.arm.files.urdf import leading_links, urdf_text
+from pickenv.arm.files.urdf_text import leading_links, urdf_text
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import Bpnn
