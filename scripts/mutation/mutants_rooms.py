@@ -56,8 +56,8 @@ ROOMS = {
         "calibration",
         "identification/least_squares model/error_model model/identifiability",
         "tests/calibration",
-        "identification/stop_rule identification/enough_poses identification/least_squares model/identifiability "
-        "model/observations identification/align",
+        "identification/stop_rule identification/enough_poses identification/second_rank identification/least_squares "
+        "model/identifiability model/observations identification/align",
         most=CORE,
     ),
     "compensation": room(
