@@ -68,7 +68,7 @@ class Sample:
     def options(self) -> str:
         """How to ask for it."""
         if self.known:
-            return "--known"
+            return "--known --also FILE"
         return f"--seed {self.seed}" if self.most is None else f"--sample {self.most} --seed {self.seed}"
 
     def __str__(self) -> str:
@@ -133,7 +133,8 @@ def page_of(
         ]
     else:
         lines += [f"**Now** counts the changes {sample}. Where survivors were killed since, another seed scores lower."]
-    lines += ["", f'Made by `make mutants ARGS="{sample.options}"`.', ""]
+    options = sample.options + (" --first FILE" if before else "")
+    lines += ["", f'Made by `make mutants ARGS="{options}"`.', ""]
     lines += [
         "| room | mutants | first try: tried | killed | score | now: tried | killed | of these late | score |",
         "|:--|--:|--:|--:|--:|--:|--:|--:|--:|",

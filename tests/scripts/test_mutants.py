@@ -119,6 +119,7 @@ def test_beside_what_stands_now_the_page_gives_the_first_try_of_a_fresh_sample(s
     assert first[0] == 77 and list(first[1]) == ["plant", "gate"]
     now = {"plant": script.row_of(110, ["failed"] * 3)}
     page = script.page_of(now, script.Sample(0, None, known=True), [], {}, first)
+    assert 'make mutants ARGS="--known --also FILE --first FILE"' in page
     assert "drawn with seed 77, scored before any of its survivors was seen: the" in page
     assert "| plant | 110 | 2 | 1 | 50.0 % (9 to 91) | 3 | 3 | 0 | 100.0 % (44 to 100) |" in page
     assert "| gate | 30 | 4 | 4 | 100.0 % (51 to 100) | – | – | – | not tried |" in page
