@@ -57,6 +57,8 @@ def test_fewer_than_two_equations_for_each_parameter_do_where_they_show_all_of_t
     found = identify(model, qiao.nominal, data)
     assert found.identifiability.rank == 4 and found.degrees_of_freedom == 2
     np.testing.assert_allclose(found.delta, model.tolerance, rtol=1e-6)
+    apart = identify(model, qiao.nominal, [data.select([0]), data.select([1])])  # the same in two data sets
+    np.testing.assert_allclose(apart.delta, found.delta, rtol=1e-9)
 
 
 def test_rows_that_repeat_each_other_need_two_for_each_parameter_that_others_would_show(qiao, exact):
