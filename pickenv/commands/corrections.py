@@ -172,20 +172,29 @@ def export(
     toml: Annotated[Path | None, typer.Option(help="Write the corrected arm as an arm file (.toml).")] = None,
     urdf: Annotated[Path | None, typer.Option(help="Write the corrected arm as URDF.")] = None,
     onnx: Annotated[Path | None, typer.Option(help="Write the learnt network as ONNX.")] = None,
+    mjcf: Annotated[Path | None, typer.Option(help="Write the corrected arm for MuJoCo, and …_nominal.")] = None,
+    sample: Annotated[
+        int, typer.Option(help="With --mjcf: so many arms that the data allow, …_1 and on.", min=0, max=10_000)
+    ] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of --sample.", min=0)] = 0,
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
-    """Write the corrected arm as TOML or URDF, and its learnt residual as ONNX, for other programs."""
+    """Write the corrected arm as TOML, URDF or MJCF, and its learnt residual as ONNX, for other programs."""
     from pickenv.arm import load_arm
     from pickenv.calibration.pipeline.calibration import Calibration
     from pickenv.calibration.pipeline.export import export as exported
+    from pickenv.calibration.pipeline.mjcf_export import export_mjcf, mjcf_files
 
     separate(
         {"CALIBRATION": calibration, "--arm": arm},
-        {"--toml": toml, "--urdf": urdf, "--onnx": onnx},
+        {"--toml": toml, "--urdf": urdf, "--onnx": onnx, "--mjcf": None if mjcf is None else mjcf_files(mjcf, sample)},
     )
     chosen = load_arm(arm)
     loaded = Calibration.load(calibration, chosen, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
-    for path in exported(loaded, chosen, toml=toml, urdf=urdf, onnx=onnx):
+    written = [] if mjcf is None else export_mjcf(loaded, chosen, mjcf, sample=sample, seed=seed)
+    if mjcf is None or any((toml, urdf, onnx)):
+        written += exported(loaded, chosen, toml=toml, urdf=urdf, onnx=onnx)
+    for path in written:
         print(f"wrote {path}")
