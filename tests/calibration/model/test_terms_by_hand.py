@@ -42,7 +42,7 @@ def test_a_torque_is_what_the_weight_loses_of_its_height(name):
         return sum(part * size for part, size in zip(found[row : row + 3], against, strict=True))
 
     torques = weight.torques(geometry, joints, Conditions(payload=payload))
-    moments = weight._moments(geometry)
+    moments = weight.moments(geometry)
     assert torques.shape == (5, len(moments)) and {moment for *_, moment in moments} >= {"m", "p"}
     for k, (joint, link, moment) in enumerate(moments):
         moved = step * (np.arange(geometry.joints) == joint)
