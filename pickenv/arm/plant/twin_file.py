@@ -44,7 +44,11 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
     arrays |= {"speed": plant.arm.speed} | {name: getattr(known, name) for name in parts}
     if known.field is not None:
         field = known.field
-        arrays |= {"frequency": field.features.frequency, "centre": np.array(field.features.centre), "weight": field.weight}
+        arrays |= {
+            "frequency": field.features.frequency,
+            "centre": np.array(field.features.centre),
+            "weight": field.weight,
+        }
         arrays |= {"offset": np.array(field.offset), "turn": np.array(field.turn)}
     header = {
         "name": plant.name,
