@@ -46,9 +46,7 @@ class Rollout:
     def capture(self, gripper: Gripper) -> Array:
         """Probability ``(R,)`` that the gripper takes each fruit."""
         wanted = Pose(np.zeros((len(self.arm), 3)), self.wanted_rotation)
-        turn = self.reaches.pose_error.copy()
-        turn[:, :3] = 0.0
-        axis = displace_pose(wanted, turn).rotation[..., 2]
+        axis = displace_pose(wanted, self.reaches.pose_error).rotation[..., 2]
         offset = self.reaches.fruit_position - self.reaches.tool_position
         lying = misalignment(offset, axis, self.wanted_rotation[..., 2])
         return capture_probability(gripper, lying.lateral, lying.axial, lying.angle)

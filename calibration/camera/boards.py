@@ -195,7 +195,7 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
     canvas(figure)
     place = (margin / page[0], (margin + below) / page[1], width / page[0], height / page[1])
     axes = figure.add_axes(place)
-    axes.imshow(board_picture(board), cmap="gray", vmin=0, vmax=255, interpolation="none", aspect="auto")
+    axes.imshow(board_picture(board), cmap="gray", interpolation="none", aspect="auto")
     axes.set_axis_off()
     rule = figure.add_axes((0.0, 0.0, 1.0, (margin + below) / page[1]))
     rule.set(xlim=(0.0, page[0]), ylim=(0.0, margin + below))

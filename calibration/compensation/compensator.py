@@ -102,7 +102,7 @@ class Compensator:
     def _block(self, rows: Array) -> Array:
         """Commands for targets ``(N, n)``; only the corrections, which are small, are ever in single precision."""
         target = np.ascontiguousarray(rows.T, dtype=np.float32 if self.single_precision else np.float64)
-        correction = np.stack(self._corrected(np, list(target)), axis=-1) - target.T
+        correction = np.stack(self._corrected(np, list(target)), axis=1) - target.T
         return np.asarray(np.clip(rows + correction, self.nominal.lower, self.nominal.upper))
 
     def _corrected(self, m: ModuleType, target: Sequence[Scalar]) -> Sequence[Scalar]:
@@ -115,7 +115,8 @@ class Compensator:
         assert self.residual is not None
         if m is math:
             return list(self.residual.predict(np.array(joints)).tolist())
-        return list(np.ascontiguousarray(self.residual.predict(np.stack(joints, -1)).T, dtype=joints[0].dtype))
+        rows = np.stack(joints, 1)
+        return list(np.ascontiguousarray(self.residual.predict(rows).T, dtype=rows.dtype))
 
 
 def corrected(
@@ -182,8 +183,6 @@ def _nearer(m: ModuleType, one: _Expected | None, other: _Expected) -> _Expected
     nearer = other.error < one.error + NEGLIGIBLE
     if m is math:
         return other if nearer else one
-    if m is np and nearer.all():
-        return other
     joints = [m.where(nearer, after, before) for after, before in zip(other.joints, one.joints, strict=True)]
     return _Expected(joints, m.where(nearer, other.error, one.error))
 
@@ -206,7 +205,7 @@ Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
 def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
     """What turns pose errors into the joint steps that remove them, for a Jacobian with these columns or like it."""
     if m is not math:
-        return TruncatedSolver(columns, m=m).solve
+        return TruncatedSolver(columns, m).solve
     inverse = truncated_inverse(np.array(columns).T)
     return partial(_truncated_step, inverse @ inverse.T)
 

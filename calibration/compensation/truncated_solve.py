@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from types import ModuleType
 
-import numpy as np
-
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE
 
@@ -34,11 +32,10 @@ class TruncatedSolver:
 
     Args:
         columns: The columns of J.
-        tolerance: Relative singular value below which a direction is cut off.
         m: ``numpy`` or ``torch``.
     """
 
-    def __init__(self, columns: Columns, tolerance: float = DIRECTION_TOLERANCE, m: ModuleType = np) -> None:
+    def __init__(self, columns: Columns, m: ModuleType) -> None:
         self.columns, self._m = columns, m
         n = len(columns)
         gram = [[_dot(columns[i], columns[j]) for j in range(i + 1)] for i in range(n)]
@@ -52,7 +49,7 @@ class TruncatedSolver:
         along, length = _dot(before, smallest), m.sqrt(_dot(smallest, smallest))
         settled = m.abs(along) > (1.0 - SETTLED) * length * m.sqrt(_dot(before, before))
         # Squares of singular values are eigenvalues of J^T J. Its trace is between the largest and n times the largest.
-        least, cut = along / length / length, tolerance**2 * trace
+        least, cut = along / length / length, DIRECTION_TOLERANCE**2 * trace
         self.lost = settled & (least - ridge < 0.5 * cut / n)
         inverse_determinant = least
         for inverse in self._factors[1]:
@@ -65,10 +62,10 @@ class TruncatedSolver:
         self._direction = [m.where(self.lost, value / length, 0.0) for value in smallest]
         self._inverses: Scalar = None
         if len(self.doubtful[0]):
-            whole = 0.0 * trace
-            rows = [m.stack([(whole + value)[self.doubtful] for value in column], -1) for column in columns]
-            inverse = m.linalg.pinv(m.stack(rows, -1), rtol=tolerance)
-            self._inverses = inverse @ m.swapaxes(inverse, -1, -2)  # of J^T J
+            self._zeros = m.zeros_like(trace)
+            rows = m.stack([self._in_doubt(column) for column in columns], 2)
+            inverse = m.linalg.pinv(rows, rtol=DIRECTION_TOLERANCE)
+            self._inverses = inverse @ m.swapaxes(inverse, 1, 2)  # of J^T J
 
     def solve(self, right: Sequence[Scalar], columns: Columns | None = None) -> list[Scalar]:
         """Solutions, n components ``(...)``, for right-hand sides of six components ``(...)``.
@@ -81,10 +78,14 @@ class TruncatedSolver:
         wanted = [_dot(column, right) for column in columns or self.columns]
         solution = _without(self._direction, self._solve(_without(self._direction, wanted)))
         if self._inverses is not None:
-            some = self._m.stack([value[self.doubtful] for value in wanted], -1)
-            for value, exact in zip(solution, self._m.einsum("kij,kj->ik", self._inverses, some), strict=True):
-                value[self.doubtful] = exact
+            exact = self._m.einsum("kij,kj->ik", self._inverses, self._in_doubt(wanted))
+            for value, right_one in zip(solution, exact, strict=True):
+                value[self.doubtful] = right_one
         return solution
+
+    def _in_doubt(self, values: Sequence[Scalar]) -> Scalar:
+        """The doubtful poses' values ``(k, len(values))``, plain numbers among them written out."""
+        return self._m.stack([(self._zeros + value)[self.doubtful] for value in values], 1)
 
     def _solve(self, right: Sequence[Scalar]) -> list[Scalar]:
         """Solve with the factorised L D L^T."""
@@ -104,9 +105,7 @@ class TruncatedSolver:
 def _dot(one: Sequence[Scalar], other: Sequence[Scalar]) -> Scalar:
     """Scalar product of components; products with plain zeros are left out."""
     terms = [a * b for a, b in zip(one, other, strict=True) if not (_is_zero(a) or _is_zero(b))]
-    if not terms:
-        return 0.0 * next(value for value in (*one, *other) if not _is_zero(value))
-    return sum(terms[1:], terms[0])
+    return sum(terms[1:], terms[0]) if terms else 0.0
 
 
 def _is_zero(value: Scalar) -> bool:

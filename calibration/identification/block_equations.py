@@ -7,6 +7,7 @@ alone. Rows are whitened; coefficients are in their tolerances, with their prior
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -78,11 +79,11 @@ class Linearised:
 
     def misses(self, data: Observations, solution: Array) -> Array:
         """What remains of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
-        change = dict(zip(self.names, solution * self.scale, strict=True))
+        change = defaultdict(float, zip(self.names, solution * self.scale, strict=True))
         terms = tuple(term for i, term in enumerate(self.arm.terms) if solution[self.coefficients_of(i)].any())
         arm = ArmModel.of(self.arm.geometry, terms)
-        arm = arm.displaced(np.array([change.get(name, 0.0) for name in arm.parameter_names]))
-        return data.misses(arm, np.array([self.unknowns[name] + change.get(name, 0.0) for name in data.unknowns()]))
+        arm = arm.displaced(np.array([change[name] for name in arm.parameter_names]))
+        return data.misses(arm, np.array([self.unknowns[name] + change[name] for name in data.unknowns()]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,7 @@ class BlockEquations:
 
 def solved(matrix: Array, right: Array, places: Places) -> Array:
     """Solution ``(P,)`` of normal equations with the parameters at ``places`` alone; the others stay zero."""
-    scale = np.sqrt(np.diag(matrix)[places]) + 1e-300
+    scale = np.sqrt(np.diag(matrix)[places])
     small = matrix[np.ix_(places, places)] / np.outer(scale, scale) + 1e-12 * np.eye(len(places))
     found = np.zeros(len(right))
     found[places] = np.linalg.solve(small, right[places] / scale) / scale

@@ -148,9 +148,9 @@ def thermal_walk(state: FilterState, joints: Array, kelvin: float, expansion: fl
     """
     geometry = state.geometry
     n = geometry.links
-    growth = np.zeros((1, len(state.arm_model.parameter_names)))
-    growth[0, n : 2 * n], growth[0, 3 * n : 4 * n] = geometry.a, geometry.d
-    return _carried(state, joints, growth * expansion * kelvin)
+    growth = np.zeros(len(state.arm_model.parameter_names))
+    growth[n : 2 * n], growth[3 * n : 4 * n] = geometry.a, geometry.d
+    return _carried(state, joints, growth[None] * expansion * kelvin)
 
 
 def offset_walk(state: FilterState, joints: Array, length: float, angle: float) -> Array:

@@ -114,7 +114,7 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
         most: How many to choose.
     """
     pairs = candidates.ravel()
-    scale = np.sqrt(np.diag(matrix)[base]) + 1e-300
+    scale = np.sqrt(np.diag(matrix)[base])
     lower = np.linalg.cholesky(matrix[np.ix_(base, base)] / np.outer(scale, scale) + 1e-12 * np.eye(len(base)))
     done = np.linalg.solve(lower, matrix[np.ix_(base, pairs)] / scale[:, None])
     left = right[pairs] - done.T @ np.linalg.solve(lower, right[base] / scale)
@@ -122,11 +122,11 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
     diagonal = np.diag(matrix)[pairs] - (done**2).sum(axis=0)
     across = matrix[pairs[sines], pairs[cosines]] - (done[:, sines] * done[:, cosines]).sum(axis=0)
     chosen: list[int] = []
-    free = np.ones(len(candidates), dtype=bool)
+    free = np.full(len(candidates), True)
     for _ in range(most):
         a, c, u, v = diagonal[sines], diagonal[cosines], left[sines], left[cosines]
-        determinant = np.where(free, np.maximum(a * c - across**2, 1e-9 * a * c), 1.0)
-        explained = np.where(free, (c * u * u - 2.0 * across * u * v + a * v * v) / determinant, -1.0)
+        determinant = np.where(free, np.maximum(a * c - across**2, 1e-9 * a * c), np.inf)
+        explained = np.where(free, (c * u * u - 2.0 * across * u * v + a * v * v) / determinant, -np.inf)
         best = int(np.argmax(explained))
         chosen.append(best)
         free[best] = False
@@ -162,7 +162,7 @@ def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -
             solution = solved(matrix, right, np.r_[base, path[:count].ravel()])
             squares[count] += equations.left(block, solution)
         paths.append(path)
-    rms = np.sqrt(np.maximum(squares, 0.0))
+    rms = np.sqrt(np.abs(squares))  # of nothing but rounding a sum may be negative
     count = int(np.flatnonzero(rms <= (1.0 + WITHIN) * rms.min())[0])
     whole = candidates[pursued(*equations.without(None), base, candidates, count)]
     return [path[:count].ravel() for path in paths], whole.ravel()
@@ -207,19 +207,23 @@ def refined(
     for _ in range(ROUNDS):
         wave = PeriodicTerm(wave.joints, tuple(orders.tolist()))
         linear = Linearised.of(bare, (*others, wave))
-        columns, left = linear.equations(observations)
-        matrix = columns.T @ columns + np.diag(linear.ridge)
-        solution = solved(matrix, columns.T @ left, np.arange(len(matrix))) * linear.scale
+        solution = solved(*_all_equations(linear, observations)) * linear.scale
         sines, cosines = solution[linear.coefficients_of(len(others))].reshape(-1, 2).T.tolist()
         linear = Linearised.of(bare, (*others, wave, _OrderTerm(wave, tuple(sines), tuple(cosines))))
-        columns, left = linear.equations(observations)
-        matrix, right = columns.T @ columns + np.diag(linear.ridge), columns.T @ left
-        solution = solved(matrix, right, np.arange(len(matrix)))
+        matrix, right, everything = _all_equations(linear, observations)
+        solution = solved(matrix, right, everything)
         places = linear.coefficients_of(len(others) + 1)
-        orders = np.clip(orders + solution[places] * STEP / 2, grid - 0.48 * FINE, grid + 0.48 * FINE)
+        orders = np.clip(orders + (solution * linear.scale)[places], grid - 0.48 * FINE, grid + 0.48 * FINE)
+        columns, left = linear.equations(observations)
         remains = left - columns @ solution
         spare = max(len(left) - len(matrix), 1)
         scale = np.sqrt(np.diag(matrix))
         inverse = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
-        std = np.sqrt(np.diag(inverse)[places] * (remains @ remains) / spare) * STEP / 2
+        std = (np.sqrt(np.diag(inverse) * (remains @ remains) / spare) * linear.scale)[places]
     return PeriodicTerm(wave.joints, tuple(orders.tolist()), tuple(std.tolist()))
+
+
+def _all_equations(linear: Linearised, observations: Observations) -> tuple[Array, Array, Places]:
+    """Normal equations of all rows, with priors, and the places of all parameters."""
+    matrix, right = BlockEquations.of(linear, [observations]).without(None)
+    return matrix, right, np.arange(len(right))

@@ -277,7 +277,7 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
     scatter = (weighted**2).sum(-1) / max(rows - parameters, 1)
     offset = (explained**2).sum(-1) / (max(parameters, 1) * (scatter + 1e-300))
     negligible = (abs(step) < 1e-5).all(-1) | (offset < OFFSET**2)
-    return Progress(offset, negligible, after <= before * (1 + 1e-9), negligible | (before - after < 1e-7 * after))
+    return Progress(offset, negligible, after <= before * (1 + 1e-9), negligible | (before - after <= 1e-7 * after))
 
 
 def observations_of(data: Measurements | Sequence[Equations]) -> tuple[Equations, ...]:
@@ -302,7 +302,7 @@ def _system(
     """Whitened, scaled Jacobian: unknowns first, then the model's columns."""
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
     by_arm = np.concatenate([columns[:, model.columns] for columns, _ in parts])
-    by_unknown = parts[0][1] if len(parts) == 1 else block_diag(*(columns for _, columns in parts))
+    by_unknown = block_diag(*(columns for _, columns in parts))
     return np.asarray(np.hstack([by_unknown, by_arm]) * (tolerance * factors))
 
 

@@ -79,8 +79,8 @@ def joint_zeros_model(geometry: Geometry) -> ErrorModel:
 def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
     """The model's parameters and the coefficients of the arm's terms."""
     count = len(arm.geometry.parameter_names)
-    names = arm.parameter_names[count:]
-    return model.joined(ErrorModel(np.arange(count, count + len(names)), names, arm.term_tolerances))
+    columns = np.arange(count, len(arm.parameter_names))
+    return model.joined(ErrorModel(columns, arm.parameter_names[count:], arm.term_tolerances))
 
 
 def _link_names(geometry: Geometry) -> list[str]:

@@ -86,32 +86,31 @@ def identifiability(
         poses: Number of poses that the rows come from.
         rank_tolerance: See `REDUNDANCY_TOLERANCE`.
     """
-    r = matrix if matrix.shape[0] <= matrix.shape[1] else np.asarray(np.linalg.qr(matrix, mode="r"))
-    largest = float(np.max(np.linalg.norm(r, axis=0)))
-    basis = np.zeros((r.shape[0], 0))
-    kept: list[int] = []
+    r = np.asarray(np.linalg.qr(matrix, mode="r"))  # columns of the same lengths and angles, in fewer rows
+    least = rank_tolerance * np.max(np.linalg.norm(r, axis=0))
+    basis = np.zeros((len(r), 0))
     diagonal = np.zeros(len(names))
     for k in range(len(names)):
         rest = r[:, k]
         for _ in range(2):  # twice is enough for orthogonality to the last digit (Kahan, Parlett)
             rest = rest - basis @ (basis.T @ rest)
         diagonal[k] = np.linalg.norm(rest)
-        if diagonal[k] > rank_tolerance * largest and len(kept) < r.shape[0]:
-            kept.append(k)
+        if diagonal[k] > least:
             basis = np.column_stack([basis, rest / diagonal[k]])
-    chosen = np.array(kept, dtype=np.int64)
-    triangle = basis.T @ r[:, chosen]
+    adds = diagonal > least
+    kept = np.flatnonzero(adds)
+    triangle = basis.T @ r[:, kept]
     dropped = []
-    for k in sorted(set(range(len(names))) - set(kept)):
-        share = solve_triangular(triangle, basis.T @ r[:, k]) * tolerance[chosen] / tolerance[k]
-        scaled = np.abs(share) * tolerance[k] / tolerance[chosen]
-        absorbed = {names[j]: float(c) for j, c, s in zip(chosen, share, scaled, strict=True) if s > 1e-3}
+    for k in np.flatnonzero(~adds).tolist():
+        share = solve_triangular(triangle, basis.T @ r[:, k]) * tolerance[kept] / tolerance[k]
+        scaled = np.abs(share) * tolerance[k] / tolerance[kept]
+        absorbed = {names[j]: float(c) for j, c, s in zip(kept, share, scaled, strict=True) if s > 1e-3}
         dropped.append(Dropped(names[k], absorbed))
     return Identifiability(
         names=names,
-        kept=chosen,
+        kept=kept,
         dropped=tuple(dropped),
         r_diagonal=diagonal,
         phi=diagonal / diagonal.mean(),
-        singular_values=np.linalg.svd(r[:, chosen], compute_uv=False) / np.sqrt(poses),
+        singular_values=np.linalg.svd(r[:, kept], compute_uv=False) / np.sqrt(poses),
     )

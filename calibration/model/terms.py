@@ -6,16 +6,16 @@ gives the tool's displacement per unit of its coefficients, in world axes. SI un
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Geometry, forward, joint_jacobian, parameter_jacobian
+from pickenv.arm import Frame, Geometry, forward, joint_jacobian, parameter_jacobian
 from pickenv.arm.effects.structure import Load, gravity_torques
-from pickenv.arm.kinematics.forward import chain_of, frames, split_joints
+from pickenv.arm.kinematics.forward import Scalar, chain_of, frames, split_joints
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import Conditions, Term
 from pickenv.errors import InputError
@@ -70,7 +70,7 @@ class ComplianceTerm:
         chain = chain_of(geometry)
         found = frames(np, chain, split_joints(geometry.joints, joints))
         load = Load(self.load.mass, self.load.centre, payload)
-        torque = np.stack(np.broadcast_arrays(*gravity_torques(chain, found, load), joints[:, 0])[:-1], -1)
+        torque = _repeated(gravity_torques(chain, found, load), len(joints))
         return torque if geometry.coupling is None else geometry.coupling.gathered(torque, geometry.joints)
 
 
@@ -102,8 +102,8 @@ class BendingTerm:
             raise InputError("the bending of a boom needs an arm whose joints move one link each; leave the term out")
         chain = chain_of(geometry)
         found = frames(np, chain, split_joints(geometry.joints, joints))
-        tip, tool = np.stack(found[self.joint + 1][9:], -1), forward(geometry, joints).position
-        z = np.stack(np.broadcast_arrays(*found[self.joint + 1][6:9], joints[:, 0])[:3], -1)
+        boom, tool = _placed(found[self.joint + 1], len(joints)), forward(geometry, joints).position
+        z, tip = boom[:, 2], boom[:, 3]
         across = z * z[:, 2:] - np.array([0.0, 0.0, 1.0])
         turn = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], -1)
         length = (joints[:, self.joint] + self.length)[:, None]
@@ -116,7 +116,7 @@ class BendingTerm:
             (share * length**3 / 3, share * length**2 / 2),
             (length**4 / 8, length**3 / 6),
         ):
-            columns.append(np.concatenate([sag * across + np.cross(slope * turn, lever), slope * turn], -1))
+            columns.append(np.concatenate([sag * across + np.cross(slope * turn, lever), slope * turn], 1))
         return np.stack(columns, -1)
 
 
@@ -196,9 +196,9 @@ class ThermalTerm:
             raise InputError("thermal expansion needs temperatures; give a temperature column")
         n = geometry.links
         jacobian = parameter_jacobian(geometry, joints)
-        moved = joints if geometry.coupling is None else np.stack(geometry.coupling.displacements(list(joints.T)), -1)
+        moved = joints if geometry.coupling is None else np.stack(geometry.coupling.displacements(list(joints.T)), 1)
         lengths = np.concatenate(
-            [np.broadcast_to(geometry.a, moved.shape), geometry.d + moved * np.array(geometry.slides)], -1
+            [np.broadcast_to(geometry.a, moved.shape), geometry.d + moved * np.array(geometry.slides)], 1
         )
         chosen = jacobian[..., np.r_[n : 2 * n, 3 * n : 4 * n]]
         return np.asarray(np.einsum("nip,np->ni", chosen, lengths * conditions.temperature[:, None])[..., None])
@@ -258,8 +258,7 @@ class GravityTerm:
         if self.payload and conditions.payload is None:
             raise InputError("the payload's deflection needs payloads; give a payload column")
         chain = frames(np, chain_of(geometry), split_joints(geometry.joints, joints))
-        placed = np.stack([np.stack(np.broadcast_arrays(*frame, joints[:, 0])[:12], -1) for frame in chain], 1)
-        placed = placed.reshape(len(joints), geometry.links + 1, 4, 3)
+        placed = np.stack([_placed(frame, len(joints)) for frame in chain], 1)
         up = geometry.base.rotation @ np.array(self.up)
         tool, found = forward(geometry, joints).position, []
         for i, j, moment in self.moments(geometry):
@@ -279,7 +278,17 @@ class GravityTerm:
                 elif moment in "mp":
                     torque -= ratio * (z @ up) * (1.0 if moment == "m" else np.asarray(conditions.payload))
             found.append(torque)
-        return np.stack(found, -1)
+        return np.stack(found, 1)
+
+
+def _placed(frame: Frame, count: int) -> Array:
+    """Axes and origin of a frame ``(count, 4, 3)``, one row each, where it may have plain numbers for all poses."""
+    return _repeated(frame, count).reshape(count, 4, 3)
+
+
+def _repeated(parts: Sequence[Scalar], count: int) -> Array:
+    """Components as columns ``(count, k)``, plain numbers once for each row."""
+    return np.stack([np.broadcast_to(part, count) for part in parts], 1)
 
 
 def weighed(weight: GravityTerm, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:

@@ -84,7 +84,7 @@ class CorrectedCommands:
         for name, radius, factor in zip(("mm", "deg"), self.within95, (1e3, np.degrees(1.0)), strict=True):
             if radius is not None:
                 columns[f"within95_{name}"] = radius * factor
-        columns["note"] = np.array([self.reasons.get(i, "") for i in range(len(self.lines))], dtype=object)
+        columns["note"] = np.array([self.reasons.get(i, "") for i in range(len(self.lines))])
         return list(columns), np.stack([column.astype(object) for column in columns.values()], axis=1)
 
     def write_csv(self, path: str | Path) -> Path:

@@ -6,7 +6,7 @@ is tried again only if its file has changed or, where it survived, the tests of 
 decorator covers are left as they are, and so are changes that make no difference (mutants_equivalent.toml).
 
 Run: python scripts/mutation/mutants.py [--room NAME]... [--sample N] [--seed S] [--json FILE] [--also FILE]...
-     [--page FILE]
+     [--known] [--first FILE]... [--page FILE]
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import libcst as cst
 import typer
 from libcst.metadata import MetadataWrapper, PositionProvider
 from mutants_rooms import ROOMS
-from mutants_score import Equivalents, page_of, read_equivalents, row_of, table
+from mutants_score import Equivalents, Sample, first_try, page_of, read_equivalents, row_of, table
 from mutants_trials import LIBRARIES, ROOT, WARM, copied_project, run_tests
 from mutmut.mutation import mutators
 from mutmut.mutation.file_mutation import MutationVisitor
@@ -217,6 +217,8 @@ def main(
     seed: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
     json_file: Annotated[Path, typer.Option("--json", help="Where verdicts are kept.")] = Path("runs/mutants.json"),
     also: Annotated[list[Path] | None, typer.Option(help="Verdicts of other runs, used where they still hold.")] = None,
+    known_only: Annotated[bool, typer.Option("--known", help="Try nothing; count every verdict that holds.")] = False,
+    first: Annotated[list[Path] | None, typer.Option(help="Results of a fresh sample's first try.")] = None,
     page: Annotated[Path, typer.Option(help="The page; written when every room is tried.")] = Path("docs/mutants.md"),
 ) -> None:
     """Change the lines that make numbers, one at a time, and count what the tests notice."""
@@ -231,6 +233,7 @@ def main(
     equivalents = read_equivalents()
     mutants = {name: shuffled(name, seed, equivalents) for name in names}
     json_file.parent.mkdir(parents=True, exist_ok=True)
+    earlier = first_try(first or ())
     rows: dict[str, dict[str, Any]] = {}
     survivors: list[str] = []
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
@@ -245,6 +248,8 @@ def main(
         for name in names:
             verdicts: list[str] = []
             drawn = mutants[name][: ROOMS[name].most if sample is None else sample or None]
+            if known_only:
+                drawn = [mutant for mutant in mutants[name] if mutant.key in known]
             for mutant in try_room(name, drawn, known, copy):
                 verdicts.append(known[mutant.key]["verdict"])
                 if verdicts[-1] == "passed":
@@ -257,7 +262,7 @@ def main(
     print(table(rows))
     print(f"{len(survivors)} survive; each is a test to write, or a change that makes no difference")
     if not room:
-        write_text(page, page_of(rows, sample, seed, survivors, equivalents))
+        write_text(page, page_of(rows, Sample(seed, sample, known_only), survivors, equivalents, earlier))
 
 
 if __name__ == "__main__":

@@ -56,8 +56,8 @@ ROOMS = {
         "calibration",
         "identification/least_squares model/error_model model/identifiability",
         "tests/calibration",
-        "identification/stop_rule identification/least_squares model/identifiability model/observations "
-        "identification/align",
+        "identification/stop_rule identification/enough_poses identification/second_rank identification/least_squares "
+        "model/identifiability model/observations identification/align",
         most=CORE,
     ),
     "compensation": room(
@@ -178,7 +178,8 @@ ROOMS = {
         "calibration",
         "identification/harmonics identification/block_equations identification/term_choice model/terms",
         "tests/calibration",
-        "model/terms identification/harmonics pipeline/stage_choices pipeline/blocks",
+        "model/terms_by_hand model/terms identification/mimic identification/harmonics pipeline/stage_choices "
+        "pipeline/blocks",
         most=SECOND,
     ),
     "uncertainty": room(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,39 +50,102 @@ def row_of(mutants: int, verdicts: list[str]) -> dict[str, Any]:
     }
 
 
+@dataclass(frozen=True)
+class Sample:
+    """Which mutants were tried.
+
+    Attributes:
+        seed: Of the draw.
+        most: Of each room; None for the rooms' own numbers, 0 for all.
+        known: Whether nothing was tried, and all counts whose verdict still holds, whichever draw it is from.
+    """
+
+    seed: int
+    most: int | None = None
+    known: bool = False
+
+    @property
+    def options(self) -> str:
+        """How to ask for it."""
+        if self.known:
+            return "--known --also FILE"
+        return f"--seed {self.seed}" if self.most is None else f"--sample {self.most} --seed {self.seed}"
+
+    def __str__(self) -> str:
+        if self.known:
+            return "whichever sample drew them, and whose verdict still holds"
+        own = "as many of each room as the table says" if self.most is None else f"{self.most or 'all'} of each room"
+        return own if self.most == 0 else f"{own}, drawn with seed {self.seed}"
+
+
+def first_try(files: Iterable[Path]) -> tuple[int | None, dict[str, dict[str, Any]]]:
+    """Seed and scores by room of one sample, as runs of some rooms each found it before its survivors were looked at.
+
+    Raises:
+        SystemExit: If the runs are not of one seed.
+    """
+    found = [json.loads(path.read_text(encoding="utf-8")) for path in files]
+    if len(seeds := {result["seed"] for result in found}) > 1:
+        raise SystemExit(f"the first tries are of seeds {', '.join(map(str, sorted(seeds)))}; give runs of one seed")
+    return next(iter(seeds), None), {name: row for result in found for name, row in result["rooms"].items()}
+
+
+def score_of(row: dict[str, Any] | None) -> str:
+    """A score with its interval."""
+    if row is None:
+        return "not tried"
+    low, high = (f"{100.0 * end:.0f}" for end in row["interval"])
+    return f"{100.0 * row['score']:.1f} % ({low} to {high})"
+
+
 def page_of(
-    rows: dict[str, dict[str, Any]], sample: int | None, seed: int, survivors: list[str], equivalents: Equivalents
+    rows: dict[str, dict[str, Any]],
+    sample: Sample,
+    survivors: list[str],
+    equivalents: Equivalents,
+    first: tuple[int | None, dict[str, dict[str, Any]]] = (None, {}),
 ) -> str:
     """The page with every room's kill rate, what survived, and the changes that make no difference with their reasons.
 
     Args:
         rows: By room, from `row_of`.
-        sample: Mutants of each room; None for the rooms' own numbers, 0 for all.
-        seed: Seed of the sample.
+        sample: What was tried.
         survivors: Keys of what the tests did not notice.
         equivalents: What is left out of the score.
+        first: Seed and rows of an earlier fresh sample, from `first_try`.
     """
-    own = f"as many of each room as the table says, drawn with seed {seed}"
-    drawn = own if sample is None else f"{sample} of each room, drawn with seed {seed}" if sample else "all"
-    wanted = f"--seed {seed}" if sample is None else f"--sample {sample} --seed {seed}" if sample else "--sample 0"
+    seed, before = first
     lines = [
         "# Would the tests notice?",
         "",
         "One operator, number, condition or option at a time is changed in the lines that make numbers; a change is",
         "killed if a test of its room fails, or does not end in time (late). The score is the share killed of those",
-        f"tried, {drawn}. In brackets stands Wilson's 95 % interval for all mutants of the room. It holds for a sample",
-        "that no test was written for: where survivors of this one were killed since, another seed scores lower.",
+        "tried, with Wilson's 95 % interval for all mutants of the room. That interval holds for a sample that no test",
+        "was written for.",
         "",
-        f'Made by `make mutants ARGS="{wanted}"`.',
-        "",
-        "| room | mutants | tried | killed | of these late | score (95 % interval) |",
-        "|:--|--:|--:|--:|--:|--:|",
     ]
-    for name, row in rows.items():
-        low, high = (f"{100.0 * end:.0f}" for end in row["interval"])
-        score = f"{100.0 * row['score']:.1f} % ({low} to {high})"
-        lines.append(f"| {name} | {row['mutants']} | {row['tried']} | {row['killed']} | {row['late']} | {score} |")
-    lines += ["", f"## What survived: {len(survivors)}", ""]
+    if before:
+        lines += [
+            f"**First try** is such a sample, drawn with seed {seed}, scored before any of its survivors was seen: the",
+            "honest score of the tests as they were then. Since then tests were written, and code that makes no",
+            f"difference was taken out. **Now** counts the changes {sample}: among them are",
+            "those that tests were written for, so that its interval says too much.",
+        ]
+    else:
+        lines += [f"**Now** counts the changes {sample}. Where survivors were killed since, another seed scores lower."]
+    options = sample.options + (" --first FILE" if before else "")
+    lines += ["", f'Made by `make mutants ARGS="{options}"`.', ""]
+    lines += [
+        "| room | mutants | first try: tried | killed | score | now: tried | killed | of these late | score |",
+        "|:--|--:|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for name in [*rows, *(name for name in before if name not in rows)]:
+        then, now = before.get(name), rows.get(name)
+        counts = [str(then[key]) if then else "–" for key in ("tried", "killed")]
+        latest = [str(now[key]) if now else "–" for key in ("tried", "killed", "late")]
+        mutants = (now or before[name])["mutants"]
+        lines.append("| " + " | ".join([name, str(mutants), *counts, score_of(then), *latest, score_of(now)]) + " |")
+    lines += ["", f"## What survives now: {len(survivors)}", ""]
     lines += [f"- `{key}`" for key in survivors]
     lines += ["", "## Changes that make no difference", "", "They are left out of the score.", ""]
     lines += ["| file | line | change | why it makes none |", "|:--|:--|:--|:--|"]

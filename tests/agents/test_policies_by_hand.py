@@ -295,6 +295,14 @@ def test_rows_are_every_arm_in_turn_whatever_runs_side_by_side(sequential, monke
     assert MOST_ROWS == 2048 and len(set(found.reaches.seeds)) == 15
 
 
+def test_one_fruit_on_one_arm_is_enough_and_none_of_either_is_not():
+    found = roll_out(lambda env, seed: Still(env, seed, []), 1, 1, 11, steps=1)
+    assert found.error_mm.shape == (1, 1) and found.arm.tolist() == [0]
+    for arms, episodes in ((0, 1), (1, 0)):
+        with pytest.raises(InputError, match=f"there are {arms} arms and {episodes} episodes"):
+            roll_out(lambda env, seed: Still(env, seed, []), arms, episodes, 11, steps=1)
+
+
 def test_each_arm_has_its_own_compensator_and_what_was_wanted_is_the_goals_attitude():
     shift = np.array([0.0, 0.01, 0.0, 0.0, 0.0, 0.0])
     compensators = [lambda joints: joints, lambda joints: joints + shift]

@@ -93,6 +93,35 @@ def test_seeds_and_resets_are_left_alone(reach, compensator):
         assert np.array_equal(bare.step(action)[0][:18], wrapped.step(action)[0][:18])
 
 
+@pytest.mark.parametrize("mm", [None, 2.5])
+@pytest.mark.parametrize("deg", [None, 0.25])
+def test_at_the_end_of_an_episode_it_says_how_far_its_commands_end_from_where_they_should(reach, mm, deg):
+    """Beside all else that is said there, of the command that was sent, and in no other step."""
+
+    class Known:
+        def __call__(self, joints):
+            return joints + 0.001
+
+        def within95(self, command):
+            self.asked = command
+            return None if mm is None else mm * 1e-3, None if deg is None else np.radians(deg)
+
+    known = Known()
+    env = CompensationWrapper(reach(), known)
+    *before, last = run(env)[2]
+    assert not any("within95_mm" in info or "within95_deg" in info for info in before)
+    assert last.get("within95_mm") == (None if mm is None else pytest.approx(mm))
+    assert last.get("within95_deg") == (None if deg is None else pytest.approx(deg))
+    assert set(before[-1]) <= set(last)
+    np.testing.assert_array_equal(known.asked, last["joint_command"])
+
+
+def test_what_it_was_made_with_is_recorded(reach, compensator):
+    env = CompensationWrapper(reach(), compensator, allow=("fitted-frames",))
+    kept = env.spec.additional_wrappers[-1].kwargs
+    assert set(kept) == {"compensator", "allow"} and kept["allow"] == ("fitted-frames",)
+
+
 def test_closing_removes_it(reach, compensator):
     env = reach()
     before = run(env)[2][-1]["pose_error"]

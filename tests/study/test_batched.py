@@ -58,6 +58,15 @@ def test_no_tracker_enters_where_none_errs(study_file, monkeypatch):
     np.testing.assert_allclose(judge_batch(protocol, setting, arms, perfect).position, expected, rtol=AGREEMENT)
 
 
+def test_arms_that_go_through_in_several_blocks_keep_their_order(study_file, monkeypatch):
+    protocol = prepared_study(load_study(study_file()))
+    setting, arms = protocol.settings[0], protocol.draw(protocol.settings[0], range(5))
+    given = [protocol.circumstances(number) for number in range(5)]
+    whole = judge_batch(protocol, setting, arms, given).position
+    monkeypatch.setattr(batched, "_block_size", lambda *_: 2)
+    np.testing.assert_allclose(judge_batch(protocol, setting, arms, given).position, whole, rtol=AGREEMENT)
+
+
 def test_an_arm_whose_poses_show_other_parameters_is_handed_over(study_file):
     """Poses in which two joints stand still cannot tell all that other arms' poses tell."""
     protocol = prepared_study(load_study(study_file()))

@@ -162,7 +162,7 @@ class TiltObservations(OneGroup):
     def _lengths(self, unknowns: Array) -> tuple[Array, Array]:
         """That the directions found have length one, as strongly as all readings together."""
         vectors = self._stated.whole(unknowns).reshape(-1, 3)
-        fitted = np.flatnonzero(self._stated.std[::3] > 0.0)
+        fitted = np.flatnonzero(self._stated.std.reshape(-1, 3).all(axis=1))
         strong = np.sqrt(len(self.joints)) / float(np.median(self.std))
         found = [unit_length(vectors[i]) for i in fitted]
         residual = np.concatenate([np.zeros(0), *(short for short, _ in found)]) * strong

@@ -7,6 +7,7 @@ into joint commands. Units: m, rad, s; millimetres and degrees only in what a na
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -94,7 +95,7 @@ def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[F
     chain = task.exact if x.spares_constants else task.nominal
     links = frames(x.m, chain, q)
     tool = attach(links[-1], chain.tool)
-    return links, inexact(tool) if x.spares_constants else tool
+    return links, inexact(tool)
 
 
 def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[list[Scalar], Scalar]:
@@ -149,7 +150,7 @@ def begin(
         command: What the drives get for ``start``.
     """
     wanted = nominal_frames(x, task, goal)[1]
-    seen = wanted[9:12]
+    seen = wanted[9:]
     if task.fruit_noise:
         fruit = stream_key(x, key, FRUIT)
         seen = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(seen))
@@ -189,13 +190,8 @@ def look(
         What the plant remembers, and everything that can be seen.
     """
     m, target, goal, seen = x.m, state.target, state.goal, state.seen
-    shown: Sequence[Scalar] = target
-    if plant.has_state or plant.encoder is not None:
-        plant_state, true = plant.advance(m, state.plant, command, dt)
-        shown = nominal_readings(x, plant, plant_state, target, command)
-    else:
-        plant_state, true = state.plant, plant.tool_frame(m, command)
-    true = inexact(true) if x.spares_constants else true
+    plant_state, ended = plant.advance(m, state.plant, command, dt)
+    shown, true = nominal_readings(x, plant, plant_state, target, command), inexact(ended)
     links, believed = nominal_frames(x, task, shown)
     lag = rotation_between(m, believed, goal)
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
@@ -213,18 +209,18 @@ def look(
             camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
     return plant_state, View(
         readings=scaled(x, task, shown),
-        believed=believed[9:12],
+        believed=believed[9:],
         seen=seen,
         offset=(seen[0] - believed[9], seen[1] - believed[10], seen[2] - believed[11], *lag),
         camera=camera,
         command=tuple(command),
-        tool=true[9:12],
-        fruit=goal[9:12],
+        tool=true[9:],
+        fruit=goal[9:],
         error=error,
         distance_mm=distance_mm,
         angle_deg=angle_deg,
         noncompensable_deg=noncompensable_deg,
-        compensable_deg=m.sqrt(chosen(m, rest > 0.0, rest, 0.0 * rest)),
+        compensable_deg=m.sqrt(clipped(m, rest, 0.0, math.inf)),
         success=in_capture_region(task, distance_mm, angle_deg),
     )
 
@@ -257,7 +253,7 @@ def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Sca
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[Scalar]) -> Scalar:
     """Size of the part of a small turn that lies across all revolute axes: no joint motion removes it."""
     if task.lost_axes is None:
-        return 0.0 * turn[0]
+        return 0.0 * sum(turn)
     ax, ay, az = inexact(links[task.lost_axes[0] + 1][6:9])
     bx, by, bz = inexact(links[task.lost_axes[1] + 1][6:9])
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx

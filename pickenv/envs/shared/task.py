@@ -292,7 +292,7 @@ def lost_axes(geometry: Geometry) -> tuple[int, int] | None:
     columns = [np.ascontiguousarray(column) for column in poses.T]
     links = frames(np, chain_of(geometry), columns)[1:]
     axes = {
-        i: np.stack(np.broadcast_arrays(*link[6:9], poses[:, 0])[:3], axis=-1)
+        i: np.stack([np.broadcast_to(part, len(poses)) for part in link[6:9]], axis=1)
         for i, link in enumerate(links)
         if not geometry.prismatic[i]
     }
@@ -304,4 +304,4 @@ def lost_axes(geometry: Geometry) -> tuple[int, int] | None:
 
 
 def _parallel(one: Array, other: Array) -> bool:
-    return bool(np.linalg.norm(np.cross(one, other), axis=-1).max() < 1e-9)
+    return bool(np.abs(np.cross(one, other)).max() < 1e-9)

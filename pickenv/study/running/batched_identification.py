@@ -95,7 +95,7 @@ def identify_batch(
     tracker = replace(whole, model=ErrorModel(columns, names, whole.model.tolerance[kept]))
     geometry = _displaced_links(nominal, tracker.model, np.zeros((count, len(kept))))
     history = _rms(weighted)
-    running = torch.as_tensor(usual, device=history.device)
+    running = torch.as_tensor(usual).to(history.device)
     converged, steps = torch.zeros_like(running), torch.zeros_like(history, dtype=torch.int64)
     for _ in range(STEPS):
         step, sound = _solve(matrix, weighted)

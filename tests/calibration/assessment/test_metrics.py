@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from pickenv.calibration import error_statistics, held_out_r2, paper_eta
+from pickenv.calibration.assessment.metrics import block_interval
 from pickenv.intervals import mean_interval
 
 # Qiao 2026, Tables 1 and 2, as printed; nan: removed as redundant.
@@ -124,3 +125,11 @@ def test_r2_per_axis():
     assert held_out_r2(truth, np.broadcast_to(truth.mean(axis=0), (3, 2))).tolist() == [0.0, 0.0]
     np.testing.assert_allclose(held_out_r2(truth, np.add(truth, [0.0, 1.0])), [1.0, 1 - 3 / 8])
     assert held_out_r2(truth, -truth)[0] < 0
+
+
+def test_a_block_without_any_error_has_no_logarithm_and_so_the_rms_no_interval():
+    values, blocks = 1.0 + np.random.default_rng(0).random(40), np.repeat(np.arange(10), 4)
+    low, high = block_interval(values, blocks, rms=True)
+    assert low < np.sqrt(np.mean(values**2)) < high
+    values[4:8] = 0.0
+    assert block_interval(values, blocks, rms=True) is None and block_interval(values, blocks) is not None

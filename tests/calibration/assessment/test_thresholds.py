@@ -109,6 +109,13 @@ def test_two_held_out_rows_judge_nothing_and_three_do(found):
     assert failures(found, same, 0.1 * same) == []
 
 
+def test_rows_that_judge_nothing_are_not_asked_whether_the_arm_is_better(found):
+    """Nor are rows of which nobody knows how the nominal arm misses them."""
+    same = np.repeat([[1e-3, 0.0, 0.0]], 40, axis=0)
+    assert len(failures(found, same[:2], same[:2])) == len(failures(found, None, same[:2])) == 1
+    assert failures(found, None, same) == []
+
+
 def test_an_arm_that_is_no_better_is_not_to_be_used(found):
     same = np.repeat([[1e-3, 0.0, 0.0]], 40, axis=0)
     (said,) = failures(found, same, same)

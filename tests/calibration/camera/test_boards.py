@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Pose
 from pickenv.calibration.camera.boards import Board, board_picture, opencv_board, write_board
-from pickenv.calibration.camera.corners import corner_std, find_corners, picture_noise
+from pickenv.calibration.camera.corners import _grey_at, corner_std, find_corners, picture_noise
 from pickenv.calibration.model.lens import Lens, projected
 from pickenv.errors import InputError
 from pickenv.toml_tables import made
@@ -158,3 +158,9 @@ def test_too_few_markers_are_named() -> None:
     board = Board(kind="charuco", columns=20, rows=20, square=0.01, marker=0.008, dictionary="4x4_50")
     with pytest.raises(InputError, match="has 50 markers, too few for 20 x 20"):
         board_picture(board)
+
+
+def test_beyond_a_pictures_border_its_edge_goes_on() -> None:
+    picture = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    for place, value in (((1.4, 1.6), 9), ((-3, 1), 4), ((9, 1), 7), ((2, -5), 2), ((2, 8), 10), ((-1, -1), 0)):
+        assert _grey_at(picture, np.array(place, dtype=float)) == value

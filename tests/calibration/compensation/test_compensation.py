@@ -1,5 +1,6 @@
 """Compensation (Qiao 2026 eqs (13)-(16), Fig. 3): the true tool goes where the nominal one was meant to go."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from pickenv.arm import forward, load_arm, noncompensable_error, pose_error
 from pickenv.arm.kinematics.forward import chain_of
 from pickenv.calibration import Compensator, random_joints
-from pickenv.calibration.compensation.compensator import NEGLIGIBLE, corrected
+from pickenv.calibration.compensation.compensator import NEGLIGIBLE, _Expected, _expected, _nearer, corrected
 from pickenv.errors import InputError
 
 
@@ -121,6 +122,25 @@ def test_unless_told_otherwise_two_corrections_are_made(qiao):
     assert (one != two).any() and (two != three).any()
 
 
+@pytest.mark.parametrize("error", [[3.0, -4.0, 12.0, 84.0, 0.0, 0.0], [0.0, 0.0, 0.0, -8.0, 9.0, 12.0]])
+def test_the_error_expected_is_the_length_of_all_six_components(error):
+    assert _expected(math, [0.5], error) == ([0.5], np.sqrt(np.sum(np.square(error))))
+
+
+def test_the_second_of_two_is_taken_unless_it_is_farther_off_by_more_than_is_negligible():
+    """One pose or many, and none before the first."""
+    farther = NEGLIGIBLE * np.array([-100.0, 0.0, 0.9, 1.1, 100.0])
+    one, other = _Expected([np.zeros(5)], np.full(5, 1e-3)), _Expected([np.ones(5)], 1e-3 + farther)
+    taken = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
+    many = _nearer(np, one, other)
+    np.testing.assert_array_equal(many.joints[0], taken)
+    np.testing.assert_array_equal(many.error, np.where(taken == 1.0, other.error, one.error))
+    for i in range(5):
+        single = _nearer(math, _Expected([0.0], 1e-3), _Expected([1.0], 1e-3 + farther[i]))
+        assert single.joints == [taken[i]]
+    assert _nearer(np, None, other) is other
+
+
 def test_no_iterations_correct_nothing(qiao):
     joints = interior(qiao.nominal, 5)
     assert np.array_equal(Compensator(qiao.nominal, qiao.true, iterations=0)(joints), joints)
@@ -187,6 +207,26 @@ def test_many_poses_in_single_precision_are_where_double_puts_them(protocol):
     apart = moved(compensator, compensator(joints), double)
     assert 0 < apart.max() < 1e-6 and apart.mean() < 2e-7
     assert np.array_equal(protocol[0].calibration.compensate(joints), double)
+
+
+def test_without_a_residual_too_single_precision_is_a_rounding_and_only_where_it_is_asked_for(qiao):
+    joints = interior(qiao.nominal, 300)
+    double, single = (Compensator(qiao.nominal, qiao.true, single_precision=one)(joints) for one in (False, True))
+    assert 1e-9 < np.abs(single - double).max() < 1e-6
+    np.testing.assert_array_equal(Compensator(qiao.nominal, qiao.true)(joints), double)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_what_is_learnt_has_the_precision_that_it_is_asked_in(qiao, dtype):
+    compensator = Compensator(qiao.nominal, qiao.true, Drift())
+    found = compensator._learnt(np, list(interior(qiao.nominal, 5).T.astype(dtype)))
+    assert len(found) == 6 and {part.dtype for part in found} == {np.dtype(dtype)}
+    np.testing.assert_allclose(np.stack(found, -1), np.tile(DRIFT, (5, 1)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(0, 6), (3, 0, 6)])
+def test_no_targets_are_no_commands(qiao, shape):
+    assert Compensator(qiao.nominal, qiao.true)(np.empty(shape)).shape == shape
 
 
 def test_an_environment_gets_the_same_whatever_shares_its_batch(protocol):

@@ -7,10 +7,13 @@ import pytest
 
 from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import random_joints, simulated_tracker
+from pickenv.calibration.identification.diagnosis import telling_views
 from pickenv.calibration.identification.ladder import RUNGS
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
+from pickenv.calibration.model.lens import Lens
+from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.splits import contiguous_folds
 from pickenv.calibration.pipeline.choices import Choices
 from pickenv.calibration.pipeline.fitting import ENOUGH_FOR_LADDER
@@ -302,3 +305,30 @@ def test_a_verdict_counts_rows_and_not_what_was_read_in_them(qiao):
     data = ReflectorObservations(joints, points, np.ones((100, 3), dtype=bool), np.eye(3) * 2e-5**2)
     found = calibrate(qiao, data.select(np.arange(70)), test=data.select(np.arange(70, 100)), choices=PLAIN)
     assert found.quality.reason.startswith("on 30 held-out rows the error falls") and len(found.errors["nominal"]) == 90
+
+
+def test_views_of_few_corners_or_of_corners_near_one_line_are_left_out_and_four_must_stay():
+    """Corners as wide as 0.05 of their length across it, and six of them, are enough."""
+    circle = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
+    corners = np.stack([np.stack([100 * np.cos(circle), 100 * w * np.sin(circle)], 1) for w in (1, 1, 1, 0.06, 0.04)])
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])  # whichever way they lie
+    seen = np.ones((5, 8), dtype=bool)
+    seen[0, 6:] = False
+    views = PixelObservations(
+        joints=np.zeros((5, 6)),
+        corners=corners @ turn.T + [320.0, 240.0],
+        seen=seen,
+        board=np.zeros((8, 3)),
+        camera=Lens(np.zeros(9), (640, 480)),
+        lens_std=np.zeros(9),
+        std=np.ones((5, 8)),
+    )
+    kept, (left,) = telling_views(views)
+    np.testing.assert_array_equal(kept.corners, views.corners[:4])
+    assert left.why == "its 8 corners lie near one line, and do not tell how the board is turned"
+    seen[0, 5:] = False
+    with pytest.raises(InputError, match="3 of 5 views show enough of the board, of which 4 are needed"):
+        telling_views(views)
+    seen[1:3, 1:] = False
+    with pytest.raises(InputError, match="1 of 5 views"):
+        telling_views(views)

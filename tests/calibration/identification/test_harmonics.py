@@ -14,13 +14,15 @@ from pickenv.calibration.identification.harmonics import (
     MOST,
     ROWS_EACH,
     WITHIN,
+    _OrderTerm,
     chosen_orders,
     every_order,
     harmonics_of,
     pursued,
+    refined,
 )
-from pickenv.calibration.identification.term_choice import choose_terms, identify_terms, terms_of
-from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.identification.term_choice import choose_terms, identify_terms, plain_term, terms_of
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.splits import contiguous_folds
 from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, kind_of_term
 from pickenv.errors import InputError
@@ -90,12 +92,18 @@ def test_an_arm_without_harmonics_gets_none(seeds):
     assert terms_of("periodic", ARM, bare_of(found[0]), found[0]) == ()
 
 
-def test_the_pursuit_takes_what_explains_most_each_time():
-    """As a search by least squares of every candidate in turn finds."""
-    rng = np.random.default_rng(1)
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_pursuit_takes_what_explains_most_each_time(seed, size):
+    """As a search by least squares of every candidate in turn finds; sines and cosines may be much alike."""
+    rng = np.random.default_rng(seed)
     base, pairs = rng.normal(size=(300, 5)), rng.normal(size=(300, 12, 2))
     pairs += 0.7 * pairs[:, [3]] + base[:, [1], None]
-    right = pairs[:, 7] @ [0.5, 1.0] + pairs[:, 2] @ [0.8, -0.1] + 0.3 * rng.normal(size=300)
+    pairs[..., 1] += rng.uniform(-2, 2, 12) * pairs[..., 0]
+    pairs *= 10.0 ** rng.uniform(-1, 1, (12, 2))
+    base[:, 4] = base[:, 2] - base[:, 3]  # one that says nothing new
+    right = base @ rng.normal(size=5) + pairs.reshape(300, -1) @ (rng.normal(size=24) * rng.integers(0, 2, 24))
+    right = size * (right + 0.3 * rng.normal(size=300))
     columns = np.concatenate([base, pairs.reshape(300, -1)], axis=1)
     candidates = 5 + np.arange(24).reshape(12, 2)
     taken = pursued(columns.T @ columns, columns.T @ right, np.arange(5), candidates, 6)
@@ -248,3 +256,72 @@ def test_a_saved_calibration_holds_its_harmonics_and_corrects_them(planted, tmp_
     bare = replace(again, model=ArmModel(again.identified))
     left, without = (np.linalg.norm(each.predict(commands).position - wanted, axis=1) for each in (again, bare))
     assert np.quantile(left, 0.95) < 5e-6 and np.median(without) > 1e-4  # some poses are near a singular one
+
+
+def test_an_orders_column_is_the_difference_of_what_its_harmonic_does():
+    joints = np.random.default_rng(0).uniform(-2, 2, (20, 6))
+    sines, cosines, step = (2e-4, -1e-4), (1e-4, 3e-4), 1e-5
+    amplitudes = np.ravel(np.column_stack([sines, cosines]))
+    columns = _OrderTerm(PeriodicTerm((0, 2), (13.4, 4.7)), sines, cosines).columns(ARM.nominal, joints, Conditions())
+    for k in range(2):
+        up, down = (
+            PeriodicTerm((0, 2), tuple(np.array([13.4, 4.7]) + side * step * (np.arange(2) == k))).columns(
+                ARM.nominal, joints, Conditions()
+            )
+            @ amplitudes
+            for side in (1, -1)
+        )
+        np.testing.assert_allclose(columns[..., k], (up - down) / (2 * step), atol=1e-9)
+
+
+def test_terms_are_chosen_on_fifteen_hundred_rows_of_the_whole_at_most(monkeypatch):
+    data, seen = tracked(np.random.default_rng(0), rows=1502), []
+    monkeypatch.setattr(term_choice.BlockEquations, "of", staticmethod(lambda model, blocks: seen.extend(blocks)))
+    bare = bare_of(data.select(np.arange(60)))
+    term_choice._Trial.of(ARM, bare, data, ())
+    joints = np.concatenate([block.joints for block in seen])
+    assert len(joints) == 1500 and (joints[[0, -1]] == data.joints[[0, -1]]).all()
+
+
+@pytest.mark.parametrize(("payload", "varied"), [(None, False), ([0.5] * 40, False), ([0.0, 0.5] * 20, True)])
+def test_a_payload_takes_part_in_the_weight_where_it_varies(payload, varied):
+    data = tracked(np.random.default_rng(0), rows=40)
+    data = replace(data, conditions=Conditions(payload=None if payload is None else np.array(payload)))
+    assert plain_term("gravity", ARM, data).payload == varied
+
+
+def test_of_a_pair_that_says_one_thing_twice_no_more_is_expected_than_that():
+    """A sine and a cosine that are one column explain what it explains, and what says more is taken first."""
+    rng = np.random.default_rng(0)
+    one, other = rng.normal(size=(200, 2)).T
+    pairs = np.stack([np.stack([one, one], 1), np.stack([other, rng.normal(size=200)], 1)], 1)
+    columns = np.concatenate([np.ones((200, 1)), pairs.reshape(200, -1)], axis=1)
+    right = columns.T @ (0.5 * one + other)
+    prior = np.diag([0.0, 1e-6, 1e-6, 1e-6, 1e-6])
+    candidates = 1 + np.arange(4).reshape(2, 2)
+    assert pursued(columns.T @ columns + prior, right, np.arange(1), candidates, 2) == [1, 0]
+
+
+@pytest.mark.parametrize(("grid", "ended"), [(13.3, 13.348), (13.45, 13.402), (13.4, None)])
+def test_orders_are_refined_to_their_optimum_but_not_beyond_their_place_on_the_grid(planted, grid, ended):
+    """With uncertainties as those of least squares, from the Jacobian written out and priors as further rows."""
+    data, bare = planted
+    others = (PeriodicTerm((1, 2), (26.1, 4.72)),)
+    found = refined(PeriodicTerm((0,), (grid,)), others, bare, data)
+    assert found.orders[0] == pytest.approx(ended) if ended else abs(found.orders[0] - 13.37) < 4 * found.order_std[0]
+
+    def stacked(*more):
+        linear = Linearised.of(bare, (*others, found, *more))
+        columns, left = linear.equations(data)
+        rows = np.vstack([columns, np.diag(np.sqrt(linear.ridge))])
+        solution = np.linalg.lstsq(rows, np.r_[left, np.zeros(len(linear.ridge))], rcond=None)[0]
+        return linear, rows, solution, left - columns @ solution
+
+    linear, _, solution, _ = stacked()
+    sine, cosine = (solution * linear.scale)[linear.coefficients_of(1)]
+    linear, rows, solution, remains = stacked(_OrderTerm(found, (sine,), (cosine,)))
+    (place,) = linear.coefficients_of(2)
+    if ended is None:
+        assert abs(solution[place] * linear.scale[place]) < 0.02 * found.order_std[0]
+    variance = np.linalg.inv(rows.T @ rows)[place, place] * (remains @ remains) / (len(remains) - rows.shape[1])
+    assert found.order_std[0] == pytest.approx(np.sqrt(variance) * linear.scale[place], rel=0.02)

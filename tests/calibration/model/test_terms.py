@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, forward, joint_jacobian, load_plant, rotation_matrix
+from pickenv.arm import Pose, forward, joint_jacobian, load_arm, load_plant, rotation_matrix
 from pickenv.arm.effects.structure import GRAVITY
 from pickenv.calibration import Measurements, identify, link_model, random_joints, simulated_tracker
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
@@ -20,6 +20,7 @@ from pickenv.calibration.model.terms import (
     ThermalTerm,
     specification,
     term_from,
+    weighed,
 )
 from pickenv.errors import InputError
 
@@ -266,3 +267,18 @@ def test_a_coefficients_tolerance_falls_with_the_order_of_a_revolute_joint_only(
     turning, sliding = geometry.prismatic.index(False), geometry.prismatic.index(True)
     found = PeriodicTerm((turning, turning, sliding), (1.0, 20.0, 700.0)).tolerances(geometry)
     np.testing.assert_allclose(found, np.repeat([3e-3, 1.5e-4, 1e-3], 2))
+
+
+def test_moments_fitted_to_torques_tell_them_at_other_poses():
+    """Each joint's own torques, of a mounting that is not upright; joint 1 is not asked for."""
+    geometry, rng = load_arm("ur5").nominal, np.random.default_rng(4)
+    weight = GravityTerm((1, 2, 4), (0.36, 0.48, 0.8))
+    joints = random_joints(geometry, 200, rng)
+    columns, owners = weight.torques(geometry, joints, Conditions()), weight.owners(geometry)
+    moments, torque = rng.normal(size=len(owners)), rng.normal(size=(200, 6))
+    for i in weight.joints:
+        torque[:, i] = columns[:, owners == i] @ moments[owners == i]
+    seen = Conditions(torque=torque[:100])
+    term = weighed(weight, geometry, joints[:100], seen)
+    found = term.torques(geometry, joints[100:], Conditions())
+    np.testing.assert_allclose(found[:, [1, 2, 4]], torque[100:, [1, 2, 4]], rtol=1e-6, atol=1e-6)

@@ -7,10 +7,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pickenv.arm import Pose, forward, joint_jacobian, load_arm, pose_error, rotation_matrix, rotation_vector
+from pickenv.arm import (
+    Pose,
+    forward,
+    inverse,
+    joint_jacobian,
+    load_arm,
+    load_plant,
+    pose_error,
+    rotation_matrix,
+    rotation_vector,
+)
 from pickenv.calibration import Compensator, fit, random_joints, simulated_tracker
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.terms import ThermalTerm
 from pickenv.calibration.pipeline.apply import _carried, apply_calibration, toward
 from pickenv.calibration.pipeline.assess import assess
+from pickenv.calibration.pipeline.uncertainty import uncertainty_from
 from pickenv.calibration.reading.targets import Targets, joints_of, read_targets
 from pickenv.errors import InputError
 
@@ -90,6 +103,103 @@ def test_the_turn_that_remains_is_the_one_that_no_joint_makes(calibration, dynam
     assert 0.01 < np.degrees(along).mean() < 0.1
 
 
+@pytest.fixture(scope="module")
+def cut_off(calibration, dynamic):
+    """Targets of which some joints, from none to all, stand at a limit: what becomes of them."""
+    nominal, rng = dynamic.arm.nominal, np.random.default_rng(1)
+    joints, side, share = random_joints(nominal, 300, rng), rng.random((300, 6)), rng.random((300, 1)) / 2
+    joints = np.where(side < share, nominal.lower, np.where(side > 1 - share, nominal.upper, joints))
+    return apply_calibration(calibration, dynamic.arm, joint_targets(joints))
+
+
+def left_over(found):
+    """What free joints could still remove: mm and deg."""
+    left = found.remaining - found.impossible
+    return 1e3 * np.hypot(left[:, 0], np.hypot(left[:, 1], left[:, 2])), np.rad2deg(np.sqrt((left[:, 3:] ** 2).sum(1)))
+
+
+def test_a_target_is_reached_where_position_and_attitude_both_are(cut_off):
+    """To 0.01 mm and 0.02 mrad: one, the other or both may be missed."""
+    missed_mm, missed_deg = left_over(cut_off)
+    far, turned = missed_mm > 0.01, missed_deg > np.rad2deg(2e-5)
+    np.testing.assert_array_equal(cut_off.reached, ~far & ~turned)
+    assert min((far & ~turned).sum(), (turned & ~far).sum(), (far & turned).sum(), cut_off.reached.sum()) > 10
+
+
+def test_what_cuts_a_correction_off_is_named_with_what_it_leaves(cut_off, dynamic):
+    nominal = dynamic.arm.nominal
+    limits = (cut_off.joints == nominal.lower) | (cut_off.joints == nominal.upper)
+    for i, mm, deg in zip(range(300), *left_over(cut_off), strict=True):
+        held = ", ".join(name for name, at in zip(nominal.joint_names, limits[i], strict=True) if at)
+        said = f"the correction is cut off by a joint limit ({held}); {mm:.3g} mm and {deg:.3g} deg remain that"
+        assert cut_off.reached[i] or cut_off.reasons[i] == f"{said} a free joint could remove"
+
+
+def test_where_nothing_is_reached_no_command_stands_in_the_table(cut_off):
+    table = dict(zip(cut_off.table()[0], cut_off.table()[1].T, strict=True))
+    np.testing.assert_array_equal(table["reached"] == "yes", cut_off.reached)
+    np.testing.assert_array_equal(table["q1_deg"] == "", ~cut_off.reached)
+    assert table["note"].tolist() == [cut_off.reasons.get(i, "") for i in range(300)]
+
+
+def test_the_report_speaks_of_the_targets_that_are_reached_or_of_all_where_none_is(cut_off):
+    nothing = replace(cut_off, reached=np.zeros(300, dtype=bool), within95=(cut_off.within95[0], None))
+    for found, shown in ((cut_off, cut_off.reached), (nothing, np.ones(300, dtype=bool))):
+        mm, deg = (
+            [np.mean(scale * np.sqrt((e[shown][:, part] ** 2).sum(axis=1))) for e in (found.before, found.remaining)]
+            for scale, part in ((1e3, slice(3)), (180 / np.pi, slice(3, 6)))
+        )
+        lost = np.mean(np.rad2deg(np.sqrt((found.impossible[shown, 3:] ** 2).sum(axis=1))))
+        lines = found.report().splitlines()
+        assert lines[0] == f"{found.reached.sum()} of 300 targets can be reached"
+        assert f"would miss by {mm[0]:.3f} mm and {deg[0]:.4f} deg" in lines[1]
+        assert f"{mm[1]:.4f} mm and {deg[1]:.4f} deg remain, of which {lost:.4f} deg" in lines[2]
+        sure, within = 1e3 * found.position_uncertainty, 1e3 * found.within95[0]
+        assert f"reached: {np.median(sure):.3f} mm (median), {sure.max():.3f} mm at most" in lines[3]
+        assert f"within {np.median(within):.3f} mm (median of targets; {within.max():.3f} mm at most)" in lines[4]
+
+
+def test_a_target_a_hair_outside_its_limits_is_outside_and_one_off_by_rounding_is_not(calibration, dynamic):
+    nominal = dynamic.arm.nominal
+    middle = (nominal.lower + nominal.upper) / 2
+    joints = np.tile(middle, (4, 1))
+    joints[:, 2] = nominal.lower[2] - 1e-6, nominal.upper[2] + 1e-6, nominal.lower[2] - 5e-10, nominal.upper[2] + 5e-10
+    found = apply_calibration(calibration, dynamic.arm, joint_targets(joints))
+    told = [found.reasons.get(i, "") == "target of J3 telescopic boom is outside its limits" for i in range(4)]
+    assert told == [True, True, False, False] and not found.reached[:2].any()
+
+
+@pytest.fixture(scope="module")
+def warm(qiao):
+    """An arm that grows with temperature, calibrated at temperatures of all kinds."""
+    rng = np.random.default_rng(0)
+    truth = ArmModel(qiao.true, (ThermalTerm(),), np.array([23e-6]))
+    joints, warmth = random_joints(qiao.nominal, 100, rng), Conditions(temperature=rng.uniform(-20, 20, 100))
+    pose = truth.pose(joints, warmth)
+    data = simulated_tracker(load_plant("geometry_only"), joints, rng)
+    data = replace(data, position=pose.position + 2e-5 * rng.normal(size=(100, 3)), rotation=pose.rotation)
+    data = replace(data, conditions=warmth)
+    found = fit(qiao, data, known_frames=True, terms=(ThermalTerm(),))
+    return truth, assess(qiao, found, data, data).calibration
+
+
+def test_the_temperature_given_counts_for_commands_and_for_how_sure_they_are(warm, qiao):
+    truth, calibration = warm
+    targets = joint_targets(inner_joints(qiao.nominal, 30, 2))
+    wanted, sure = forward(qiao.nominal, targets.joints), {}
+    for degrees in (-20.0, 20.0):
+        given = Conditions(temperature=np.array(degrees))
+        found = apply_calibration(calibration, qiao, targets, conditions=given)
+        there = truth.pose(found.joints, Conditions(temperature=np.full(30, degrees)))
+        assert np.linalg.norm(there.position - wanted.position, axis=1).max() < 1e-4
+        sure[degrees] = found.position_uncertainty
+        expected = uncertainty_from(calibration.record).standard(
+            calibration.model, found.joints, Conditions(temperature=np.full(30, degrees))
+        )
+        np.testing.assert_allclose([found.position_uncertainty, found.attitude_uncertainty], expected)
+    assert np.abs(sure[-20.0] / sure[20.0] - 1.0).max() > 1e-4
+
+
 def test_a_target_outside_the_limits_is_named_with_its_row_and_joint(calibration, dynamic):
     joints = inner_joints(dynamic.arm.nominal, 3, 0)
     joints[1, 2] = 2.0
@@ -111,9 +221,14 @@ def test_poses_are_reached_like_the_joints_that_make_them(calibration, dynamic):
 
 def test_a_pose_out_of_reach_is_named(calibration, dynamic):
     pose = forward(dynamic.arm.nominal, inner_joints(dynamic.arm.nominal, 2, 6))
-    far = Pose(np.vstack([pose.position, [[5.0, 0.0, 0.0]]]), np.concatenate([pose.rotation, [np.eye(3)]]))
+    turned = rotation_matrix([0.4, -0.3, 0.2]) @ pose.rotation[:1]
+    far = Pose(np.vstack([pose.position, [[5.0, 0.0, 0.0]]]), np.concatenate([pose.rotation, turned]))
     found = apply_calibration(calibration, dynamic.arm, pose_targets(far))
     assert found.reached.tolist() == [True, True, False] and "no joints within the limits" in found.reasons[2]
+    nearest = inverse(dynamic.arm.nominal, far)
+    deg = np.degrees(nearest.attitude_error - nearest.noncompensable_attitude)[2]
+    assert nearest.noncompensable_attitude[2] > 1e-2
+    assert found.reasons[2].endswith(f"miss it by {1e3 * nearest.position_error[2]:.3g} mm and {deg:.3g} deg")
     assert "2 of 3 targets" in found.report()
 
 

@@ -10,6 +10,7 @@ from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.apply import CorrectedCommands
 from pickenv.calibration.pipeline.assess import assess
+from pickenv.calibration.pipeline.local_scatter import Within95
 from pickenv.calibration.pipeline.result import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, pose_uncertainty, uncertainty_from
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict
@@ -184,6 +185,19 @@ def test_the_uncertainty_of_a_reach_is_that_of_parameters_and_of_what_they_do_no
     assert flat.attitude_repeat is None and flat.standard(model, q)[1] is None
     np.testing.assert_allclose(flat.standard(model, q)[0], position)
     np.testing.assert_allclose(flat.pose_covariance(model, q)[:, 3:, 3:], spread[:, 3:, 3:], rtol=1e-9)
+
+
+def test_how_far_errors_go_is_the_median_with_the_5th_and_95th_of_100_poses(judged):
+    sure, model, q = judged.uncertainty, judged.fit.calibration.model, judged.test.joints
+    sure = replace(sure, position_within95=Within95(2.0, 0.93, 0.41), attitude_within95=Within95(3.0, 0.96, 0.2))
+    block = sure.block(model, q, judged.test.conditions)
+    parts = zip(block.rows, sure.standard(model, q), (2e3, np.degrees(3.0)), ("mm", "deg"), strict=False)
+    for (_, said, held, told), size, scale, unit in parts:
+        if size is not None:
+            low, middle, high = (figure(np.percentile(scale * size, share)) for share in (5, 50, 95))
+            assert said == f"{middle} {unit} ({low} to {high})"
+            assert (held, told) == (("93.0 %", "0.41") if unit == "mm" else ("96.0 %", "0.20"))
+    assert [row[0] for row in block.rows] == ["position", "attitude"][: len(block.rows)]
 
 
 def test_an_uncertainty_survives_its_record_and_one_that_is_no_number_is_none(judged):

@@ -1,0 +1,144 @@
+"""Parametric terms worked out by hand: the work of weights, sizes of tolerances, cantilevers, and moments by name."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.arm import Pose, forward, joint_jacobian, load_arm, load_plant, rotation_matrix
+from pickenv.arm.kinematics.forward import chain_of, frames, split_joints
+from pickenv.calibration import random_joints
+from pickenv.calibration.model.arm_model import Conditions
+from pickenv.calibration.model.terms import (
+    BendingTerm,
+    ComplianceTerm,
+    GravityTerm,
+    LeadTerm,
+    ThermalTerm,
+    weighed,
+)
+
+
+def turned(name):
+    """An arm on a tilted base."""
+    nominal = load_arm(name).nominal
+    return replace(nominal, base=Pose(np.array([0.3, -0.2, 0.5]), rotation_matrix([0.4, -0.3, 0.8])))
+
+
+@pytest.mark.parametrize("name", ["qiao2026", "ur5", "li2016_slave"])
+def test_a_torque_is_what_the_weight_loses_of_its_height(name):
+    """Virtual work: of a mass at a link's origin, of a moment along its axes, of the payload at the tool."""
+    geometry, rng, step = turned(name), np.random.default_rng(0), 1e-6
+    up = np.array([0.36, 0.48, 0.8])
+    weight = GravityTerm(tuple(range(geometry.joints)), tuple(up.tolist()), payload=True)
+    joints, payload = random_joints(geometry, 5, rng), rng.uniform(0.5, 2.0, 5)
+    against = geometry.base.rotation @ up
+
+    def height(q, link, moment):
+        if moment == "p":
+            return payload * (forward(geometry, q).position @ against)
+        found = frames(np, chain_of(geometry), split_joints(geometry.joints, q))[link + 1]
+        row = {"x": 0, "y": 3, "z": 6, "m": 9}[moment]
+        return sum(part * size for part, size in zip(found[row : row + 3], against, strict=True))
+
+    torques = weight.torques(geometry, joints, Conditions(payload=payload))
+    moments = weight.moments(geometry)
+    assert torques.shape == (5, len(moments)) and {moment for *_, moment in moments} >= {"m", "p"}
+    for k, (joint, link, moment) in enumerate(moments):
+        moved = step * (np.arange(geometry.joints) == joint)
+        lost = (height(joints - moved, link, moment) - height(joints + moved, link, moment)) / (2 * step)
+        np.testing.assert_allclose(torques[:, k], lost, atol=1e-8, err_msg=str((joint, link, moment)))
+    columns = weight.columns(geometry, joints, Conditions(payload=payload))
+    jacobian = joint_jacobian(geometry, joints)
+    for k, (joint, *_) in enumerate(moments):
+        np.testing.assert_allclose(columns[..., k], jacobian[..., joint] * torques[:, [k]], atol=1e-12)
+
+
+def test_moments_are_named_by_joint_and_link_and_the_mass_on_a_joints_own_axis_is_none(qiao):
+    """A mass at the origin of the link that turns exerts nothing; a slide feels the mass of its own link alone."""
+    ur5 = load_arm("ur5").nominal
+    named = GravityTerm((4, 5), (0.0, 0.0, 1.0)).names(ur5)
+    parts = ["5_5x", "5_5y", "5_5z", "5_6m", "5_6x", "5_6y", "5_6z", "6_6x", "6_6y", "6_6z"]
+    assert named == tuple(f"gravity{part}" for part in parts)
+    assert GravityTerm((1, 4), (0.0, 0.0, 1.0)).names(qiao.nominal) == ("gravity2_2m", "gravity5_5m")
+    with_payload = GravityTerm((1, 5), (0.0, 0.0, 1.0), True).names(qiao.nominal)
+    assert with_payload == tuple(f"gravity{end}" for end in ["2_2m", "2_7p", "6_6x", "6_6y", "6_6z", "6_7p"])
+
+
+def test_tolerances_are_a_millimetre_or_a_milliradian_of_what_usually_acts(qiao):
+    """1 mrad at 10 N*m, 1 mm at 100 N; 1 mm at 1 m of boom, at 1 m of travel, and of 1 m at 20 K."""
+    geometry = qiao.nominal
+    slides = np.array(geometry.prismatic)
+    np.testing.assert_allclose(
+        ComplianceTerm(tuple(range(6)), None).tolerances(geometry), np.where(slides, 1e-3 / 100, 1e-3 / 10)
+    )
+    tip, own = BendingTerm(2, 0.5).tolerances(geometry)
+    assert (tip * 1.0**3 / 3, own * 1.0**4 / 8) == (pytest.approx(1e-3), pytest.approx(1e-3))
+    np.testing.assert_allclose(LeadTerm((1, 2)).tolerances(geometry), 1e-3)
+    np.testing.assert_allclose(ThermalTerm().tolerances(geometry) * 20.0, 1e-3)
+    weight = GravityTerm((0, 1), (0.0, 0.0, 1.0))
+    np.testing.assert_allclose(weight.tolerances(geometry), np.full(len(weight.names(geometry)), 1e-3))
+
+
+@pytest.mark.parametrize(("end_mass", "factor"), [(0.0, 1.0), (0.5, 1.0 + 0.8 / 0.5), (2.0, 1.0 + 0.8 / 2.0)])
+def test_a_payload_adds_to_the_load_of_a_booms_tip_where_its_mass_is_known(qiao, end_mass, factor):
+    joints = random_joints(qiao.nominal, 10, np.random.default_rng(0))
+    boom = BendingTerm(2, 0.5, end_mass)
+    bare = boom.columns(qiao.nominal, joints, Conditions())
+    loaded = boom.columns(qiao.nominal, joints, Conditions(payload=np.full(10, 0.8)))
+    np.testing.assert_allclose(loaded[..., 0], factor * bare[..., 0])
+    np.testing.assert_allclose(loaded[..., 1], bare[..., 1])
+    assert BendingTerm(2, 0.5).end_mass == 0.0 and np.abs(bare).max() > 0.01
+
+
+def test_a_boom_sags_as_a_cantilever_and_turns_by_its_slope(qiao):
+    """Its own tip, straight down by the part of gravity across it: L^3/3 and L^4/8; turned by L^2/2 and L^3/6."""
+    geometry = replace(qiao.nominal, base=Pose(np.zeros(3), rotation_matrix([0.3, 0.1, 0.5])))
+    joints = random_joints(geometry, 10, np.random.default_rng(1))
+    found = frames(np, chain_of(geometry), split_joints(6, joints))[3]
+    z, tip = (np.stack([np.broadcast_to(part, 10) for part in found[a : a + 3]], 1) for a in (6, 9))
+    down = np.array([0.0, 0.0, -1.0])
+    across = down - (z @ down)[:, None] * z
+    length = joints[:, [2]] + 0.4
+    columns = BendingTerm(2, 0.4).columns(geometry, joints, Conditions())
+    lever = forward(geometry, joints).position - tip
+    for k, (sag, slope) in enumerate(((length**3 / 3, length**2 / 2), (length**4 / 8, length**3 / 6))):
+        turn = slope * np.cross(z, across)
+        np.testing.assert_allclose(columns[:, 3:, k], turn, atol=1e-12)
+        np.testing.assert_allclose(columns[:, :3, k], sag * across + np.cross(turn, lever), atol=1e-12)
+
+
+def test_without_a_recorded_payload_the_loads_own_counts():
+    plant = load_plant("qiao2026")
+    nominal, joints = plant.arm.nominal, random_joints(plant.arm.nominal, 5, np.random.default_rng(0))
+    term = ComplianceTerm(tuple(range(6)), replace(plant.load, payload=0.7))
+    own = term.torques(nominal, joints, Conditions())
+    np.testing.assert_allclose(own, term.torques(nominal, joints, Conditions(payload=np.full(5, 0.7))))
+    assert np.abs(own - term.torques(nominal, joints, Conditions(payload=np.zeros(5)))).max() > 0.1
+
+
+@pytest.mark.parametrize("name", ["qiao2026", "ur5"])
+def test_warmth_lengthens_all_links_and_what_has_slid_out(name):
+    geometry, rng = turned(name), np.random.default_rng(0)
+    joints, warmth, growth = random_joints(geometry, 6, rng), rng.uniform(-20, 20, 6), 1e-7
+    columns = ThermalTerm().columns(geometry, joints, Conditions(temperature=warmth))
+    for row in range(6):
+        share = 1.0 + growth * warmth[row]
+        longer = replace(geometry, a=geometry.a * share, d=geometry.d * share)
+        there = forward(longer, joints[row] * np.where(geometry.prismatic, share, 1.0)).position
+        moved = (there - forward(geometry, joints[row]).position) / growth
+        np.testing.assert_allclose(columns[row, :3, 0], moved, atol=1e-4)
+
+
+def test_moments_that_the_poses_hardly_show_are_left_at_zero():
+    """Poses within a milliradian of one another: by a pseudo-inverse that cuts off at a thousandth, joint by joint."""
+    geometry, rng = load_arm("ur5").nominal, np.random.default_rng(0)
+    weight = GravityTerm((1, 2), (0.0, 0.0, 1.0))
+    joints = 0.5 + 1e-3 * rng.normal(size=(80, 6))
+    torque = rng.normal(size=(80, 6))
+    moments = np.array(weighed(weight, geometry, joints, Conditions(torque=torque)).moments)
+    columns, owners = weight.torques(geometry, joints, Conditions()), weight.owners(geometry)
+    for i in (1, 2):
+        expected = np.linalg.pinv(columns[:, owners == i], rcond=1e-3) @ torque[:, i]
+        np.testing.assert_allclose(moments[owners == i], expected, rtol=1e-6, atol=1e-9)
+    assert np.abs(moments).max() < 50 * np.abs(torque).max()
