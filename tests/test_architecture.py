@@ -52,6 +52,7 @@ SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
         ("camera", "identification"),
         ("residuals", "compensation", "assessment", "planning", "reading"),
         ("pipeline",),
+        ("delivery",),
     ),
     "pickenv.arm": (("kinematics",), ("files",), ("effects",), ("plant",)),
     "pickenv.envs": (("shared",), ("reaching",), ("picking", "harvesting")),
@@ -64,8 +65,11 @@ ONLY = {
     "pickenv.calibration": ("pickenv.arm", "pickenv.errors", *GROUND),
     "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.errors", *GROUND),
 }
-# The one way up: a result writes its own page when it is asked to, and loads the page's room then.
-UPWARDS = {("pickenv.calibration.pipeline.result", "pickenv.inspect.reports.calibration_report")}
+# The ways up: a result writes its own page and files when it is asked to, and loads what writes them then.
+UPWARDS = {
+    ("pickenv.calibration.pipeline.result", "pickenv.inspect.reports.calibration_report"),
+    ("pickenv.calibration.pipeline.result", "pickenv.calibration.delivery.export"),
+}
 HEAVY = (
     *("torch", "stable_baselines3", "sb3_contrib", "rerun", "matplotlib", "plotly", "PIL", "skimage", "sklearn"),
     *("pyarrow", "pandas", "ray", "grpc", "joblib", "ortools", "onnx", "onnxruntime", "tensorboard", "pettingzoo"),

@@ -168,24 +168,43 @@ def apply(
 
 def export(
     calibration: Annotated[Path, CALIBRATION],
-    arm: Annotated[str, ARM],
-    toml: Annotated[Path | None, typer.Option(help="Write the corrected arm as an arm file (.toml).")] = None,
-    urdf: Annotated[Path | None, typer.Option(help="Write the corrected arm as URDF.")] = None,
-    onnx: Annotated[Path | None, typer.Option(help="Write the learnt network as ONNX.")] = None,
+    out: Annotated[Path, typer.Option(help="File to write.", show_default=False)],
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            "--as",
+            help="toml, urdf, onnx, kinematics-yaml, table, offsets, ros2-control, lerobot or transforms; told by the "
+            "file's name if left out.",
+            show_default=False,
+        ),
+    ] = None,
+    onto: Annotated[
+        str | None,
+        typer.Option(
+            help="The robot's own file (URDF, kinematics YAML, LeRobot JSON, …), corrected in place and written to "
+            "--out; robot.urdf#link names the tip.",
+            show_default=False,
+        ),
+    ] = None,
+    arm: Annotated[
+        str | None, typer.Option(help="Arm name or arm file, if no shipped one.", show_default=False)
+    ] = None,
+    counts_per_turn: Annotated[
+        int | None, typer.Option(help="Encoder counts per turn, for --as offsets.", show_default=False, min=1)
+    ] = None,
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
-    """Write the corrected arm as TOML or URDF, and its learnt residual as ONNX, for other programs."""
+    """Hand the calibration over to the robot's own files, its controller, or other programs."""
     from pickenv.arm import load_arm
+    from pickenv.calibration.delivery.export import export as exported
     from pickenv.calibration.pipeline.calibration import Calibration
-    from pickenv.calibration.pipeline.export import export as exported
 
-    separate(
-        {"CALIBRATION": calibration, "--arm": arm},
-        {"--toml": toml, "--urdf": urdf, "--onnx": onnx},
-    )
-    chosen = load_arm(arm)
+    separate({"CALIBRATION": calibration, "--arm": arm, "--onto": onto}, {"--out": out})
+    chosen = None if arm is None else load_arm(arm)
     loaded = Calibration.load(calibration, chosen, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
-    for path in exported(loaded, chosen, toml=toml, urdf=urdf, onnx=onnx):
-        print(f"wrote {path}")
+    done = exported(loaded, out, kind=kind, onto=onto, arm=chosen, counts_per_turn=counts_per_turn)
+    for note in done.notes:
+        print(note)
+    print(f"wrote {done.path}")

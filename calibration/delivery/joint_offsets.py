@@ -1,0 +1,165 @@
+"""The part of a calibration that joint offsets can hold, and what they leave out.
+
+Controllers and servos often take one number per joint: what its reading is off by. The offsets that bring the nominal
+arm nearest to the calibrated one, over the poses where it was measured, are found by least squares: pose differences in
+m and rad weigh alike. What offsets cannot do is stated in mm. With fitted base and tool, what a base or tool can do as
+well is left to them (of a turning first joint, all of it), as these data cannot tell them apart. SI units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pickenv.arm import Geometry, forward, joint_jacobian, parameter_jacobian, pose_error
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model.error_model import frames_model
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.uncertainty import uncertainty_from
+from pickenv.errors import InputError
+
+STEPS = 6
+"""Gauss-Newton steps; offsets of a few degrees need three."""
+
+LOST = 1e-6
+"""Offsets whose effect is this much smaller than the largest are not told by any pose."""
+
+SPREAD = 256
+"""Poses within the joint limits where none are recorded."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointOffsets:
+    """What each joint's reading lacks: the arm stands at reading plus offset.
+
+    Attributes:
+        names: Of the joints.
+        slides: Whether each slides.
+        offsets: rad or m (n,).
+        deviation: Standard deviations of the offsets (n,), NaN where the calibration knows none.
+        without: Mean position difference between nominal and calibrated arm over the poses, m.
+        left: The same with the offsets, m: what a file of offsets leaves out.
+        left_turn: Mean attitude difference that they leave, rad.
+        poses: Poses compared.
+        measured: Whether they are poses of the measurement; else they fill the joint limits.
+    """
+
+    names: tuple[str, ...]
+    slides: tuple[bool, ...]
+    offsets: Array
+    deviation: Array
+    without: float
+    left: float
+    left_turn: float
+    poses: int
+    measured: bool
+
+    def note(self) -> str:
+        """What offsets do and what they leave out, for people."""
+        where = "poses of the measurement" if self.measured else "poses within the joint limits"
+        return (
+            f"joint offsets alone: over {self.poses} {where} the nominal arm lies {self.without * 1e3:.3g} mm from the "
+            f"calibrated one, with these offsets {self.left * 1e3:.3g} mm and {np.degrees(self.left_turn):.3g} deg "
+            "(means); the rest of the calibration is left out"
+        )
+
+
+def joint_offsets(calibration: Calibration, joints: Array | None = None) -> JointOffsets:
+    """The joint offsets nearest to a calibration.
+
+    Args:
+        calibration: Of any arm.
+        joints: Poses to be near at ``(N, n)``; those that the calibration was judged at when left out, or poses within
+            the joint limits where it keeps none.
+
+    Raises:
+        InputError: If its terms need payloads, temperatures or torques, which no offset depends on.
+    """
+    measured = joints is None
+    if joints is None:
+        joints = _judged(calibration)
+    if joints is None:
+        measured, joints = False, _filling(calibration.arm)
+    try:
+        target = calibration.predict(joints)
+    except InputError as error:
+        raise InputError(
+            f"offsets cannot follow this calibration's terms: {error}; calibrate with --terms none"
+        ) from error
+    model = frames_model(calibration.arm)
+    fitted = calibration.record.get("frames") == "fitted"
+    nominal = calibration.nominal
+    offsets = np.zeros(nominal.joints)
+    without = np.linalg.norm(pose_error(forward(nominal, joints), target)[:, :3], axis=1).mean()
+    for _ in range(STEPS):
+        missed = pose_error(forward(nominal, joints + offsets), target).ravel()
+        effect = _flat(joint_jacobian(nominal, joints + offsets))
+        frames = _flat(parameter_jacobian(nominal, joints + offsets)[..., model.columns]) if fitted else None
+        step = _told(effect, frames) @ missed
+        offsets = offsets + step
+        if frames is not None:
+            moved = np.zeros(len(nominal.parameter_names))
+            moved[model.columns] = np.linalg.lstsq(frames, missed - effect @ step, rcond=LOST)[0]
+            nominal = nominal.displaced(moved)
+    left = pose_error(forward(nominal, joints + offsets), target)
+    return JointOffsets(
+        calibration.arm.joint_names,
+        calibration.arm.prismatic,
+        offsets,
+        _deviation(calibration, joints, fitted),
+        float(without),
+        float(np.linalg.norm(left[:, :3], axis=1).mean()),
+        float(np.linalg.norm(left[:, 3:], axis=1).mean()),
+        len(joints),
+        measured,
+    )
+
+
+def _flat(jacobian: Array) -> Array:
+    return jacobian.reshape(-1, jacobian.shape[-1])
+
+
+def _told(effect: Array, frames: Array | None) -> Array:
+    """The matrix from pose differences to offsets: what frames can do as well is theirs."""
+    if frames is not None:
+        whole = np.linalg.svd(frames, full_matrices=False)
+        basis = whole.U[:, np.flatnonzero(LOST * whole.S[0] < whole.S)]
+        effect = effect - basis @ (basis.T @ effect)
+    size = np.linalg.norm(effect, axis=0)
+    told = size > LOST * size.max()
+    found = np.zeros(effect.T.shape)
+    found[told] = np.linalg.pinv(effect[:, told], rcond=LOST)
+    return found
+
+
+def _deviation(calibration: Calibration, joints: Array, fitted: bool) -> Array:
+    """Standard deviations of the offsets, from those of the identified parameters."""
+    sure = uncertainty_from(calibration.record)
+    if sure is None:
+        return np.full(calibration.arm.joints, np.nan)
+    nominal, model = calibration.nominal, frames_model(calibration.arm)
+    whole = parameter_jacobian(nominal, joints)
+    columns = [nominal.parameter_names.index(name) for name in sure.names if name in nominal.parameter_names]
+    kept = [i for i, name in enumerate(sure.names) if name in nominal.parameter_names]
+    frames = _flat(whole[..., model.columns]) if fitted else None
+    way = _told(_flat(joint_jacobian(nominal, joints)), frames) @ _flat(whole[..., columns])
+    covariance = sure.covariance[np.ix_(kept, kept)]
+    return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", way, covariance, way)))
+
+
+def _judged(calibration: Calibration) -> Array | None:
+    """Joints at which the calibration was judged, as it keeps them; None where it does not."""
+    sure = uncertainty_from(calibration.record)
+    local = None if sure is None else sure.position_local or sure.attitude_local
+    return None if local is None else local.joints
+
+
+def _filling(arm: Geometry) -> Array:
+    """Poses that fill the joint limits evenly (Halton's sequence has no chance in it); a turn at most."""
+    from scipy.stats import qmc
+
+    middle, half = (arm.lower + arm.upper) / 2, (arm.upper - arm.lower) / 2
+    half = np.where(arm.prismatic, half, np.minimum(half, np.pi))
+    unit = qmc.Halton(arm.joints, scramble=False).random(SPREAD + 1)[1:]
+    return np.asarray(middle + half * (2.0 * unit - 1.0))
