@@ -103,6 +103,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         corrections.apply,
         corrections.export,
         check,
+        plants.arms,
         schema,
     ),
     "Simulate, learn and judge": (

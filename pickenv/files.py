@@ -207,7 +207,7 @@ def _paths(named: Named) -> Iterator[Path]:
     names = () if named is None else (named,) if isinstance(named, str | Path) else named
     for name in names:
         path, _, tip = str(name).rpartition("#")
-        yield Path(path) if path.endswith(".urdf") and tip else Path(name)
+        yield Path(path) if path.endswith((".urdf", ".xml")) and tip else Path(name)
 
 
 def _check_name(path: Path) -> None:

@@ -1,7 +1,7 @@
 """Text files are read in one place: what a file is, which encoding it has, and all that a parser of it can raise.
 
-Readers of CSV, TOML, YAML and URDF call `read_text` and `parsed`; each fault is one sentence that names the file and
-what to do. `shortened` keeps what a message quotes to a line, `decimal_number` says what a number is.
+Readers of CSV, TOML, YAML, URDF and MJCF call `read_text` and `parsed`; each fault is one sentence that names the file
+and what to do. `shortened` keeps what a message quotes to a line, `decimal_number` says what a number is.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import re
 import stat
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pickenv.errors import InputError
 
@@ -88,6 +88,25 @@ def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
         raise InputError(f"{path} is not valid {kind}: it is nested too deeply; give tables of a few levels") from error
     except Exception as error:
         raise InputError(f"{path} is not valid {kind}: {_reason(error)}") from error
+
+
+def yaml_content(text: str, path: str | Path) -> Any:
+    """What a YAML text holds: mappings, lists, numbers and words; aliases and tags of Python are refused.
+
+    Raises:
+        InputError: If it is no YAML; the message names ``path``.
+    """
+    import yaml  # late: most files are none
+
+    class Plain(yaml.SafeLoader):
+        """Without aliases, through which a few lines can stand for endless ones."""
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                raise ValueError("it uses an alias (*name); write the values out")
+            return super().compose_node(parent, index)
+
+    return parsed(lambda: yaml.load(text, Plain), path, "YAML")  # a safe loader
 
 
 def decimal_number(text: str) -> float | None:

@@ -33,7 +33,7 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from pickenv.arm import Geometry, Pose, load_arm
-from pickenv.arm.files.urdf import urdf_text
+from pickenv.arm.files.urdf_text import urdf_text
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import Measurements, align, complete_model, frames_model, identify, read_measurements
 from pickenv.calibration.identification.least_squares import Identification

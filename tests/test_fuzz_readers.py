@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from pickenv.arm import forward, load_arm, load_plant
 from pickenv.arm.files.arm_file import ARMS
-from pickenv.arm.files.urdf import urdf_text
+from pickenv.arm.files.ur_yaml import UR_KEYS, UR_LINKS
+from pickenv.arm.files.urdf_text import urdf_text
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.reading.description import DESCRIPTIONS, load_description
@@ -75,6 +76,20 @@ def read_described(path: Path) -> None:
     assert np.isfinite(read_observations([sound], UR5.nominal, path).observations.joints).all()
 
 
+MODEL = """<mujoco model="small"><compiler angle="radian" eulerseq="XYZ"/>
+<default><joint axis="0 1 0"/><default class="odd"><joint ref="0.1" range="-2 2"/></default></default><worldbody>
+<body name="one" pos="0 0 1" euler="0.1 0 0"><joint name="a" range="-1 1"/>
+<body name="two" pos="1 0 0" childclass="odd"><joint name="b"/><body name="three" xyaxes="0 1 0 0 0 1">
+<joint name="c" type="slide" pos="1 2 3" range="0 1"/>
+<site name="tool0" zaxis="1 0 0"/></body></body></body></worldbody>
+<equality><joint joint1="c" joint2="b" polycoef="0.1 0.2 0 0 0"/></equality></mujoco>"""
+
+
+def ur_kinematics() -> str:
+    numbers = ", ".join(f"{key}: 0.{i + 1}" for i, key in enumerate(UR_KEYS))
+    return "kinematics:\n" + "".join(f"  {link}: {{{numbers}}}\n" for link in UR_LINKS) + "  hash: calib_1\n"
+
+
 # kind: a sound text, the ending of its name, and what reads it
 KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "csv": (csv_text(), ".csv", read_csv),
@@ -89,6 +104,8 @@ KINDS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "arm": ((ARMS / "qiao2026.toml").read_text(encoding="utf-8"), ".toml", lambda path: used(load_arm(path))),
     "plant": ((PLANTS / "orchard.toml").read_text(encoding="utf-8"), ".toml", load_plant),
     "urdf": (coupled_urdf(), ".urdf", lambda path: used(load_arm(path))),
+    "mjcf": (MODEL, ".xml", lambda path: used(load_arm(path))),
+    "ur kinematics": (ur_kinematics(), ".yaml", lambda path: used(load_arm(path))),
 }
 
 TOKENS = [

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
 
 from pickenv.arm import Arm, load_arm, shipped_arms
 from pickenv.calibration.delivery.arm_toml import write_arm_toml
@@ -19,6 +18,7 @@ from pickenv.calibration.delivery.lerobot_file import onto_lerobot
 from pickenv.calibration.delivery.offset_files import offset_table, ros2_offsets
 from pickenv.calibration.delivery.onnx_network import write_onnx
 from pickenv.calibration.delivery.onto_kinematics_yaml import onto_kinematics_yaml, ur_kinematics_yaml
+from pickenv.calibration.delivery.onto_mjcf import onto_mjcf
 from pickenv.calibration.delivery.onto_urdf import onto_urdf, urdf_correction
 from pickenv.calibration.delivery.origin_lines import Document, left_out
 from pickenv.calibration.delivery.static_transforms import static_transforms
@@ -26,15 +26,22 @@ from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
 from pickenv.files import write_whole
 
-Kind = Literal["toml", "urdf", "onnx", "kinematics-yaml", "table", "offsets", "ros2-control", "lerobot", "transforms"]
+KINDS = (
+    *("toml", "urdf", "mjcf", "onnx", "kinematics-yaml", "table"),
+    *("offsets", "ros2-control", "lerobot", "transforms"),
+)
 """What a calibration is handed over as."""
-
-KINDS: tuple[str, ...] = get_args(Kind)
 
 BY_ENDING = {".toml": "toml", ".urdf": "urdf", ".onnx": "onnx"}
 """Kinds that a new file's name tells."""
 
-BY_OWN_ENDING = {".urdf": "urdf", ".yaml": "kinematics-yaml", ".yml": "kinematics-yaml", ".json": "lerobot"}
+BY_OWN_ENDING = {
+    ".urdf": "urdf",
+    ".xml": "mjcf",
+    ".yaml": "kinematics-yaml",
+    ".yml": "kinematics-yaml",
+    ".json": "lerobot",
+}
 """Kinds that the name of the robot's own file tells."""
 
 
@@ -83,6 +90,8 @@ def export(
         raise InputError("counts per turn are a whole number above zero and belong to --as offsets")
     if own is not None and chosen in ("toml", "onnx", "table", "offsets"):
         raise InputError(f"a file of kind '{chosen}' is written anew; leave --onto out, or give another --as")
+    if own is None and chosen == "mjcf":
+        raise InputError("MJCF is written onto a model that you have; give --onto its file (.xml)")
     if own is None and chosen == "lerobot":
         raise InputError(
             "a LeRobot file keeps ids and ranges of your motors; give --onto the one that lerobot-calibrate wrote"
@@ -96,6 +105,7 @@ def export(
         return Delivery(writers[chosen](), _new_file_notes(calibration, chosen))
     makers: dict[str, Callable[[], Document]] = {
         "urdf": lambda: onto_urdf(calibration, Path(str(own)), tip, out),
+        "mjcf": lambda: onto_mjcf(calibration, Path(str(own)), tip, out),
         "kinematics-yaml": lambda: (
             ur_kinematics_yaml(calibration) if own is None else onto_kinematics_yaml(calibration, own)
         ),

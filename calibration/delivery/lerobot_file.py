@@ -32,7 +32,7 @@ FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
 @dataclass(frozen=True)
-class Servo:
+class LerobotMotor:
     """One motor of a LeRobot calibration, in counts."""
 
     id: int
@@ -47,7 +47,7 @@ class Servo:
         return -half, half
 
 
-def read_lerobot(path: str | Path) -> dict[str, Servo]:
+def read_lerobot(path: str | Path) -> dict[str, LerobotMotor]:
     """The motors of a LeRobot calibration file, by name.
 
     Raises:
@@ -56,7 +56,7 @@ def read_lerobot(path: str | Path) -> dict[str, Servo]:
     return _servos(read_text(path, "a LeRobot calibration (.json)"), Path(path))
 
 
-def _servos(text: str, path: Path) -> dict[str, Servo]:
+def _servos(text: str, path: Path) -> dict[str, LerobotMotor]:
     found: Any = parsed(lambda: json.loads(text), path, "JSON")
     if isinstance(found, dict) and isinstance(found.get("homing_offset"), list):
         raise InputError(
@@ -73,7 +73,7 @@ def _servos(text: str, path: Path) -> dict[str, Servo]:
                     f"{path}: motor '{shortened(name)}' has no whole number '{field}'; give the calibration that "
                     "lerobot-calibrate writes"
                 )
-        servos[name] = Servo(**{field: motor[field] for field in FIELDS})
+        servos[name] = LerobotMotor(**{field: motor[field] for field in FIELDS})
     return servos
 
 

@@ -11,26 +11,22 @@ import math
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
-from scipy.spatial.transform import Rotation
 
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, behind
+from pickenv.arm.files.joint_chain import behind
+from pickenv.arm.files.ur_yaml import UR_KEYS, UR_LINKS, ur_row
 from pickenv.arm.files.urdf_text import roll_pitch_yaw
-from pickenv.arm.kinematics.geometry import Pose, identity_pose, inverse_pose
-from pickenv.calibration.delivery.corrected_chain import Z
+from pickenv.arm.kinematics.geometry import identity_pose, inverse_pose
 from pickenv.calibration.delivery.origin_lines import Document, one_line, provenance
-from pickenv.calibration.delivery.patched import OwnChain, correction, is_moved
+from pickenv.calibration.delivery.patched import correction, is_moved
 from pickenv.calibration.delivery.same_chain import link_frames
 from pickenv.calibration.delivery.xml_edit import Edit, edited
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
-from pickenv.texts import parsed, read_text, shortened
+from pickenv.texts import shortened
 
-LENGTHS, ANGLES = ("x", "y", "z"), ("roll", "pitch", "yaw")
-UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+LENGTHS = ("x", "y", "z")
 UR_TWISTS = (0.0, math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2)
 """alpha of a UR's modified DH table, rad: its frames are those of ur_description."""
 
@@ -41,48 +37,25 @@ def onto_kinematics_yaml(calibration: Calibration, path: Path) -> Document:
     Raises:
         InputError: If the file is unusable or of another arm.
     """
-    text = read_text(path, "a kinematics YAML")
-    origins = _origins(parsed(lambda: yaml.safe_load(text), path, "YAML"), path)
-    joints = [ChainJoint(name, name, 1.0, 0.0, False, pose, Z) for name, pose in origins.items()]
-    drives = {name: Drive(False, -math.pi, math.pi, 1.0) for name in origins}
-    found = correction(calibration, OwnChain(path.name, joints, identity_pose(), drives, None))
-    data = text.encode()
+    row, _ = ur_row(path)
+    found = correction(calibration, row, path)
+    data = path.read_bytes()
     edits: list[Edit] = []
-    for (name, old), new in zip(origins.items(), found.chain.origins, strict=True):
-        moved = is_moved(old, new)
-        values = dict(zip(LENGTHS, new.position, strict=True)) if moved[0] else {}
-        if moved[1]:
-            values |= dict(zip(ANGLES, roll_pitch_yaw(np.asarray(new.rotation)), strict=True))
-        edits += _edits(data, name, list(origins), {key: float(value) for key, value in values.items()}, path)
+    for link, joint, new in zip(UR_LINKS, row.joints, found.chain.origins, strict=True):
+        moved = is_moved(joint.origin, new)
+        values = [*new.position, *roll_pitch_yaw(np.asarray(new.rotation))]
+        changed = {key: float(value) for key, value in zip(UR_KEYS, values, strict=True) if moved[key not in LENGTHS]}
+        edits += _edits(data, link, changed, path)
     return Document(edited(data, edits), (*found.notes, "the hash is the robot's own and stays"))
 
 
-def _origins(content: Any, path: Path) -> dict[str, Pose]:
-    """Origins by link, in the file's order."""
-    links = content.get("kinematics") if isinstance(content, dict) else None
-    if not isinstance(links, dict):
-        raise InputError(f"{path} has no 'kinematics'; give a file such as ur_description's default_kinematics.yaml")
-    found = {}
-    for name, link in links.items():
-        if name == "hash":
-            continue
-        numbers = [link.get(key) if isinstance(link, dict) else None for key in (*LENGTHS, *ANGLES)]
-        if not all(isinstance(number, int | float) and math.isfinite(number) for number in numbers):
-            raise InputError(f"{path}: '{shortened(name)}' lacks a number among x, y, z, roll, pitch, yaw; add it")
-        values = np.array(numbers, dtype=float)
-        found[str(name)] = Pose(values[:3], Rotation.from_euler("xyz", values[3:]).as_matrix())
-    if not found:
-        raise InputError(f"{path} names no link under 'kinematics'; give a file with all of the arm's")
-    return found
-
-
-def _edits(data: bytes, name: str, names: list[str], values: dict[str, float], path: Path) -> list[Edit]:
+def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list[Edit]:
     """What gives a link's keys new numbers, between its name and the next link's."""
     if not values:
         return []
     places = {
         each: found.end()
-        for each in (*names, "hash")
+        for each in (*UR_LINKS, "hash")
         if (found := re.search(rb"^\s+" + re.escape(each.encode()) + rb"\s*:", data, re.MULTILINE)) is not None
     }
     start = places[name]
@@ -125,9 +98,7 @@ def ur_kinematics_yaml(calibration: Calibration) -> Document:
         origin = behind(inverse_pose(stands), pose)
         values = [*origin.position, *roll_pitch_yaw(np.asarray(origin.rotation))]
         lines.append(f"  {name}:")
-        lines += [
-            f"    {key}: {yaml_number(float(value))}" for key, value in zip((*LENGTHS, *ANGLES), values, strict=True)
-        ]
+        lines += [f"    {key}: {yaml_number(float(value))}" for key, value in zip(UR_KEYS, values, strict=True)]
         stands = pose
     lines.append(f"  hash: calib_pickenv_{calibration.arm_fingerprint}")
     notes = (

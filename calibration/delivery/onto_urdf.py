@@ -11,18 +11,17 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm.files.urdf import UrdfChain, urdf_chain
+from pickenv.arm.files.urdf import urdf_row
 from pickenv.arm.files.urdf_text import roll_pitch_yaw
 from pickenv.arm.files.xml_values import xml_numbers
 from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration.delivery.origin_lines import Document
 from pickenv.calibration.delivery.patched import (
     Correction,
-    OwnChain,
     correction,
     is_moved,
     own_origin,
-    refuse_lost_meshes,
+    refuse_lost_files,
 )
 from pickenv.calibration.delivery.xml_edit import (
     Edit,
@@ -49,11 +48,11 @@ def onto_urdf(calibration: Calibration, path: Path, tip: str | None, out: Path) 
     Raises:
         InputError: If the file is unusable, of another arm, or its meshes would be lost.
     """
-    chain = urdf_chain(path, tip)
-    found = _correction(calibration, path, chain)
+    chain = urdf_row(path, tip)
+    found = correction(calibration, chain, path)
     data = path.read_bytes()
     tags = start_tags(data)
-    refuse_lost_meshes(path, out, [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"])
+    refuse_lost_files(path, out, [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"])
     edits: list[Edit] = []
     for joint, new in zip(chain.joints, found.chain.origins, strict=True):
         place = _joint(tags, joint.name)
@@ -70,12 +69,8 @@ def urdf_correction(calibration: Calibration, path: Path, tip: str | None) -> tu
     Raises:
         InputError: If the file is unusable or of another arm.
     """
-    chain = urdf_chain(path, tip)
-    return _correction(calibration, path, chain), chain.root, chain.tip
-
-
-def _correction(calibration: Calibration, path: Path, chain: UrdfChain) -> Correction:
-    return correction(calibration, OwnChain(path.name, chain.joints, chain.tool, chain.drives, chain.mount))
+    chain = urdf_row(path, tip)
+    return correction(calibration, chain, path), chain.root, chain.tip
 
 
 def _joint(tags: list[StartTag], name: str) -> int:

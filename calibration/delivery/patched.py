@@ -8,42 +8,24 @@ terms and learnt residuals, for which no file of rigid links has a place.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pickenv.arm import forward
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, behind, chain_geometry
+from pickenv.arm.files.joint_chain import JointRow, behind
 from pickenv.arm.kinematics.geometry import Pose, inverse_pose
 from pickenv.calibration.delivery.corrected_chain import CorrectedChain, corrected_chain, moved_by
 from pickenv.calibration.delivery.origin_lines import left_out
 from pickenv.calibration.delivery.same_chain import NEAR, TURNED, SameChain, same_chain
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
+from pickenv.texts import shortened
 
 NOTHING = 1e-12
 """m and rad; an origin that moves by less keeps its text."""
-
-
-@dataclass(frozen=True, eq=False)
-class OwnChain:
-    """The chain of joints in a robot's own file, in whatever format it was.
-
-    Attributes:
-        name: What messages call the file.
-        joints: From root to tip.
-        tool: Pose of the tip in the frame of the last joint.
-        drives: The drivers by name.
-        mount: Name of what holds the tip and may be moved; None where nothing does.
-    """
-
-    name: str
-    joints: Sequence[ChainJoint]
-    tool: Pose
-    drives: Mapping[str, Drive]
-    mount: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,17 +45,22 @@ class Correction:
     notes: tuple[str, ...]
 
 
-def correction(calibration: Calibration, own: OwnChain) -> Correction:
+def correction(calibration: Calibration, own: JointRow, path: Path) -> Correction:
     """Where the joints of a robot's own file stand after calibration.
+
+    Args:
+        calibration: The calibration.
+        own: The file's joints.
+        path: The file, for messages.
 
     Raises:
         InputError: If the file is of another arm.
     """
     try:
-        geometry, _ = chain_geometry(own.joints, own.tool, own.drives)
+        geometry, _ = own.geometry()
     except InputError as error:
-        raise InputError(f"{own.name}: {error}") from None
-    same = same_chain(calibration.arm, geometry, own.name, calibration.arm_name)
+        raise InputError(f"{path}: {error}") from None
+    same = same_chain(calibration.arm, geometry, path.name, calibration.arm_name)
     chain = corrected_chain(calibration.arm, calibration.identified, own.joints, own.tool, same)
     known = calibration.record.get("frames") != "fitted"
     retooled = moved_by(calibration.arm.tool, calibration.identified.tool)
@@ -101,7 +88,7 @@ def is_moved(old: Pose, new: Pose) -> tuple[bool, bool]:
 
 
 def _notes(
-    calibration: Calibration, own: OwnChain, chain: CorrectedChain, same: SameChain, mount: Pose | None
+    calibration: Calibration, own: JointRow, chain: CorrectedChain, same: SameChain, mount: Pose | None
 ) -> list[str]:
     moves = {
         joint.name: moved_by(joint.origin, new)
@@ -146,23 +133,24 @@ def _notes(
     return notes
 
 
-def _drivers(own: OwnChain) -> list[str]:
+def _drivers(own: JointRow) -> list[str]:
     """Names of the joints that are commanded, in the file's order."""
     return list(dict.fromkeys(joint.driver for joint in own.joints if joint.ratio))
 
 
-def refuse_lost_meshes(path: Path, out: Path, names: Sequence[str]) -> None:
-    """Refuse where a file names meshes beside it that are not there, or would not be found from the new file's place.
+def refuse_lost_files(path: Path, out: Path, names: Sequence[str]) -> None:
+    """Refuse where a file names others beside it that are not there, or would not be found from the new file's place.
 
     Raises:
-        InputError: Names the mesh and what to do.
+        InputError: Names the file and what to do.
     """
     for name in names:
-        if "://" in name or Path(name).is_absolute():
+        if not name or "://" in name or Path(name).is_absolute():
             continue
         if not (path.parent / name).is_file():
-            raise InputError(f"{path} names the mesh '{name}', which is not there; put it back or correct the name")
+            raise InputError(f"{path} names '{shortened(name)}', which is not there; put it back or correct the name")
         if not (out.parent / name).is_file():
             raise InputError(
-                f"{out} would not find the mesh '{name}' from where it stands; write it beside {path}, in {path.parent}"
+                f"{out} would not find '{shortened(name)}' from where it stands; write it beside {path.name}, in "
+                f"{path.parent}"
             )

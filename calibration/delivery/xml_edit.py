@@ -79,21 +79,22 @@ def _end(data: bytes, start: int) -> int:
     return len(data)
 
 
+def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, int, int]], int]:
+    """Where each attribute of a tag starts, its value starts and ends; and where the last one ends."""
+    after = tag.start + 1 + len(tag.name.encode())
+    spans: dict[str, tuple[int, int, int]] = {}
+    while (one := ATTRIBUTE.match(data, after)) is not None:
+        spans[one[1].decode()] = (one.start(1), one.start(2) + 1, one.end(2) - 1)
+        after = one.end()
+    return spans, after
+
+
 def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> list[Edit]:
     """What gives attributes of a tag new values; one that it lacks is added behind its others."""
-    edits: list[Edit] = []
-    after = tag.start + 1 + len(tag.name.encode())
-    places: dict[str, tuple[int, int]] = {}
-    while (one := ATTRIBUTE.match(data, after)) is not None:
-        places[one[1].decode()] = one.span(2)
-        after = one.end()
-    for name, value in values.items():
-        if name in places:
-            first, last = places[name]
-            edits.append(Edit(first + 1, last - 1, value.encode()))
-        else:
-            edits.append(Edit(after, after, f' {name}="{value}"'.encode()))
-    return edits
+    spans, after = attribute_spans(data, tag)
+    new = "".join(f' {name}="{value}"' for name, value in values.items() if name not in spans)
+    found = [Edit(*spans[name][1:], value.encode()) for name, value in values.items() if name in spans]
+    return [*found, Edit(after, after, new.encode())] if new else found
 
 
 def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:

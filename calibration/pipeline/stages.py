@@ -132,7 +132,7 @@ def calibrate(
         result.save("ur5.npz")
 
     Args:
-        arm: The arm, its name, or its file (TOML, or URDF as ``file.urdf#tip``); None where files hold finished poses.
+        arm: The arm, its name, or its file (`pickenv.arm.load_arm`); None where files hold finished poses.
         data: Measurements, observations of any kind or several of them, or files that hold them (CSV or YAML).
         columns: Description of the files' columns, by name or path; our own columns when left out. Several: one for
             each file.

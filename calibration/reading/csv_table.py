@@ -20,7 +20,7 @@ import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
-from pickenv.texts import decimal_number, listed, parsed, read_text, shortened
+from pickenv.texts import decimal_number, listed, parsed, read_text, shortened, yaml_content
 
 SEPARATORS = {";": "';'", "\t": "a tab", "|": "'|'", ",": "','", " ": "a space"}
 """What may stand between columns, and how it is called; in the order in which a file is asked for it."""
@@ -260,24 +260,10 @@ def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, d
 
 def _yaml_table(path: Path, text: str) -> Table:
     """Entries of a list or mapping, flattened: pose.x, target_joints.0."""
-    import yaml
-
-    class Plain(yaml.SafeLoader):
-        """Without aliases, through which a few lines can stand for endless ones."""
-
-        def compose_node(self, parent: Any, index: Any) -> Any:
-            if self.check_event(yaml.AliasEvent):
-                raise ValueError("it uses an alias (*name); write the values out")
-            return super().compose_node(parent, index)
-
-    def flat_entries() -> list[dict[str, str]]:
-        content = yaml.load(text, Plain)  # a safe loader
-        entries = list(content.values()) if isinstance(content, Mapping) else content
-        if not isinstance(entries, list) or not entries or not all(isinstance(entry, Mapping) for entry in entries):
-            return []
-        return [dict(_flattened(entry, "")) for entry in entries]
-
-    flat = parsed(flat_entries, path, "YAML")
+    content = yaml_content(text, path)
+    entries = list(content.values()) if isinstance(content, Mapping) else content
+    plain = isinstance(entries, list) and all(isinstance(entry, Mapping) for entry in entries)
+    flat = parsed(lambda: [dict(_flattened(entry, "")) for entry in entries], path, "YAML") if plain else []
     if not flat:
         raise InputError(f"{path} holds no list of entries; give one entry with joints and a pose per measurement")
     header = list(dict.fromkeys(name for entry in flat for name in entry))

@@ -32,7 +32,7 @@ from pickenv.calibration.reading.row_checks import (
     refuse_repeated_joints,
 )
 from pickenv.errors import InputError
-from pickenv.texts import parsed, read_text
+from pickenv.texts import read_text, yaml_content
 from pickenv.toml_tables import TO_SI
 
 STEM = "{file}"
@@ -118,13 +118,8 @@ def _table(path: Path, pixels: PixelsTable, description: ColumnDescription) -> t
 
 def _entry(file: Path) -> dict[str, str]:
     """A small YAML file of one view's numbers, and its name as column "file"."""
-    import yaml  # late: most files are none
-
-    def flat() -> dict[str, str]:
-        found = yaml.safe_load(read_text(file, "a YAML file"))
-        return {str(key): str(value) for key, value in found.items()} if isinstance(found, dict) else {}
-
-    entry = parsed(flat, file, "YAML")
+    found = yaml_content(read_text(file, "a YAML file"), file)
+    entry = {str(key): str(value) for key, value in found.items()} if isinstance(found, dict) else {}
     if not entry:
         raise InputError(f"{file} holds no numbers by name; give one file per view with the pose in it")
     return entry | {"file": file.stem}

@@ -31,7 +31,8 @@ def calibrate(
     arm: Annotated[
         str | None,
         typer.Option(
-            help="Arm name, arm file (.toml) or URDF (file.urdf#tip); not for finished poses.", show_default=False
+            help="Arm name or file: .toml, .urdf#link, .xml#body (MJCF), UR .yaml; not for finished poses.",
+            show_default=False,
         ),
     ] = None,
     columns: Annotated[

@@ -14,7 +14,7 @@ from pickenv.errors import InputError
 from pickenv.files import separate, write_json
 from pickenv.reservations import DO_NOT_USE, obey
 
-ARM = typer.Option(help="Arm name or arm file (.toml, .urdf).", show_default=False)
+ARM = typer.Option(help="Arm name or file (.toml, .urdf, .xml, .yaml).", show_default=False)
 UNIT = typer.Option(help="Serial number of the robot, which must be the calibration's.", show_default=False)
 ALLOW = typer.Option(help="Use the calibration in spite of this reservation: do-not-use.", show_default=False)
 UNREACHED = 3

@@ -1,4 +1,4 @@
-"""Commands about the simulated true arm: `pickenv effects` and `pickenv iso9283`."""
+"""Commands about arms and the simulated true arm: `pickenv arms`, `pickenv effects` and `pickenv iso9283`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,31 @@ from pickenv.provenance import command_line
 from pickenv.reservations import obey
 
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
+
+
+def arms(json_file: JsonFile = None) -> None:
+    """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from."""
+    from pickenv.arm import load_arm, shipped_arms
+    from pickenv.arm.kinematics.workspace import farthest
+    from pickenv.commands.showing import print_table
+
+    found = []
+    for name in shipped_arms():
+        arm = load_arm(name)
+        kinds = "".join("P" if slides else "R" for slides in arm.nominal.prismatic)
+        reach = round(1e3 * farthest(arm.nominal), 1)
+        found.append({"name": name, "joints": kinds, "reach_mm": reach, "source": arm.source})
+    rows = [[str(cell) for cell in row.values()] for row in found]
+    deliver(
+        [(json_file, lambda path: write_json(path, {"arms": found}))],
+        lambda: print_table(
+            "arms that come with pickenv",
+            ("name", "joints", "reach [mm]", "source"),
+            rows,
+            words=("name", "joints", "source"),
+            caption="reach: the farthest that the tool gets from the arm's base",
+        ),
+    )
 
 
 def effects(

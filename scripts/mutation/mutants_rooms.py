@@ -196,9 +196,9 @@ ROOMS = {
     ),
     "arm files": room(
         "pickenv/arm/files",
-        "urdf arm_file joint_keys",
+        "urdf urdf_text joint_chain flange mjcf mjcf_values ur_yaml xml_values arm_file joint_keys",
         "tests/arm",
-        "files/urdf kinematics/mimic files/arm_file plant/plant_file",
+        "files/urdf files/mjcf files/flange files/ur_yaml kinematics/mimic files/arm_file plant/plant_file",
     ),
     "study": room(
         "pickenv/study/running", "batched batched_identification arm_by_arm", "tests/study", "batched executors"

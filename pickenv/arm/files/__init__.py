@@ -1,1 +1,1 @@
-"""Arms as files: TOML and URDF in."""
+"""Arms as files: TOML, URDF, MJCF and UR kinematics in, URDF out."""

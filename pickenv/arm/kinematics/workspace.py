@@ -1,4 +1,5 @@
-"""The largest cube that an arm reaches with one tool attitude, edges parallel to the world axes (ISO 9283, 6.8.3).
+"""How far an arm reaches, and the largest cube that it reaches with one tool attitude, edges parallel to the world axes
+(ISO 9283, 6.8.3).
 
 The workspace is sampled on a grid, so the cube is the largest to within one grid step. Metres.
 """
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
@@ -62,8 +64,7 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
     """
     if rotation is None:
         rotation = forward(geometry, (geometry.lower + geometry.upper) / 2.0).rotation
-    spread = qmc.Halton(geometry.joints, scramble=False).random(SAMPLES)
-    joints = geometry.lower + (geometry.upper - geometry.lower) * spread
+    joints = _samples(geometry)
     points = forward(geometry, joints).position
     low, high = points.min(axis=0), points.max(axis=0)
     step = float((high - low).max()) / steps
@@ -83,6 +84,28 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
         )
     edge = size * step
     return Cube(grid[corner] + edge / 2.0, edge, np.asarray(rotation, dtype=float))
+
+
+def farthest(geometry: Geometry) -> float:
+    """Largest distance of the tool from the arm's base, frame 0, within the joint limits, m.
+
+    The best of the samples is driven on to a maximum.
+    """
+    joints = _samples(geometry)
+    foot = geometry.base.position
+
+    def nearness(q: Array) -> float:
+        return -float(np.linalg.norm(forward(geometry, q).position - foot))
+
+    first = joints[np.argmax(np.linalg.norm(forward(geometry, joints).position - foot, axis=-1))]
+    limits = list(zip(geometry.lower, geometry.upper, strict=True))
+    return -float(minimize(nearness, first, bounds=limits).fun)
+
+
+def _samples(geometry: Geometry) -> Array:
+    """Evenly spread joints within the limits."""
+    spread = qmc.Halton(geometry.joints, scramble=False).random(SAMPLES)
+    return np.asarray(geometry.lower + (geometry.upper - geometry.lower) * spread)
 
 
 def _largest_filled(filled: NDArray[np.bool_]) -> tuple[tuple[int, ...], int]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from pickenv.arm.files.urdf import write_urdf
+from pickenv.arm.files.urdf_text import write_urdf
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
 from pickenv.inspect.recordings.details import Day, Details, attitude_length

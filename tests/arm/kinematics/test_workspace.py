@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Geometry, Pose, inverse, load_arm
-from pickenv.arm.kinematics.workspace import Cube, largest_cube
+from pickenv.arm import Geometry, Pose, forward, inverse, load_arm, shipped_arms
+from pickenv.arm.kinematics.workspace import Cube, farthest, largest_cube
 from pickenv.errors import InputError
 
 
@@ -60,3 +60,15 @@ def test_an_arm_that_reaches_no_cube_is_refused():
     flat = gantry(0.5, 1.0, 0.8)
     with pytest.raises(InputError, match="reaches no cube"):
         largest_cube(replace(flat, upper=np.array([1e-6, 1.0, 0.8])))
+
+
+def test_a_gantry_gets_as_far_as_the_corner_of_its_box():
+    assert farthest(gantry(0.5, 1.0, 0.8)) == pytest.approx(np.sqrt(0.5**2 + 1.0**2 + 0.8**2), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", shipped_arms())
+def test_no_pose_is_farther_than_the_farthest(name):
+    geometry = load_arm(name).nominal
+    q = np.random.default_rng(3).uniform(geometry.lower, geometry.upper, (20_000, geometry.joints))
+    away = np.linalg.norm(forward(geometry, q).position - geometry.base.position, axis=-1)
+    assert 0.9 * farthest(geometry) < away.max() <= farthest(geometry) + 1e-9

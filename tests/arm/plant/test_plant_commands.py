@@ -7,13 +7,14 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from pickenv.arm import load_plant
+from pickenv.arm import load_arm, load_plant, shipped_arms
 from pickenv.arm.plant.effect_shares import TABLE
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.commands import plants
 from pickenv.errors import InputError
 
 app = typer.Typer()
+app.command()(plants.arms)
 app.command()(plants.effects)
 app.command()(plants.iso9283)
 
@@ -50,6 +51,17 @@ def test_iso9283_prints_and_writes_the_raw_and_the_calibrated_arm(calibration, t
     assert json.loads((tmp_path / "again.json").read_text()) == found
     call(*words[:-1], tmp_path / "other.json", "--seed", 1)
     assert json.loads((tmp_path / "other.json").read_text())["raw"] != found["raw"]
+
+
+def test_arms_lists_every_shipped_arm(tmp_path):
+    file = tmp_path / "arms.json"
+    said = call("arms", "--json", file)
+    found = {row["name"]: row for row in json.loads(file.read_text())["arms"]}
+    assert list(found) == shipped_arms()
+    for name, row in found.items():
+        arm = load_arm(name)
+        assert [kind == "P" for kind in row["joints"]] == list(arm.nominal.prismatic) and row["source"] == arm.source
+        assert name in said and f"{row['reach_mm']}" in said
 
 
 def test_effects_prints_and_writes_each_effects_share(tmp_path):

@@ -14,7 +14,10 @@ from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, s
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.terms import ThermalTerm
 from pickenv.calibration.pipeline.calibration import Remainder
-from pickenv.calibration.pipeline.export import arm_toml, provenance, write_arm_toml, write_arm_urdf, write_onnx
+from pickenv.calibration.delivery.arm_toml import arm_toml, write_arm_toml
+from pickenv.calibration.delivery.arm_urdf import write_arm_urdf
+from pickenv.calibration.delivery.onnx_network import write_onnx
+from pickenv.calibration.delivery.origin_lines import provenance
 from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.errors import InputError
 
@@ -43,15 +46,15 @@ def test_any_corrected_arm_is_read_back_from_toml_and_urdf(tmp_path_factory, cal
         tool=Pose(rng.normal(size=3) * 0.1, rotation_matrix(rng.normal(size=3))),
     )
     odd = {**calibration.record, "source": 'C:\\data\\"odd" -- name\n.csv'}
-    moved = replace(calibration, model=ArmModel.of(geometry), learnt=None, record=odd)
+    moved = replace(calibration, arm=chosen.nominal, model=ArmModel.of(geometry), learnt=None, record=odd)
     again = load_arm(write_arm_toml(moved, chosen, folder / "arm.toml"))
     joints = random_joints(geometry, 20, rng)
     same_kinematics(again.nominal, geometry, joints, 1e-12)
     np.testing.assert_allclose(again.nominal.lower, geometry.lower, atol=1e-12)
     np.testing.assert_allclose(again.speed, chosen.speed, atol=1e-12)
-    same_kinematics(
-        load_arm(f"{write_arm_urdf(moved, chosen, folder / 'arm.urdf')}#tool").nominal, geometry, joints, 1e-9
-    )
+    standing = replace(geometry, base=chosen.nominal.base)  # a robot stands on its own base, not on the instrument's
+    urdf = write_arm_urdf(moved, chosen, folder / "arm.urdf")
+    same_kinematics(load_arm(f"{urdf}#tool").nominal, standing, joints, 1e-9)
 
 
 def test_hayatis_beta_survives_the_files(calibration, dynamic, tmp_path):
