@@ -75,7 +75,7 @@ $(RUNTIME): pyproject.toml constraints.txt
 	@echo "Setting up $(VENV) (once; some minutes, mostly the download of torch)"
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	@$(PIP) install -c constraints.txt torch
-	@$(PIP) install -c constraints.txt -e .
+	@$(PIP) install -c constraints.txt -e ".[rl,inspect]"
 	@touch $@
 
 $(DEVELOPMENT): $(RUNTIME)

@@ -9,6 +9,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from pickenv.extras import extra_of, missing
+
 
 def offered(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """The ``__getattr__`` and the ``__dir__`` of a package: it offers what it imports for type checkers alone.
@@ -23,8 +25,13 @@ def offered(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]
     def attribute(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module '{package}' has no attribute '{name}'")
-        if homes[name] == package:  # a room of the package itself
-            return import_module(f"{package}.{name}")
-        return getattr(import_module(str(homes[name])), name)
+        try:
+            if homes[name] == package:  # a room of the package itself
+                return import_module(f"{package}.{name}")
+            return getattr(import_module(str(homes[name])), name)
+        except ModuleNotFoundError as error:
+            if error.name is None or extra_of(error.name) is None:
+                raise
+            raise missing(error.name) from error
 
     return attribute, lambda: sorted(homes)

@@ -38,6 +38,7 @@ GROUND = (
 # Floors from the ground up; each floor is a list of rooms, each room the module prefixes it consists of.
 FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
     (("pickenv.errors",),),
+    (("pickenv.extras", "pickenv.faces"),),
     (GROUND,),
     (("pickenv.arm",), ("pickenv.orchard",)),
     (("pickenv.calibration",), ("pickenv.harvester",)),
@@ -60,10 +61,11 @@ SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
     "pickenv.study": (("design",), ("results",), ("running",), ("analysis",)),
     "pickenv.agents": (("policies",), ("evaluation",), ("training",)),
 }
+BELOW = ("pickenv.errors", "pickenv.extras", *GROUND)
 # Narrower than the floors: what these rooms may import, and nothing else of ours.
 ONLY = {
-    "pickenv.calibration": ("pickenv.arm", "pickenv.errors", *GROUND),
-    "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.errors", *GROUND),
+    "pickenv.calibration": ("pickenv.arm", *BELOW),
+    "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", *BELOW),
 }
 # The ways up: a result writes its own page and files when it is asked to, and loads what writes them then.
 UPWARDS = {
@@ -429,6 +431,7 @@ def test_the_doorstep_loads_no_room() -> None:
     assert {module for module in loaded_by("pickenv") if within(module, "pickenv")} == {
         "pickenv",
         "pickenv.errors",
+        "pickenv.extras",
         "pickenv.faces",
     }
     assert "scipy" not in {module.partition(".")[0] for module in loaded_by("pickenv")}

@@ -7,6 +7,8 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from pickenv.extras import EXTRAS
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
@@ -17,12 +19,42 @@ def pinned_versions() -> dict[str, str]:
     return {canonicalize_name(name): version for name, version in pins}
 
 
+def brought_by(extra: str) -> set[str]:
+    """Packages of an extra, and of those that it names."""
+    asked = [Requirement(text) for text in PROJECT["optional-dependencies"][extra]]
+    deeper = [brought_by(other) for r in asked if r.name == "pickenv" for other in r.extras]
+    return {canonicalize_name(r.name) for r in asked if r.name != "pickenv"}.union(*deeper)
+
+
 def test_every_requirement_has_a_tested_version_in_its_range() -> None:
-    pinned = pinned_versions()
-    asked = [Requirement(text) for text in PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"]]
+    pinned, extras = pinned_versions(), PROJECT["optional-dependencies"]
+    texts = [text for texts in [PROJECT["dependencies"], *extras.values()] for text in texts]
+    asked = [r for r in map(Requirement, texts) if r.name != "pickenv"]
+    assert len(asked) > 30
     assert [str(r) for r in asked if pinned.get(canonicalize_name(r.name), "none") not in r.specifier] == []
 
 
 def test_the_version_is_the_same_everywhere() -> None:
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert re.findall(r"^version: (.+)$", citation, re.MULTILINE) == [PROJECT["version"]]
+
+
+PACKAGES = {
+    "sklearn": "scikit-learn",
+    "PIL": "pillow",
+    "cv2": "opencv-python-headless",
+    "rerun": "rerun-sdk",
+    "skimage": "scikit-image",
+}
+"""Packages whose module has another name."""
+
+
+def test_the_sentence_about_a_missing_module_names_an_extra_that_brings_it() -> None:
+    everything = brought_by("all")
+    for extra, modules in EXTRAS.items():
+        ours = {canonicalize_name(PACKAGES.get(module, module)) for module in modules}
+        assert ours <= brought_by(extra) <= everything, extra
+    named = {canonicalize_name(PACKAGES.get(m, m)) for modules in EXTRAS.values() for m in modules}
+    assert everything == named
+    core = {canonicalize_name(Requirement(text).name) for text in PROJECT["dependencies"]}
+    assert not core & named

@@ -17,6 +17,7 @@ from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plant_count
 from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
+from pickenv.extras import require
 from pickenv.provenance import code_fingerprint
 from pickenv.reservations import obey
 from pickenv.seeds import stream
@@ -110,6 +111,7 @@ def _in_turn(work: Callable[[int], Calibration], count: int, workers: int) -> It
     """The calibrations of ``count`` arms in their order."""
     if min(workers, count) == 1:
         return map(work, range(count))
+    require("joblib")
     from joblib import Parallel, delayed
 
     return cast(Iterable[Calibration], Parallel(workers, return_as="generator")(delayed(work)(i) for i in range(count)))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
+from pickenv.extras import require
 from pickenv.files import write_whole
 from pickenv.texts import is_file, shortened
 from pickenv.toml_tables import MM, WHOLE, Check, read, toml_table
@@ -131,10 +132,9 @@ def load_board(name: str | Path) -> Board:
 
 def opencv() -> Any:
     """OpenCV, or a sentence that says how to get it."""
-    try:
-        import cv2
-    except ImportError as error:
-        raise InputError("boards and pictures need OpenCV; install it with: pip install pickenv[camera]") from error
+    require("cv2")
+    import cv2
+
     return cv2
 
 
@@ -179,6 +179,7 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
     Raises:
         InputError: If the suffix is another or the file cannot be written.
     """
+    require("matplotlib")
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure

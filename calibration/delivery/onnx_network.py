@@ -1,4 +1,4 @@
-"""The learnt residual as ONNX, for programs without pickenv; needs the extra package ``onnx``."""
+"""The learnt residual as ONNX, for programs without pickenv; needs the extra ``export``."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import Bpnn
 from pickenv.calibration.residuals.residual_models import LearntResidual
 from pickenv.errors import InputError
+from pickenv.extras import require
 from pickenv.files import write_whole
 
 OPSET = 17
@@ -34,10 +35,9 @@ def write_onnx(calibration: Calibration, path: str | Path) -> Path:
         raise InputError("this calibration has no learnt residual, so there is nothing to write as ONNX")
     if not isinstance(learnt.model, Bpnn):
         raise InputError(f"the residual model '{learnt.kind}' cannot be written as ONNX; only 'bpnn' can")
-    try:
-        import onnx
-    except ImportError as error:
-        raise InputError("the package onnx is missing; install it with: pip install onnx") from error
+    require("onnx")
+    import onnx
+
     model = _onnx_model(learnt, learnt.model, calibration.identified, provenance(calibration))
     onnx.checker.check_model(model)
     return write_whole(path, lambda temporary: temporary.write_bytes(model.SerializeToString()))

@@ -45,6 +45,7 @@ from pickenv.calibration.pipeline.pixel_figures import PixelFigures
 from pickenv.calibration.pipeline.uncertainty import PoseUncertainty
 from pickenv.calibration.reading.read import NoiseFloor
 from pickenv.calibration.residuals.gate import GateReport
+from pickenv.extras import require
 from pickenv.intervals import Ends
 
 
@@ -238,11 +239,12 @@ class Result:
 
         return export(self.calibration, out, kind=kind, onto=onto, arm=self.arm).path
 
-    def write_page(self, path: str | Path) -> Path:
-        """Write the report as one HTML page, of poses or positions."""
+    def write_page(self, path: str | Path, seeds: Mapping[str, Any] | None = None) -> Path:
+        """Write the report as one HTML page; ``seeds``: what its draws came from, by name."""
+        require("jinja2", "matplotlib", "plotly")
         from pickenv.inspect.reports.calibration_report import write_calibration_report
 
-        return write_calibration_report(path, self)
+        return write_calibration_report(path, self, seeds)
 
     def report(self) -> str:
         """For the terminal: the verdict first."""
@@ -311,7 +313,9 @@ class Result:
     def _gate(self, gate: GateReport) -> Block:
         first = gate.verdicts[0]
         rows = [("without", figure(first.geometric_random_rms * 1e3), figure(first.geometric_blocked_rms * 1e3), "")]
-        rows += [(v.model, figure(v.random_rms * 1e3), figure(v.blocked_rms * 1e3), v.reason) for v in gate.verdicts]
+        for v in gate.verdicts:
+            mixed, held = ("-" if rms is None else figure(rms * 1e3) for rms in (v.random_rms, v.blocked_rms))
+            rows.append((v.model, mixed, held, v.reason))
         chosen = f"'{gate.selected}' is used" if gate.selected else "none is used"
         header = ("model", "random hold-out, RMS (mm)", "blocked hold-out, RMS (mm)", "verdict")
         return Block("Learnt residual models", header, tuple(rows), f"{chosen}; judged within the training rows")

@@ -391,6 +391,7 @@ def _error_on_both(verdict: GateVerdict) -> float:
 
     Both lie within the training rows here, so both may rank; a model that shone on one of them by luck counts half.
     """
+    assert verdict.blocked_rms is not None
     assert verdict.inner_rms is not None and verdict.geometric_inner_rms is not None
     return verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms
 

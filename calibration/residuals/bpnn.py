@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.residuals.standardising import column_std
 from pickenv.errors import InputError
+from pickenv.extras import require
 from pickenv.threads import torch_on_one_thread
 
 
@@ -154,6 +155,7 @@ def train_bpnn(
     Raises:
         InputError: If there are fewer than two batches of poses.
     """
+    require("torch")
     import torch
 
     settings = settings or BpnnSettings()

@@ -17,6 +17,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.residuals.saved_arrays import SavedArrays
 from pickenv.calibration.residuals.standardising import column_std
 from pickenv.errors import InputError
+from pickenv.extras import require
 
 CHUNK = 4096
 """Rows predicted at once."""
@@ -84,6 +85,7 @@ def fit_extra_trees(
     Raises:
         InputError: If there are fewer than ten rows.
     """
+    require("sklearn")
     from sklearn.ensemble import ExtraTreesRegressor  # type: ignore[import-untyped]
 
     if len(inputs) < 10:

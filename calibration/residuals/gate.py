@@ -36,8 +36,8 @@ class GateVerdict:
 
     Attributes:
         model: Name of the residual model.
-        random_rms: On randomly held-out rows, with the residual.
-        blocked_rms: On the held-out blocks, with the residual.
+        random_rms: On randomly held-out rows, with the residual; None where it could not be fitted.
+        blocked_rms: On the held-out blocks, with the residual; None likewise.
         geometric_random_rms: On the same random rows without it.
         geometric_blocked_rms: On the same blocks without it.
         blocked_attitude_rms: Attitude on the held-out blocks; None for position measurements.
@@ -49,8 +49,8 @@ class GateVerdict:
     """
 
     model: str
-    random_rms: float
-    blocked_rms: float
+    random_rms: float | None
+    blocked_rms: float | None
     geometric_random_rms: float
     geometric_blocked_rms: float
     blocked_attitude_rms: float | None
@@ -194,10 +194,12 @@ def gate_residuals(
     if progress is not None:
         progress(len(models), len(models))
     chosen = min((verdict for verdict in verdicts if verdict.accepted), key=rank, default=None)
+    left_over = chosen.blocked_rms if chosen else without.geometric_blocked_rms
+    assert left_over is not None
     return GateReport(
         verdicts=tuple(verdicts),
         selected=chosen.model if chosen else None,
-        blocked_rms=chosen.blocked_rms if chosen else without.blocked_rms,
+        blocked_rms=left_over,
         held_out=tuple(blocked.test_rows.tolist()),
     )
 
@@ -240,15 +242,15 @@ def _compared(before: Array, after: Array) -> tuple[bool, str]:
 
 
 def _verdict_without(blocked: _Trial, shuffled: _Trial) -> GateVerdict:
-    """What geometry alone gives, which is what a model gives that could not be fitted."""
+    """What geometry alone gives."""
     random_rms, blocked_rms = position_rms(shuffled.test_residual), position_rms(blocked.test_residual)
     attitude_rms = _attitude_rms(blocked.test_residual)
     return GateVerdict(
         model="",
-        random_rms=random_rms,
-        blocked_rms=blocked_rms,
+        random_rms=None,
+        blocked_rms=None,
         geometric_random_rms=random_rms,
         geometric_blocked_rms=blocked_rms,
-        blocked_attitude_rms=attitude_rms,
+        blocked_attitude_rms=None,
         geometric_blocked_attitude_rms=attitude_rms,
     )

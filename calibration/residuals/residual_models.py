@@ -202,6 +202,9 @@ QUICK_FITTERS: Mapping[str, Fitter] = MappingProxyType({"bpnn": _fit_some_bpnn})
 TRIAL_FITTERS: Mapping[str, Fitter] = MappingProxyType({**QUICK_FITTERS, "gp": _fit_trial_process})
 """How models are fitted that are only to be compared, on split after split, in a time that does not grow with rows."""
 
+NEEDS: Mapping[str, str] = MappingProxyType({"bpnn": "torch", "trees": "sklearn", "blend": "sklearn"})
+"""The package that fitting a model takes, where it is one of an extra."""
+
 PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType({"blend": ("gp", "trees")})
 """Models that are the mean of others."""
 

@@ -11,6 +11,7 @@ import typer
 
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import progress_bars
+from pickenv.extras import require
 from pickenv.files import separate, write_json
 from pickenv.provenance import command_line
 
@@ -122,12 +123,13 @@ def calibrate(
     from pickenv.calibration.pipeline.pixel_figures import lens_of
     from pickenv.calibration.pipeline.restation import frames_of
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
-    from pickenv.inspect.reports.calibration_report import write_calibration_report
 
     separate(
         {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
         {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run, "--lens-out": lens_out},
     )
+    if report is not None or run is not None:
+        require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
     choices = Choices(
         fit=fit,
         terms=terms,
@@ -178,7 +180,7 @@ def calibrate(
         [
             (out, result.calibration.save),
             (lens_out, lambda path: write_lens(lens_of(result.geometric, result.train), path)),
-            (report, lambda path: write_calibration_report(path, result, seeds)),
+            (report, lambda path: result.write_page(path, seeds)),
             (run, lambda folder: write_run(folder, command, seed, result, seeds)),
             (json_file, lambda path: write_json(path, result.as_dict())),
         ],

@@ -18,6 +18,7 @@ from typing import Any
 
 from pickenv import __version__
 from pickenv.errors import InputError
+from pickenv.extras import extra_of, missing
 from pickenv.texts import shortened
 
 BAD_INPUT, FAULT, NOT_PRINTED, INTERRUPTED = 2, 70, 74, 130
@@ -46,6 +47,10 @@ def guarded(command: Callable[[], Any]) -> int:
         return code if isinstance(code, int) else 0
     except InputError as error:
         return _end(BAD_INPUT, f"error: {error}")
+    except ModuleNotFoundError as error:
+        if error.name is None or extra_of(error.name) is None:
+            return _fault(error)
+        return _end(BAD_INPUT, f"error: {missing(error.name)}")
     except KeyboardInterrupt:
         words = "interrupted; files are written whole or not at all, so nothing is left half-written"
         return _end(INTERRUPTED, words)

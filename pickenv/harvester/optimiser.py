@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from pickenv.errors import InputError
+from pickenv.extras import require
 from pickenv.harvester.rules import hungarian_waves, lower_bound, nearest_neighbour
 from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain_lists
 from pickenv.harvester.zones import SHIPPED
@@ -120,10 +120,9 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
     value = makespan_of(lists, start)
     if sum(len(fruit) for fruit in start) < 2 or value <= limit * 1.01:
         return start
-    try:
-        from ortools.sat.python import cp_model
-    except ImportError as error:
-        raise InputError("the assignment 'cp-sat' needs OR-Tools; pip install ortools, or use 'search'") from error
+    require("ortools")
+    from ortools.sat.python import cp_model
+
     model: Any = cp_model.CpModel()
     horizon = int(np.ceil(value * TICKS)) + 1
     span = model.new_int_var(int(limit * TICKS), horizon, "makespan")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.errors import InputError
+from pickenv.extras import require
 from pickenv.orchard.checks import Array, Flags, Integers
 from pickenv.orchard.detections import Detections
 from pickenv.orchard.stereo import StereoCamera, triangulate
@@ -47,6 +48,7 @@ def red_minus_green(image: ArrayLike) -> Array:
 
 def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
     """Pixels taken for fruit, shape (height, width): Otsu's threshold of R − G, never below zero, then morphology."""
+    require("skimage")
     from skimage.filters import threshold_otsu
     from skimage.measure import label
     from skimage.morphology import dilation, erosion
@@ -69,6 +71,7 @@ def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
 
 def fruit_regions(camera: StereoCamera, image: ArrayLike) -> Regions:
     """Regions of fruit in one image: centroids, areas, boxes."""
+    require("skimage")
     from skimage.measure import label, regionprops
 
     mask = fruit_mask(camera, image)
@@ -115,6 +118,7 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
 
 def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers) -> tuple[float, float]:
     """Disparity in px, to a fraction by a parabola through the peak, and correlation of the patch around a region."""
+    require("skimage")
     from skimage.feature import match_template
 
     width, height = camera.image

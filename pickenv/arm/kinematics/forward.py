@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose
+from pickenv.extras import require
 
 Scalar = Any
 """A Python float, a NumPy array or a torch tensor: the executors' common ground."""
@@ -180,6 +181,7 @@ def forward(geometry: Geometry, q: ArrayLike) -> Pose:
 
 def forward_torch(geometry: Geometry, q: Any) -> Pose:
     """`forward` on a torch tensor ``(..., n)``; the pose's fields are tensors and carry gradients."""
+    require("torch")
     import torch
 
     if q.ndim == 0 or q.shape[-1] != geometry.joints:

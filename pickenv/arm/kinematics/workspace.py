@@ -1,7 +1,7 @@
-"""How far an arm reaches, and the largest cube that it reaches with one tool attitude, edges parallel to the world axes
-(ISO 9283, 6.8.3).
+"""How far an arm reaches, and the largest cube that it reaches with one tool attitude.
 
-The workspace is sampled on a grid, so the cube is the largest to within one grid step. Metres.
+The cube's edges are parallel to the world axes (ISO 9283, 6.8.3). The workspace is sampled on a grid, so the cube is
+the largest to within one grid step. Metres.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import IDEAL, Compensate, Task, check_choice, check_count, make_task
 from pickenv.errors import InputError
+from pickenv.extras import require
 
 EXECUTORS = ("numpy", "torch")
 STATE = ("seeds", "episodes", "elapsed", "seeded", "ended")
@@ -97,6 +98,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         check_choice("executor", executor, EXECUTORS)
         if render_mode is not None:
             check_choice("render_mode", render_mode, ("rgb_array",))
+            require("matplotlib")
         self.task: Task = make_task(**arguments)
         self.num_envs, self.max_episode_steps, self.render_mode = int(num_envs), max_episode_steps, render_mode
         self.autoreset_mode = AutoresetMode(mode)
@@ -111,6 +113,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         if executor == "numpy":
             self.batch = NumpyBatch(self.task, self.num_envs, self.goal_dict, pose_infos)
         else:
+            require("torch")
             from pickenv.envs.reaching.torch_batch import TorchBatch
 
             self.batch = TorchBatch(self.task, self.num_envs, self.goal_dict, pose_infos, device, dtype, compiled)

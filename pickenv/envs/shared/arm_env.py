@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, Plant, plant_at
 from pickenv.envs.shared.task import Compensate, Task, check_choice
 from pickenv.errors import InputError
+from pickenv.extras import require
 
 RENDER_MODES = ("human", "rgb_array")
 Information = dict[str, Any]
@@ -30,6 +31,7 @@ class ArmEnv(gym.Env[Any, NDArray[np.float32]]):
     def __init__(self, task: Task, render_mode: str | None) -> None:
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
+            require("matplotlib")
         self.task: Task = task
         self.plant: Plant = task.plant if task.arms == "fixed" else plant_at(task.plant, 0)
         self.render_mode = render_mode

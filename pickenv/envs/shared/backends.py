@@ -15,6 +15,7 @@ from types import ModuleType
 import numpy as np
 
 from pickenv.arm.kinematics.forward import Scalar as Scalar
+from pickenv.extras import require
 
 MASK = 2**64 - 1
 
@@ -75,6 +76,7 @@ NUMPY = Executor(
 @lru_cache(maxsize=1)
 def torch_executor() -> Executor:
     """Batches of environments as torch tensors on any device; 64-bit words are kept in int64."""
+    require("torch")
     import torch
 
     def shifted(word: Scalar, bits: int) -> Scalar:

@@ -1,1 +1,5 @@
 """Figures for papers and reports."""
+
+from pickenv.extras import require as _require
+
+_require("matplotlib")

@@ -1,1 +1,5 @@
 """Recordings for the Rerun viewer."""
+
+from pickenv.extras import require as _require
+
+_require("rerun")

@@ -17,6 +17,7 @@ from importlib import import_module
 import pyarrow as pa
 
 from pickenv.errors import InputError
+from pickenv.extras import require
 
 Work = Callable[[int], pa.Table]
 """Rows of a chunk; it can be sent to another process."""
@@ -64,9 +65,7 @@ EXECUTORS: Mapping[str, tuple[str, str]] = {
     "joblib": ("pickenv.study.running.runners", "run_joblib"),
     "ray": ("pickenv.study.running.ray_runner", "run_ray"),
 }
-"""Module and function of each executor; a module that needs an extra (`EXTRAS`) is loaded when it is asked for."""
-
-EXTRAS = {"ray": "pickenv[ray]"}
+"""Module and function of each executor; Ray's is an extra, loaded when it is asked for."""
 
 
 def load_executor(name: str) -> Executor:
@@ -78,14 +77,9 @@ def load_executor(name: str) -> Executor:
     if name not in EXECUTORS:
         raise InputError(f"unknown executor '{name}'; give one of {', '.join(EXECUTORS)} or batched")
     module, function = EXECUTORS[name]
-    try:
-        executor: Executor = getattr(import_module(module), function)
-    except ModuleNotFoundError as error:
-        if name not in EXTRAS:
-            raise
-        raise InputError(
-            f"executor '{name}' needs {error.name}; install it with: pip install '{EXTRAS[name]}'"
-        ) from error
+    if name == "ray":
+        require("ray")
+    executor: Executor = getattr(import_module(module), function)
     return executor
 
 

@@ -1,0 +1,61 @@
+"""What does not come with `pip install pickenv`, and the sentence that says how to get it.
+
+The core calibrates, compensates and makes environments. Everything heavier is an extra, loaded when it is first used:
+`pip install 'pickenv[learn]'` brings networks, `pickenv[all]` everything.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from importlib.util import find_spec
+from types import MappingProxyType
+
+from pickenv.errors import InputError
+
+EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "learn": ("torch", "sklearn"),
+        "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
+        "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
+        "camera": ("cv2",),
+        "study": ("pyarrow", "joblib"),
+        "ray": ("ray",),
+        "harvest": ("skimage", "ortools", "pettingzoo"),
+        "export": ("onnx",),
+    }
+)
+"""Extras by name, and what programs import of each."""
+
+
+class MissingExtra(InputError, ImportError):
+    """A package of an extra that is not installed; the message is the command that installs it."""
+
+
+def extra_of(module: str) -> str | None:
+    """The extra that brings a module (``torch``, ``torch.nn``), or None."""
+    top = module.partition(".")[0]
+    return next((extra for extra, modules in EXTRAS.items() if top in modules), None)
+
+
+def missing(module: str) -> MissingExtra:
+    """What to raise where a module of an extra is not there."""
+    top = module.partition(".")[0]
+    command = f"pip install 'pickenv[{extra_of(top)}]'"
+    return MissingExtra(f"this needs {top}, which is not installed; get it with: {command}")
+
+
+def require(*modules: str) -> None:
+    """See to it that modules of extras are there, before they are imported.
+
+    Raises:
+        MissingExtra: If one is not; the message names it and the command that installs it.
+    """
+    for module in modules:
+        if not is_there(module):
+            raise missing(module)
+
+
+def is_there(module: str) -> bool:
+    """Whether a module can be imported, without doing so."""
+    return sys.modules[module] is not None if module in sys.modules else find_spec(module) is not None
