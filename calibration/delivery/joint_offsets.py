@@ -1,9 +1,9 @@
 """The part of a calibration that joint offsets can hold, and what they leave out.
 
 Controllers and servos often take one number per joint: what its reading is off by. The offsets that bring the nominal
-arm nearest to the calibrated one, over the poses where it was measured, are found by least squares: pose differences in
-m and rad weigh alike. What offsets cannot do is stated in mm. With fitted base and tool, what a base or tool can do as
-well is left to them (of a turning first joint, all of it), as these data cannot tell them apart. SI units.
+arm nearest to the calibrated one, over the region where it was measured, are found by least squares: pose differences
+in m and rad weigh alike. What offsets cannot do is stated in mm. With fitted base and tool, what a base or tool can do
+as well is left to them (of a turning first joint, all of it), as these data cannot tell them apart. SI units.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import qmc
 
-from pickenv.arm import Geometry, forward, joint_jacobian, parameter_jacobian, pose_error
+from pickenv.arm import forward, joint_jacobian, parameter_jacobian, pose_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.error_model import frames_model
 from pickenv.calibration.pipeline.calibration import Calibration
@@ -26,7 +27,7 @@ LOST = 1e-6
 """Offsets whose effect is this much smaller than the largest are not told by any pose."""
 
 SPREAD = 256
-"""Poses within the joint limits where none are recorded."""
+"""Poses compared where none are given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ class JointOffsets:
         left: The same with the offsets, m: what a file of offsets leaves out.
         left_turn: Mean attitude difference that they leave, rad.
         poses: Poses compared.
-        measured: Whether they are poses of the measurement; else they fill the joint limits.
+        region: Which poses they are, for people.
     """
 
     names: tuple[str, ...]
@@ -53,15 +54,16 @@ class JointOffsets:
     left: float
     left_turn: float
     poses: int
-    measured: bool
+    region: str
 
     def note(self) -> str:
         """What offsets do and what they leave out, for people."""
-        where = "poses of the measurement" if self.measured else "poses within the joint limits"
+        free = [name for name, value in zip(self.names, self.offsets, strict=True) if value == 0.0]
+        untold = f"; of {', '.join(free)} none is told, as base or tool could do the same" if free else ""
         return (
-            f"joint offsets alone: over {self.poses} {where} the nominal arm lies {self.without * 1e3:.3g} mm from the "
-            f"calibrated one, with these offsets {self.left * 1e3:.3g} mm and {np.degrees(self.left_turn):.3g} deg "
-            "(means); the rest of the calibration is left out"
+            f"joint offsets alone: over {self.poses} {self.region} the nominal arm lies {self.without * 1e3:.3g} mm from "
+            f"the calibrated one, with these offsets {self.left * 1e3:.3g} mm and {np.degrees(self.left_turn):.3g} deg "
+            f"(means); the rest of the calibration is left out{untold}"
         )
 
 
@@ -70,17 +72,15 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
 
     Args:
         calibration: Of any arm.
-        joints: Poses to be near at ``(N, n)``; those that the calibration was judged at when left out, or poses within
-            the joint limits where it keeps none.
+        joints: Poses to be near at ``(N, n)``; when left out, poses that fill the joint ranges measured, or the joint
+            limits where the calibration keeps no ranges.
 
     Raises:
         InputError: If its terms need payloads, temperatures or torques, which no offset depends on.
     """
-    measured = joints is None
+    region = "poses given"
     if joints is None:
-        joints = _judged(calibration)
-    if joints is None:
-        measured, joints = False, _filling(calibration.arm)
+        joints, region = _filling(calibration)
     try:
         target = calibration.predict(joints)
     except InputError as error:
@@ -112,7 +112,7 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
         float(np.linalg.norm(left[:, :3], axis=1).mean()),
         float(np.linalg.norm(left[:, 3:], axis=1).mean()),
         len(joints),
-        measured,
+        region,
     )
 
 
@@ -145,21 +145,17 @@ def _deviation(calibration: Calibration, joints: Array, fitted: bool) -> Array:
     frames = _flat(whole[..., model.columns]) if fitted else None
     way = _told(_flat(joint_jacobian(nominal, joints)), frames) @ _flat(whole[..., columns])
     covariance = sure.covariance[np.ix_(kept, kept)]
-    return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", way, covariance, way)))
+    variance = np.einsum("ij,jk,ik->i", way, covariance, way)
+    return np.where(way.any(axis=1), np.sqrt(variance), np.nan)
 
 
-def _judged(calibration: Calibration) -> Array | None:
-    """Joints at which the calibration was judged, as it keeps them; None where it does not."""
-    sure = uncertainty_from(calibration.record)
-    local = None if sure is None else sure.position_local or sure.attitude_local
-    return None if local is None else local.joints
-
-
-def _filling(arm: Geometry) -> Array:
-    """Poses that fill the joint limits evenly (Halton's sequence has no chance in it); a turn at most."""
-    from scipy.stats import qmc
-
-    middle, half = (arm.lower + arm.upper) / 2, (arm.upper - arm.lower) / 2
-    half = np.where(arm.prismatic, half, np.minimum(half, np.pi))
+def _filling(calibration: Calibration) -> tuple[Array, str]:
+    """Poses that fill what was measured evenly, always the same ones, and what they fill."""
+    arm = calibration.arm
+    kept = calibration.record.get("joint_ranges")
+    low, high = (arm.lower, arm.upper) if kept is None else np.array(kept, dtype=float)
+    half = (high - low) / 2
+    half = np.where(arm.prismatic, half, np.minimum(half, np.pi))  # a turn at most
     unit = qmc.Halton(arm.joints, scramble=False).random(SPREAD + 1)[1:]
-    return np.asarray(middle + half * (2.0 * unit - 1.0))
+    joints = (low + high) / 2 + half * (2.0 * unit - 1.0)
+    return np.asarray(joints), "poses within the joint limits" if kept is None else "poses within the ranges measured"

@@ -3,7 +3,8 @@
 A vendor's file and a table of DH parameters describe one arm where, joint by joint, the axes can be laid upon one
 another: the file's root stands somewhere in the table's base frame (G), and joint i of the table reads
 s_i q_i + z_i where the file's reads q_i. Signs and zeros that leave the joints' readings as they are are preferred;
-what the first joint's zero could be is taken as a turn of the root. Metres and radians.
+what the first joint's zero could be is taken as a turn of the root. An arm whose slides come before other axes have
+said where it stands must be told in the table's own root and zeros. Metres and radians.
 """
 
 from __future__ import annotations

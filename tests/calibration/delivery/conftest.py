@@ -1,0 +1,119 @@
+"""What the tests of handing over share: arms that are off, calibrations of them, and referees."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pickenv.arm import Arm, Geometry, forward, load_arm, rotation_matrix
+from pickenv.arm.kinematics.geometry import Pose
+from pickenv.calibration import Calibration, Choices, Measurements, calibrate, random_joints
+from pickenv.calibration.model.arm_model import ArmModel
+
+UR5 = Path("robots/ur_description/urdf/ur5_robot.urdf")
+PANDA = Path("robots/panda_description/urdf/panda.urdf")
+
+
+def off_by(geometry: Geometry, rng: np.random.Generator, beta: bool = True) -> Geometry:
+    """The arm as it might have been made: millimetres and milliradians off in every parameter."""
+    size = geometry.links
+    return replace(
+        geometry,
+        alpha=geometry.alpha + rng.normal(size=size) * 3e-3,
+        a=geometry.a + rng.normal(size=size) * 1e-3,
+        theta=geometry.theta + rng.normal(size=size) * 5e-3,
+        d=geometry.d + rng.normal(size=size) * 1e-3,
+        beta=rng.normal(size=size) * 1e-3 if beta else geometry.beta,
+    )
+
+
+def somewhere(rng: np.random.Generator, reach: float = 1.0) -> Pose:
+    return Pose(rng.normal(size=3) * reach, rotation_matrix(rng.normal(size=3)))
+
+
+@pytest.fixture(scope="session")
+def made() -> Callable[..., Calibration]:
+    """``made(arm, rng, frames)``: a calibration that found every parameter off, without the measuring."""
+
+    def calibration(arm: Arm, rng: np.random.Generator, frames: str = "known", beta: bool = True) -> Calibration:
+        found, nominal = off_by(arm.nominal, rng, beta), arm.nominal
+        if frames == "fitted":
+            base, tool = somewhere(rng), somewhere(rng, 0.1)
+            found, nominal = replace(found, base=base, tool=tool), replace(nominal, base=base, tool=tool)
+        return Calibration(arm.name, arm.nominal, nominal, ArmModel.of(found), None, {"frames": frames})
+
+    return calibration
+
+
+@pytest.fixture(scope="session")
+def measured() -> Callable[..., Calibration]:
+    """``measured(arm, rng)``: calibrated on simulated poses, told by an instrument that stood anywhere."""
+
+    def calibration(arm: Arm, rng: np.random.Generator) -> Calibration:
+        true = replace(off_by(arm.nominal, rng, beta=False), base=somewhere(rng), tool=somewhere(rng, 0.1))
+        sets = []
+        for count in (70, 30):
+            joints = random_joints(arm.nominal, count, rng)
+            pose = forward(true, joints)
+            position = pose.position + rng.normal(size=pose.position.shape) * 1e-4
+            sets.append(Measurements(joints, position, pose.rotation, arm.nominal.prismatic, 1e-4, 1e-3))
+        choices = Choices(terms="none", residual="none", frames="fitted")
+        return calibrate(arm, sets[0], test=sets[1], choices=choices).calibration
+
+    return calibration
+
+
+@pytest.fixture(scope="session")
+def robots() -> Path:
+    """Folder of the PyPI package example-robot-data, whose files are no part of this project."""
+    places = [Path(os.environ["PICKENV_ROBOTS"])] if "PICKENV_ROBOTS" in os.environ else []
+    places += [Path(p) / "cmeel.prefix/share/example-robot-data" for p in sys.path]
+    for place in places:
+        if (place / "robots").is_dir():
+            return place
+    pytest.skip("example-robot-data is not installed: pip install example-robot-data, or set PICKENV_ROBOTS to its folder")
+
+
+@pytest.fixture(scope="session")
+def so101(data_folder: Path) -> Path:
+    """The SO-101's folder, as its makers publish it."""
+    return data_folder / "so101"
+
+
+ARMS = ("so101", "ur5", "panda")
+
+
+@pytest.fixture(params=ARMS)
+def own_urdf(request: pytest.FixtureRequest) -> Path:
+    """The URDF of an arm as its makers publish it."""
+    if request.param == "so101":
+        return request.getfixturevalue("so101") / "so101_new_calib.urdf"
+    return request.getfixturevalue("robots") / (UR5 if request.param == "ur5" else PANDA)
+
+
+@pytest.fixture(scope="session")
+def poses() -> Callable[[Geometry, np.random.Generator], np.ndarray]:
+    """``poses(geometry, rng)``: 200 poses within the joint limits."""
+    return lambda geometry, rng: random_joints(geometry, 200, rng)
+
+
+def programme(name: str) -> str | None:
+    """Path of a program, beside the interpreter or on the path; None where there is none."""
+    beside = Path(sys.executable).with_name(name)
+    found = subprocess.run(["which", name], capture_output=True, text=True).stdout.strip()
+    return str(beside) if beside.exists() else found or None
+
+
+@pytest.fixture(scope="session")
+def ur5_arm() -> Arm:
+    return load_arm("ur5")
+
+
+def has(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None

@@ -1,0 +1,83 @@
+"""One arm told in two ways is found to be one arm; another arm is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pickenv.arm import forward, load_arm, rotation_matrix
+from pickenv.arm.kinematics.axes import geometry_from_axes
+from pickenv.arm.kinematics.geometry import Geometry, Pose
+from pickenv.calibration.delivery.same_chain import link_frames, same_chain
+from pickenv.errors import InputError
+
+ARMS = ("ur5", "ur10e", "panda", "so101", "wam", "qiao2026", "positioner")
+
+
+def told_otherwise(arm: Geometry, rng: np.random.Generator, plain: bool) -> Geometry:
+    """The same arm as a vendor might tell it: another root, other zeros, other signs."""
+    n = arm.joints
+    sign = rng.choice([-1.0, 1.0], n)
+    zero = np.where(arm.prismatic, 0.1, 1.0) * rng.normal(size=n)
+    if plain:
+        sign, zero = np.ones(n), np.zeros(n)
+    root = Pose(np.zeros(3), np.eye(3))
+    if not plain:
+        root = Pose(rng.normal(size=3), rotation_matrix(rng.normal(size=3)))
+    frames, tool = link_frames(arm, zero), forward(arm, zero)
+    points = np.array([root.position + root.rotation @ pose.position for pose in frames])
+    directions = np.array([s * root.rotation @ pose.rotation[:, 2] for s, pose in zip(sign, frames, strict=True)])
+    slip = np.where(arm.prismatic, 0.0, 1.0)[:, None] * rng.normal(size=(n, 1)) * directions  # anywhere on the axis
+    end = Pose(root.position + root.rotation @ tool.position, root.rotation @ tool.rotation)
+    return geometry_from_axes(
+        arm.joint_names, arm.prismatic, points + slip, directions, end, -3 * np.ones(n), 3 * np.ones(n)
+    )
+
+
+@given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(ARMS))
+@settings(max_examples=60)
+def test_other_roots_zeros_and_signs_are_found(seed, name):
+    """Whatever signs and zeros are found (a wrist has two ways), the tool is where the file has it."""
+    rng, arm = np.random.default_rng(seed), load_arm(name).nominal
+    file = told_otherwise(arm, rng, any(arm.prismatic))
+    same = same_chain(arm, file, "robot.urdf", name)
+    assert same.apart[0] < 1e-8 and same.apart[1] < 1e-8
+    joints = rng.uniform(-2.0, 2.0, (50, arm.joints))
+    told, meant = forward(file, joints), forward(arm, joints * same.sign + same.zero)
+    seen = same.root.position + np.einsum("ij,nj->ni", same.root.rotation, meant.position)
+    # The tool hangs on the last link, about whose zero the axes say nothing.
+    last = [link_frames(arm, joints * same.sign + same.zero)[-1], link_frames(file, joints)[-1]]
+    ends = [np.swapaxes(pose.rotation, 1, 2) @ (np.eye(3) if i else same.root.rotation.T) for i, pose in enumerate(last)]
+    here = np.einsum("nij,nj->ni", ends[0], seen - same.root.position - last[0].position @ same.root.rotation.T)
+    there = np.einsum("nij,nj->ni", ends[1], told.position - last[1].position)
+    np.testing.assert_allclose(np.linalg.norm(here, axis=1), np.linalg.norm(here[0]), atol=1e-9)
+    np.testing.assert_allclose(there, np.broadcast_to(there[0], there.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_an_arm_told_alike_reads_alike(name):
+    arm = load_arm(name).nominal
+    same = same_chain(arm, arm, "robot.urdf", name)
+    assert same.plain()
+    np.testing.assert_array_equal(same.root.rotation, np.eye(3))
+    np.testing.assert_array_equal(same.root.position, np.zeros(3))
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_an_arm_a_millimetre_off_is_another(seed):
+    rng, arm = np.random.default_rng(seed), load_arm("ur5").nominal
+    file = told_otherwise(arm, rng, False)
+    length = rng.choice([1, 2])
+    other = arm.a.copy()
+    other[length + 1] += 1e-3
+    with pytest.raises(InputError, match=r"is of another arm than 'ur5': .* lies .* mm and .* deg"):
+        same_chain(replace(arm, a=other), file, "robot.urdf", "ur5")
+
+
+@pytest.mark.parametrize(("one", "other"), [("ur5", "ur10"), ("ur5", "qiao2026"), ("ur5", "wam"), ("ur5e", "ur5")])
+def test_another_arm_is_refused(one, other):
+    with pytest.raises(InputError, match=f"'{one}'"):
+        same_chain(load_arm(one).nominal, load_arm(other).nominal, "robot.urdf", one)
