@@ -61,8 +61,8 @@ class JointOffsets:
         free = [name for name, value in zip(self.names, self.offsets, strict=True) if value == 0.0]
         untold = f"; of {', '.join(free)} none is told, as base or tool could do the same" if free else ""
         return (
-            f"joint offsets alone: over {self.poses} {self.region} the nominal arm lies {self.without * 1e3:.3g} mm from "
-            f"the calibrated one, with these offsets {self.left * 1e3:.3g} mm and {np.degrees(self.left_turn):.3g} deg "
+            f"joint offsets alone: over {self.poses} {self.region} the nominal arm lies {self.without * 1e3:.3g} mm "
+            f"from the calibrated one, with these offsets {self.left * 1e3:.3g} mm and {np.degrees(self.left_turn):.3g} deg "
             f"(means); the rest of the calibration is left out{untold}"
         )
 

@@ -145,7 +145,8 @@ def _fits(
     for turn in signs:
         for root in _roots(mine, theirs, turn):
             for sign, zero in further(1, root, [turn], []):
-                yield root, np.array(sign), np.array(zero)
+                plain = np.ones(arm.joints), np.zeros(arm.joints)  # of joints that move several links
+                yield (root, np.array(sign), np.array(zero)) if free else (root, *plain)
 
 
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:

@@ -1,8 +1,7 @@
 """What the tests of handing over share: arms that are off, calibrations of them, and referees."""
 
-import importlib.util
 import os
-import subprocess
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import Arm, Geometry, forward, load_arm, rotation_matrix
+from pickenv.arm import Arm, Geometry, forward, rotation_matrix
 from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration import Calibration, Choices, Measurements, calibrate, random_joints
 from pickenv.calibration.model.arm_model import ArmModel
@@ -77,7 +76,9 @@ def robots() -> Path:
     for place in places:
         if (place / "robots").is_dir():
             return place
-    pytest.skip("example-robot-data is not installed: pip install example-robot-data, or set PICKENV_ROBOTS to its folder")
+    pytest.skip(
+        "example-robot-data is not installed: pip install example-robot-data, or set PICKENV_ROBOTS to its folder"
+    )
 
 
 @pytest.fixture(scope="session")
@@ -98,22 +99,57 @@ def own_urdf(request: pytest.FixtureRequest) -> Path:
 
 
 @pytest.fixture(scope="session")
-def poses() -> Callable[[Geometry, np.random.Generator], np.ndarray]:
-    """``poses(geometry, rng)``: 200 poses within the joint limits."""
-    return lambda geometry, rng: random_joints(geometry, 200, rng)
+def in_mujoco() -> Callable[..., Pose]:
+    """``in_mujoco(path, names, tip, joints, meshes)``: where MuJoCo has a link, body or site of a robot's file."""
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is the referee: pip install mujoco")
 
+    def frames(path: Path, names: tuple[str, ...], tip: str, joints: np.ndarray, meshes: dict[str, bytes]) -> Pose:
+        text = path.read_text(encoding="utf-8")
+        static = '<mujoco><compiler fusestatic="false" discardvisual="true"/></mujoco></robot>'
+        model = mujoco.MjModel.from_xml_string(text.replace("</robot>", static), meshes)
+        data = mujoco.MjData(model)
+        site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, tip) >= 0
+        places = [model.joint(name).qposadr[0] for name in names]
+        found = []
+        for row in joints:
+            data.qpos[places] = row
+            mujoco.mj_kinematics(model, data)
+            end = data.site(tip) if site else data.body(tip)
+            found.append((end.xpos.copy(), end.xmat.reshape(3, 3).copy()))
+        return Pose(*(np.array(part) for part in zip(*found, strict=True)))
 
-def programme(name: str) -> str | None:
-    """Path of a program, beside the interpreter or on the path; None where there is none."""
-    beside = Path(sys.executable).with_name(name)
-    found = subprocess.run(["which", name], capture_output=True, text=True).stdout.strip()
-    return str(beside) if beside.exists() else found or None
+    return frames
 
 
 @pytest.fixture(scope="session")
-def ur5_arm() -> Arm:
-    return load_arm("ur5")
+def meshes_of() -> Callable[[Path], dict[str, bytes]]:
+    """``meshes_of(path)``: the meshes that a robot's file names and MuJoCo reads, by their file's name."""
+
+    def found(path: Path) -> dict[str, bytes]:
+        text, files = path.read_text(encoding="utf-8"), {}
+        for name in re.findall(r"""<mesh[^>]*file(?:name)?=["']([^"']+)["']""", text):
+            folders = [path.parent, path.parent / "assets", *path.parents]
+            paths = (folder / name.removeprefix("package://") for folder in folders)
+            file = next(path for path in paths if path.is_file())
+            if file.suffix.lower() in (".stl", ".obj"):
+                files[file.name] = file.read_bytes()
+        return files
+
+    return found
 
 
-def has(module: str) -> bool:
-    return importlib.util.find_spec(module) is not None
+@pytest.fixture(scope="session")
+def rigid() -> Callable[[Pose, Pose], float]:
+    """``rigid(one, other)``: how far two rows of frames are from standing in each other at one constant place.
+
+    The larger of m and of matrix elements; frames of one link, whatever its origin and root, give rounding alone.
+    """
+
+    def apart(one: Pose, other: Pose, root: Pose | None = None) -> float:
+        turned = one.rotation if root is None else root.rotation @ one.rotation
+        place = one.position if root is None else root.position + one.position @ root.rotation.T
+        hand = np.einsum("nji,nj->ni", turned, other.position - place)
+        turn = np.swapaxes(turned, 1, 2) @ other.rotation
+        return float(max(np.abs(hand - hand[0]).max(), np.abs(turn - turn[0]).max()))
+
+    return apart

@@ -45,15 +45,12 @@ def test_other_roots_zeros_and_signs_are_found(seed, name):
     same = same_chain(arm, file, "robot.urdf", name)
     assert same.apart[0] < 1e-8 and same.apart[1] < 1e-8
     joints = rng.uniform(-2.0, 2.0, (50, arm.joints))
-    told, meant = forward(file, joints), forward(arm, joints * same.sign + same.zero)
-    seen = same.root.position + np.einsum("ij,nj->ni", same.root.rotation, meant.position)
-    # The tool hangs on the last link, about whose zero the axes say nothing.
-    last = [link_frames(arm, joints * same.sign + same.zero)[-1], link_frames(file, joints)[-1]]
-    ends = [np.swapaxes(pose.rotation, 1, 2) @ (np.eye(3) if i else same.root.rotation.T) for i, pose in enumerate(last)]
-    here = np.einsum("nij,nj->ni", ends[0], seen - same.root.position - last[0].position @ same.root.rotation.T)
-    there = np.einsum("nij,nj->ni", ends[1], told.position - last[1].position)
-    np.testing.assert_allclose(np.linalg.norm(here, axis=1), np.linalg.norm(here[0]), atol=1e-9)
-    np.testing.assert_allclose(there, np.broadcast_to(there[0], there.shape), atol=1e-9)
+    told, last = forward(file, joints), link_frames(arm, joints * same.sign + same.zero)[-1]
+    place = same.root.position + last.position @ same.root.rotation.T
+    hand = np.einsum("nji,nj->ni", same.root.rotation @ last.rotation, told.position - place)
+    turn = np.swapaxes(same.root.rotation @ last.rotation, 1, 2) @ told.rotation
+    np.testing.assert_allclose(hand, np.broadcast_to(hand[0], hand.shape), atol=1e-9)  # bolted to the last link
+    np.testing.assert_allclose(turn, np.broadcast_to(turn[0], turn.shape), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ARMS)
