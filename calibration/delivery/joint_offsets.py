@@ -62,8 +62,8 @@ class JointOffsets:
         untold = f"; of {', '.join(free)} none is told, as base or tool could do the same" if free else ""
         return (
             f"joint offsets alone: over {self.poses} {self.region} the nominal arm lies {self.without * 1e3:.3g} mm "
-            f"from the calibrated one, with these offsets {self.left * 1e3:.3g} mm and {np.degrees(self.left_turn):.3g} deg "
-            f"(means); the rest of the calibration is left out{untold}"
+            f"from the calibrated one, with these offsets {self.left * 1e3:.3g} mm and "
+            f"{np.degrees(self.left_turn):.3g} deg (means); the rest of the calibration is left out{untold}"
         )
 
 

@@ -198,7 +198,8 @@ def test_what_was_written_is_the_same_arm_again(tmp_path_factory, made, seed):
 def test_a_two_stage_lift_and_what_mimics_it_are_one_joint(made, tmp_path):
     """Slides in a row that one joint moves are one link; a parallelogram's second joint follows with ratio -1."""
     body = """<joint name="{name}" type="{kind}"><parent link="{a}"/><child link="{b}"/>
-      <origin xyz="{xyz}" rpy="0.1 0 0.2"/><axis xyz="{axis}"/><limit lower="-1" upper="1" velocity="1" effort="1"/>{mimic}</joint>"""
+      <origin xyz="{xyz}" rpy="0.1 0 0.2"/><axis xyz="{axis}"/>
+      <limit lower="-1" upper="1" velocity="1" effort="1"/>{mimic}</joint>"""
     rows = [
         ("mast", "revolute", "0 0 0.1", "0 0 1", ""),
         ("lift", "prismatic", "0 0 0.2", "0 0 1", ""),
