@@ -156,9 +156,9 @@ ROOMS = {
     ),
     "pipeline": room(
         "calibration/pipeline",
-        "apply uncertainty result assess fitting stages calibration export",
+        "apply uncertainty result assess fitting stages calibration",
         "tests/calibration/pipeline",
-        "command_figures apply verification export stage_choices stages calibration_file",
+        "command_figures apply verification stage_choices stages calibration_file",
     ),
     "stations": room(
         "calibration",

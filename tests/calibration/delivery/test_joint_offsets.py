@@ -106,7 +106,7 @@ def test_what_offsets_leave_out_is_what_no_other_offsets_avoid(made):
 
 
 def test_deviations_are_those_of_repeated_measurements():
-    """Calibrated again and again from fresh noise, the offsets scatter as the calibration says; 60 tell it to 9 %, one sigma."""
+    """Calibrated again and again from fresh noise, offsets scatter as the calibration says; 60 runs tell it to 9 %."""
     arm, rng = load_arm("so101"), np.random.default_rng(51)
     true = replace(arm.nominal, theta=arm.nominal.theta + rng.normal(size=5) * 0.02)
     joints = random_joints(arm.nominal, 40, rng)

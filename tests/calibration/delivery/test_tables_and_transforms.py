@@ -3,6 +3,7 @@
 import csv
 import json
 import shlex
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -101,11 +102,9 @@ def test_identified_parameters_carry_their_deviation_and_others_none(measured, t
     rows = json.loads(export(calibration, tmp_path / "t.json", kind="table").path.read_text())["rows"]
     sure = calibration.record["uncertainty"]
     deviation = dict(zip(sure["parameters"], np.sqrt(np.diag(sure["covariance"])), strict=True))
-    modified = {
-        f"{r['parameter']}{r['row'] - (r['parameter'] in ('alpha', 'a', 'beta'))}": r
-        for r in rows
-        if r["table"] == "modified"
-    }
+    early = ("alpha", "a", "beta")
+    own = [row for row in rows if row["table"] == "modified"]
+    modified = {f"{row['parameter']}{row['row'] - (row['parameter'] in early)}": row for row in own}
     assert set(deviation) - set(modified) == {n for n in deviation if n.startswith(("base_", "tool_"))}
     for name, row in modified.items():
         scale = 1e3 if row["unit"] == "mm" else np.degrees(1.0)
@@ -133,8 +132,6 @@ def test_instrument_robot_and_tool_close_the_loop(so101, made, tmp_path):
     rng, own = np.random.default_rng(62), so101 / "so101_new_calib.urdf"
     arm = load_arm(own)
     calibration = made(arm, rng, "fitted")
-    import shutil
-
     shutil.copytree(so101 / "assets", tmp_path / "assets")
     patched = export(calibration, tmp_path / "patched.urdf", onto=f"{own}#gripper_frame_link").path
     script = export(

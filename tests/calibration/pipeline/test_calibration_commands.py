@@ -70,15 +70,23 @@ def test_what_cannot_be_reached_has_no_command_and_its_own_exit_code(folder):
 
 
 def test_the_corrected_arm_is_exported(folder):
-    words = ("--toml", folder / "a.toml", "--urdf", folder / "a.urdf")
-    assert call("export", folder / "arm.npz", "--arm", "qiao2026", *words).count("wrote") == 2
+    for name in ("a.toml", "a.urdf"):
+        said = call("export", folder / "arm.npz", "--out", folder / name)
+        assert "not in the file, because no geometry can hold it: learnt residual 'bpnn'" in said and "wrote" in said
     assert load_arm(folder / "a.toml").name == "qiao2026_calibrated"
-    with pytest.raises(InputError, match="nothing to write"):
-        call("export", folder / "arm.npz", "--arm", "qiao2026")
+    with pytest.raises(InputError, match="does not tell what to write; give --as"):
+        call("export", folder / "arm.npz", "--out", folder / "a.dat")
     with pytest.raises(InputError, match="belongs to arm"):
-        call("export", folder / "arm.npz", "--arm", "ur5", "--toml", folder / "b.toml")
+        call("export", folder / "arm.npz", "--arm", "ur5", "--out", folder / "b.toml")
+
+
+def test_the_robots_own_file_is_never_written_over(folder):
+    own = folder / "own.urdf"
+    call("export", folder / "arm.npz", "--out", own)
+    with pytest.raises(InputError, match=r"--out would write over .*own\.urdf, which --onto reads"):
+        call("export", folder / "arm.npz", "--onto", f"{own}#tool", "--out", own)
 
 
 def test_the_network_is_exported(folder):
     pytest.importorskip("onnx")
-    assert "wrote" in call("export", folder / "arm.npz", "--arm", "qiao2026", "--onnx", folder / "a.onnx")
+    assert "wrote" in call("export", folder / "arm.npz", "--out", folder / "a.onnx")
