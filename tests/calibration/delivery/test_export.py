@@ -85,6 +85,24 @@ def test_where_it_comes_from_stands_in_every_file(calibration, dynamic, tmp_path
     assert "a2" in provenance(calibration)[3]
 
 
+@pytest.mark.parametrize("name", ["ur5", "qiao2026", "panda"])
+def test_mujoco_loads_a_skeleton_as_it_is(made, name, tmp_path):
+    """From the robot's own base, with weights and efforts that a simulator takes; the instrument's frames stay out."""
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is the referee: pip install mujoco")
+    arm, rng = load_arm(name), np.random.default_rng(70)
+    calibration = made(arm, rng, "fitted")
+    path = write_arm_urdf(calibration, arm, tmp_path / "arm.urdf")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    assert (model.body_mass[1:] > 0).all() and (model.body_inertia[1:] > 0).all()
+    own = replace(calibration.identified, base=arm.nominal.base, tool=Pose(np.zeros(3), np.eye(3)))
+    for row in random_joints(arm.nominal, 50, rng):
+        for joint, value in zip(arm.nominal.joint_names, row, strict=True):
+            data.joint(joint).qpos = value
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(data.body(f"link{own.links}").xpos, forward(own, row).position, atol=1e-8)
+
+
 def onnx_residual(path, feeds):
     onnxruntime = pytest.importorskip("onnxruntime")
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
