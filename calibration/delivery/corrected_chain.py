@@ -3,7 +3,9 @@
 N_i and C_i are link frames of the table before and after calibration, D_i the frame of the file's joint i, all where
 the file's joints are zero. K_i = N_i^-1 D_i is constant. The corrected joint stands at C_i K_i, and its origin is that
 in the corrected frame before it. The chain begins at the robot's own base: where an instrument stood is no part of it.
-Metres and radians.
+Where the next axis is parallel, no pose tells where along its axis a link stands, and a fit puts it anywhere; then it
+stays where the file draws it, as Universal Robots' own calibration has it (ur_calibration, correctAxis). Metres and
+radians.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ from pickenv.arm.kinematics.geometry import Array, Pose, identity_pose, inverse_
 from pickenv.calibration.delivery.same_chain import SameChain, link_frames
 
 Z = np.array([0.0, 0.0, 1.0])
+PARALLEL = 1e-3
+"""Axes count as parallel below this sine of the angle between them, digits that a file cut included."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +70,23 @@ def corrected_chain(
             laid = behind(inverse_pose(before[link]), old)
             if links.count(link) == 1:
                 laid = _laid_upon(laid, joint, float(same.sign[_owner(nominal, link)]))
-            stood = behind(after[link], laid)
+            drawn, stood = stood, behind(after[link], laid)
+            if _slips(before, link, joint) and links.count(link) == 1:
+                axis = stood.rotation @ joint.axis
+                stood = Pose(stood.position + axis * (axis @ (drawn.position - stood.position)), stood.rotation)
         origins.append(behind(inverse_pose(new), stood))
         moved = _displacement(joint, joint.offset)
         old, new = behind(old, moved), behind(stood, moved)
     hand = behind(after[-1], found.tool)
     tip = behind(new, tool)
     return CorrectedChain(tuple(origins), tip, behind(inverse_pose(tip), hand), behind(inverse_pose(new), hand))
+
+
+def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
+    """Whether a link may stand anywhere along its axis: it turns, and the next axis is parallel."""
+    if joint.slides or link + 1 == len(before):
+        return False
+    return bool(np.linalg.norm(np.cross(before[link].rotation[:, 2], before[link + 1].rotation[:, 2])) < PARALLEL)
 
 
 def links_moved(joints: Sequence[ChainJoint]) -> list[int | None]:

@@ -83,6 +83,8 @@ def export(
     """
     out = Path(out)
     own, tip = _own_file(onto)
+    if own is not None and own.exists() and not own.is_file():
+        raise InputError(f"{own} is no file on a disk; give --onto the robot's own file")
     chosen = kind or _kind(own, out)
     if chosen not in KINDS:
         raise InputError(f"there is no kind '{chosen}' of file; give one of {', '.join(KINDS)}")

@@ -2,8 +2,9 @@
 
 Controllers and servos often take one number per joint: what its reading is off by. The offsets that bring the nominal
 arm nearest to the calibrated one, over the region where it was measured, are found by least squares: pose differences
-in m and rad weigh alike. What offsets cannot do is stated in mm. With fitted base and tool, what a base or tool can do
-as well is left to them (of a turning first joint, all of it), as these data cannot tell them apart. SI units.
+in m and rad weigh alike, and where positions alone were measured, positions alone count. What offsets cannot do is
+stated in mm. With fitted base and tool, what a base or tool can do as well is left to them (of a turning first joint,
+all of it), as these data cannot tell them apart. SI units.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from pickenv.arm import forward, joint_jacobian, parameter_jacobian, pose_error
@@ -38,10 +40,11 @@ class JointOffsets:
         names: Of the joints.
         slides: Whether each slides.
         offsets: rad or m (n,).
+        told: Whether the data tell the offset; else it is zero (n,).
         deviation: Standard deviations of the offsets (n,), NaN where the calibration knows none.
         without: Mean position difference between nominal and calibrated arm over the poses, m.
         left: The same with the offsets, m: what a file of offsets leaves out.
-        left_turn: Mean attitude difference that they leave, rad.
+        left_turn: Mean attitude difference that they leave, rad; None where only positions were measured.
         poses: Poses compared.
         region: Which poses they are, for people.
     """
@@ -49,21 +52,23 @@ class JointOffsets:
     names: tuple[str, ...]
     slides: tuple[bool, ...]
     offsets: Array
+    told: NDArray[np.bool_]
     deviation: Array
     without: float
     left: float
-    left_turn: float
+    left_turn: float | None
     poses: int
     region: str
 
     def note(self) -> str:
         """What offsets do and what they leave out, for people."""
-        free = [name for name, value in zip(self.names, self.offsets, strict=True) if value == 0.0]
-        untold = f"; of {', '.join(free)} none is told, as base or tool could do the same" if free else ""
+        turn = "" if self.left_turn is None else f" and {np.degrees(self.left_turn):.3g} deg"
+        free = [name for name, told in zip(self.names, self.told, strict=True) if not told]
+        untold = f"; of {', '.join(free)} these data tell none" if free else ""
         return (
             f"joint offsets alone: over {self.poses} {self.region} the nominal arm lies {self.without * 1e3:.3g} mm "
-            f"from the calibrated one, with these offsets {self.left * 1e3:.3g} mm and "
-            f"{np.degrees(self.left_turn):.3g} deg (means); the rest of the calibration is left out{untold}"
+            f"from the calibrated one, with these offsets {self.left * 1e3:.3g} mm{turn} (means); the rest of the "
+            f"calibration is left out{untold}"
         )
 
 
@@ -89,14 +94,16 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
         ) from error
     model = frames_model(calibration.arm)
     fitted = calibration.record.get("frames") == "fitted"
+    rows = slice(0, 3 if calibration.record.get("kind") == "position" else 6)
     nominal = calibration.nominal
     offsets = np.zeros(nominal.joints)
     without = np.linalg.norm(pose_error(forward(nominal, joints), target)[:, :3], axis=1).mean()
     for _ in range(STEPS):
-        missed = pose_error(forward(nominal, joints + offsets), target).ravel()
-        effect = _flat(joint_jacobian(nominal, joints + offsets))
-        frames = _flat(parameter_jacobian(nominal, joints + offsets)[..., model.columns]) if fitted else None
-        step = _told(effect, frames) @ missed
+        missed = pose_error(forward(nominal, joints + offsets), target)[:, rows].ravel()
+        effect = _flat(joint_jacobian(nominal, joints + offsets)[:, rows])
+        frames = _flat(parameter_jacobian(nominal, joints + offsets)[:, rows, model.columns]) if fitted else None
+        way = _told(effect, frames)
+        step = way @ missed
         offsets = offsets + step
         if frames is not None:
             moved = np.zeros(len(nominal.parameter_names))
@@ -107,10 +114,11 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
         calibration.arm.joint_names,
         calibration.arm.prismatic,
         offsets,
-        _deviation(calibration, joints, fitted),
+        way.any(axis=1),
+        _deviation(calibration, joints, rows, fitted),
         float(without),
         float(np.linalg.norm(left[:, :3], axis=1).mean()),
-        float(np.linalg.norm(left[:, 3:], axis=1).mean()),
+        None if rows.stop == 3 else float(np.linalg.norm(left[:, 3:], axis=1).mean()),
         len(joints),
         region,
     )
@@ -133,17 +141,17 @@ def _told(effect: Array, frames: Array | None) -> Array:
     return found
 
 
-def _deviation(calibration: Calibration, joints: Array, fitted: bool) -> Array:
+def _deviation(calibration: Calibration, joints: Array, rows: slice, fitted: bool) -> Array:
     """Standard deviations of the offsets, from those of the identified parameters."""
     sure = uncertainty_from(calibration.record)
     if sure is None:
         return np.full(calibration.arm.joints, np.nan)
     nominal, model = calibration.nominal, frames_model(calibration.arm)
-    whole = parameter_jacobian(nominal, joints)
+    whole = parameter_jacobian(nominal, joints)[:, rows]
     columns = [nominal.parameter_names.index(name) for name in sure.names if name in nominal.parameter_names]
     kept = [i for i, name in enumerate(sure.names) if name in nominal.parameter_names]
     frames = _flat(whole[..., model.columns]) if fitted else None
-    way = _told(_flat(joint_jacobian(nominal, joints)), frames) @ _flat(whole[..., columns])
+    way = _told(_flat(joint_jacobian(nominal, joints)[:, rows]), frames) @ _flat(whole[..., columns])
     covariance = sure.covariance[np.ix_(kept, kept)]
     variance = np.einsum("ij,jk,ik->i", way, covariance, way)
     return np.where(way.any(axis=1), np.sqrt(variance), np.nan)

@@ -10,17 +10,19 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from pickenv.arm.files.joint_chain import behind
+from pickenv.arm.files.joint_chain import ChainJoint, behind
 from pickenv.arm.files.ur_yaml import UR_KEYS, UR_LINKS, ur_row
 from pickenv.arm.files.urdf_text import roll_pitch_yaw
 from pickenv.arm.kinematics.geometry import identity_pose, inverse_pose
+from pickenv.calibration.delivery.corrected_chain import Z, corrected_chain
 from pickenv.calibration.delivery.origin_lines import Document, one_line, provenance
 from pickenv.calibration.delivery.patched import correction, is_moved
-from pickenv.calibration.delivery.same_chain import link_frames
+from pickenv.calibration.delivery.same_chain import SameChain, link_frames
 from pickenv.calibration.delivery.xml_edit import Edit, edited
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
@@ -88,18 +90,19 @@ def ur_kinematics_yaml(calibration: Calibration) -> Document:
             f"the table of '{calibration.arm_name}' has not the frames of a UR; give --onto the "
             "default_kinematics.yaml of your UR type"
         )
-    before = inverse_pose(own.base)
-    poses = [behind(before, pose) for pose in link_frames(replace(calibration.identified, base=own.base), np.zeros(6))]
     lines = [f"# {one_line(line)}" for line in provenance(calibration)]
     lines += ["# for ur_description of ROS 2, 2.x; the hash is not the controller's, so ur_robot_driver will say so"]
     lines += ["kinematics:"]
-    stands = identity_pose()
-    for name, pose in zip(UR_LINKS, poses, strict=True):
-        origin = behind(inverse_pose(stands), pose)
+    based = replace(own, base=identity_pose())
+    frames = [identity_pose(), *link_frames(based, np.zeros(len(UR_LINKS)))]
+    origins = [behind(inverse_pose(one), other) for one, other in pairwise(frames)]
+    joints = [ChainJoint(link, link, 1.0, 0.0, False, pose, Z) for link, pose in zip(UR_LINKS, origins, strict=True)]
+    alike = SameChain(identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS)), (0.0, 0.0))
+    found = corrected_chain(based, calibration.identified, joints, identity_pose(), alike)
+    for link, origin in zip(UR_LINKS, found.origins, strict=True):
         values = [*origin.position, *roll_pitch_yaw(np.asarray(origin.rotation))]
-        lines.append(f"  {name}:")
+        lines.append(f"  {link}:")
         lines += [f"    {key}: {yaml_number(float(value))}" for key, value in zip(UR_KEYS, values, strict=True)]
-        stands = pose
     lines.append(f"  hash: calib_pickenv_{calibration.arm_fingerprint}")
     notes = (
         "the links' origins; a tool and where the instrument stood are no part of this file",

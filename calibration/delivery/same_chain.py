@@ -104,8 +104,9 @@ def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameC
     joint = max(worst)
     near, turned = worst[joint]
     raise InputError(
-        f"{name} is of another arm than '{arm_name}': {file.link_names[joint]} lies {near * 1e3:.3g} mm and "
-        f"{math.degrees(turned):.3g} deg from where '{arm_name}' has it; give the file of the arm that was calibrated"
+        f"{name} is of another arm than '{arm_name}': {file.link_names[joint]} lies {round(near * 1e3, 4):.3g} mm and "
+        f"{round(math.degrees(turned), 4):.3g} deg from where '{arm_name}' has it; give the file of the arm that was "
+        "calibrated"
     )
 
 

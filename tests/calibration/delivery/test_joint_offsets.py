@@ -84,7 +84,24 @@ def test_with_fitted_frames_the_first_and_the_last_zero_are_left_to_them(so101):
     assert found.offsets[0] == 0.0 and found.offsets[-1] == 0.0
     np.testing.assert_allclose(found.offsets[1:-1], offsets[1:-1], atol=1e-6)
     assert found.left < 1e-6
-    assert found.note().endswith("of shoulder_pan, wrist_roll none is told, as base or tool could do the same")
+    assert found.note().endswith("of shoulder_pan, wrist_roll these data tell none")
+
+
+def test_where_positions_alone_were_measured_positions_alone_count(made):
+    """An attitude that no row told is not followed: the millimetres left are as few as offsets can make them."""
+    rng, arm = np.random.default_rng(54), load_arm("so101")
+    calibration, joints = made(arm, rng), random_joints(arm.nominal, 100, rng)
+    positions = replace(calibration, record={**calibration.record, "kind": "position"})
+    found, poses = joint_offsets(positions, joints), joint_offsets(calibration, joints)
+    wanted = forward(calibration.identified, joints).position
+
+    def missed(offsets: np.ndarray) -> np.ndarray:
+        return (forward(arm.nominal, joints + offsets).position - wanted).ravel()
+
+    best = least_squares(missed, np.zeros(5), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    assert np.sum(missed(found.offsets) ** 2) == pytest.approx(np.sum(best.fun**2), rel=1e-6)
+    assert found.left_turn is None and " deg" not in found.note() and " deg" in poses.note()
+    assert found.left < poses.left
 
 
 def test_what_offsets_leave_out_is_what_no_other_offsets_avoid(made):

@@ -19,7 +19,7 @@ from pickenv.arm import forward, load_arm
 from pickenv.arm.files.joint_chain import behind
 from pickenv.arm.files.urdf_text import roll_pitch_yaw, write_urdf
 from pickenv.arm.kinematics.geometry import Pose, inverse_pose
-from pickenv.calibration import export, random_joints
+from pickenv.calibration import Calibration, export, random_joints
 from pickenv.calibration.delivery.same_chain import same_chain
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.errors import InputError
@@ -286,3 +286,21 @@ def test_a_file_written_elsewhere_must_find_its_meshes(so101, made, tmp_path):
     own = so101 / "so101_new_calib.urdf"
     with pytest.raises(InputError, match=r"would not find 'assets/.*' from where it stands; write it beside"):
         export(made(load_arm(own), np.random.default_rng(0)), tmp_path / "out.urdf", onto=own)
+
+
+def test_where_no_pose_tells_links_stay_as_they_are_drawn(robots, tmp_path):
+    """Three parallel axes: 40 mm on one link and off another is the same arm, and no mesh is drawn elsewhere."""
+    arm = load_arm("ur5")
+    own = robots / "robots/ur_description/urdf/ur5_robot.urdf"
+    shift = np.array([0.0, 0.04, 0.01, -0.05, 0.0, 0.0])
+    found = replace(arm.nominal, d=arm.nominal.d + shift)
+    calibration = Calibration("ur5", arm.nominal, arm.nominal, ArmModel.of(found), None, {"frames": "known"})
+    out = export(calibration, tmp_path / "out.urdf", onto=own).path
+    old, new = (re.findall(r'<origin[^>]*xyz="([^"]*)"', path.read_text()) for path in (own, out))
+    apart = np.array([line.split() for line in new], float) - np.array([line.split() for line in old], float)
+    assert np.abs(apart).max() < 1e-9
+    q = random_joints(arm.nominal, 20, np.random.default_rng(0))
+    same = same_chain(arm.nominal, load_arm(own).nominal, "", "")
+    standing = forward(replace(found, base=behind(same.root, arm.nominal.base)), q)
+    hand = np.einsum("nji,nj->ni", standing.rotation, forward(load_arm(out).nominal, q).position - standing.position)
+    np.testing.assert_allclose(hand, np.broadcast_to(hand[0], hand.shape), atol=1e-9)
