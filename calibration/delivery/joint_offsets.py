@@ -114,7 +114,7 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
         calibration.arm.joint_names,
         calibration.arm.prismatic,
         offsets,
-        way.any(axis=1),
+        np.asarray(way.any(axis=1)),
         _deviation(calibration, joints, rows, fitted),
         float(without),
         float(np.linalg.norm(left[:, :3], axis=1).mean()),
