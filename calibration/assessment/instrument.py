@@ -12,10 +12,12 @@ from typing import Literal
 
 import numpy as np
 
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.stacked import Stacked
 
 CONTRADICTED = 5.0
@@ -23,6 +25,9 @@ CONTRADICTED = 5.0
 
 MATTERS = 0.03
 """It matters where the rows are missed by so much less without it."""
+
+LENS_MATTERS = 0.2
+"""A lens has nine numbers, which take up some of anything; it is in doubt where pixels are missed by so much less."""
 
 
 def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObservations, Observations]]:
@@ -35,6 +40,13 @@ def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObserva
             for name, part, other in with_zeros_fitted(station.data):
                 stations = (*data.stations[:i], replace(station, data=other), *data.stations[i + 1 :])
                 yield name + station.suffix, part, replace(data, stations=stations)
+
+
+def _pixels(data: PixelObservations, fit: Identification) -> Array:
+    """Corners found minus predicted, px, with the lens of the fit where it has one."""
+    values = np.array(list(fit.unknowns.values()))
+    free = data if not len(values) else with_lens(data, "free")
+    return free.pixel_errors(fit.arm_model, values)
 
 
 def said_of_instruments(
@@ -60,6 +72,15 @@ def said_of_instruments(
                 f"{wire.source}: the wire's zero is taken as {wire.zero * 1e3:.4g} mm, but the rows say "
                 f"{value * 1e3:.4g} ± {std * 1e3:.2g} mm, and the links have taken up the difference; say zero = "
                 '"fitted" in [wire]',
+            )
+    if isinstance(data, PixelObservations) and not data.lens_std.any():
+        freed = identify(model, found.arm_model, [with_lens(data, "free")])
+        given, fitted = (np.sqrt(np.mean(_pixels(data, fit) ** 2)) for fit in (found, freed))
+        if freed.converged and fitted < (1.0 - LENS_MATTERS) * given:
+            yield (
+                "caution",
+                f"the lens as given leaves {given:.3g} px per coordinate, a fitted one {fitted:.3g} px: give "
+                "--lens free, or calibrate the camera anew",
             )
     if data.miss_unit == "deg":
         yield (

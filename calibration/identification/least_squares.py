@@ -16,12 +16,14 @@ from scipy.linalg import block_diag
 
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.identification.by_view import jackknife_covariance, shared_rows
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.gauge import identifiable_parameters
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability
 from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.observations import Equations, Imaginable
+from pickenv.calibration.model.splits import Rows
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
 
@@ -41,7 +43,8 @@ class Identification:
         unknowns: Identified unknowns of the measurements themselves (reflectors, anchors, sockets), m.
         identifiability: What could be identified, what was dropped, and what absorbed it.
         delta: Identified minus starting parameters, m or rad, per parameter (0 for dropped ones).
-        covariance: Of the kept parameters, from the residual's own scatter; NaN without spare equations.
+        covariance: Of the kept parameters, from the residual's own scatter (of pictures, see `by_view`); NaN without
+            spare equations.
         chi_square: Sum of squared whitened residuals.
         degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
@@ -199,7 +202,7 @@ def identify(
         unknowns=dict(zip(own, ended.tolist(), strict=True)),
         identifiability=found,
         delta=np.concatenate([ended - begun, iterates[0].difference(arm)[model.columns]]),
-        covariance=_covariance(matrix, weighted, found, tolerance),
+        covariance=_covariance(matrix, weighted, found, tolerance, shared_rows(sets)),
         chi_square=float(weighted @ weighted),
         degrees_of_freedom=len(weighted) - found.rank,
         converged=converged,
@@ -315,13 +318,18 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _covariance(matrix: Array, weighted: Array, found: Identifiability, tolerance: Array) -> Array:
+def _covariance(matrix: Array, weighted: Array, found: Identifiability, tolerance: Array, rows: Rows | None) -> Array:
     """Covariance of the kept parameters, with the residual's own scatter as the noise (GUM type A); else NaN."""
     freedom = len(weighted) - found.rank
     if freedom <= 0:
         return np.full((found.rank, found.rank), np.nan)
-    inverse_r = np.linalg.inv(np.linalg.qr(matrix[:, found.kept], mode="r")) * tolerance[found.kept][:, None]
-    return np.asarray((weighted @ weighted) / freedom * (inverse_r @ inverse_r.T))
+    inverse_r = np.linalg.inv(np.linalg.qr(matrix[:, found.kept], mode="r"))
+    scale = np.outer(tolerance[found.kept], tolerance[found.kept])
+    if rows is not None:
+        shared = jackknife_covariance(inverse_r, matrix[:, found.kept], weighted, rows)
+        if shared is not None:
+            return np.asarray(shared * scale)
+    return np.asarray((weighted @ weighted) / freedom * (inverse_r @ inverse_r.T) * scale)
 
 
 def _enough_poses(

@@ -54,16 +54,20 @@ class Restationed:
     moved: dict[str, tuple[float, float]]
 
 
-def frames_of(text: str) -> tuple[str, ...]:
-    """The frames that a list such as "base,tool" names.
+def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...], int]:
+    """The frames that a list such as "base,tool" names, and how many rows they are found from.
 
     Raises:
-        InputError: If it names others.
+        InputError: If it names others, or there are rows and no frames to find from them.
     """
+    if text is None:
+        if rows is not None:
+            raise InputError(f"--refit-rows {rows} is for --refit; say which frames: --refit base,tool")
+        return (), REFIT_ROWS
     named = tuple(part.strip() for part in text.split(","))
     if not set(named) <= set(OWN) or len(set(named)) != len(named):
         raise InputError(f"refit is '{text}'; give base, tool, or base,tool")
-    return named
+    return named, REFIT_ROWS if rows is None else rows
 
 
 def restationed(

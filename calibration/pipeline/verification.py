@@ -176,6 +176,6 @@ def _verdict(
         )
     grown = float(np.sqrt(max(mine.rms**2 - wanted**2, 0.0)))
     return "drifted", (
-        f"{said}: the arm has moved by {figure(grown)} mm RMS{when}; the nominal arm misses by {figure(theirs.rms)} "
-        "mm; calibrate anew"
+        f"{said}: it is this arm's, for the nominal one misses by {figure(theirs.rms)} mm, but {figure(grown)} mm RMS "
+        f"have come{when}, by a change of the arm or where it was not measured; calibrate anew"
     )

@@ -71,7 +71,7 @@ def calibrate(
         str | None,
         typer.Option(help="--test is another station: find its base, tool or base,tool from a few rows of it."),
     ] = None,
-    refit_rows: Annotated[int, typer.Option(help="Rows to find them from.", min=3)] = 6,
+    refit_rows: Annotated[int | None, typer.Option(help="Rows to find them from; 6 if left out.", min=3)] = None,
     fit: Annotated[
         Literal["auto", "offsets", "compliance", "reduced", "full"],
         typer.Option(
@@ -121,7 +121,7 @@ def calibrate(
     from pickenv.calibration.camera.lens_files import write_lens
     from pickenv.calibration.pipeline.choices import Choices
     from pickenv.calibration.pipeline.pixel_figures import lens_of
-    from pickenv.calibration.pipeline.restation import frames_of
+    from pickenv.calibration.pipeline.restation import frames_and_rows
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
 
     separate(
@@ -130,6 +130,7 @@ def calibrate(
     )
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
+    moved, count = frames_and_rows(refit, refit_rows)
     choices = Choices(
         fit=fit,
         terms=terms,
@@ -139,8 +140,8 @@ def calibrate(
         seed=seed,
         frames=frames,
         lens=lens,
-        refit=frames_of(refit) if refit else (),
-        refit_rows=refit_rows,
+        refit=moved,
+        refit_rows=count,
     )
     with progress_bars() if sys.stderr.isatty() else nullcontext() as told:
         result = calibrated(
@@ -173,7 +174,7 @@ def calibrate(
         "lens": lens,
         "unit": unit,
         "refit": refit,
-        "refit_rows": refit_rows if refit else None,
+        "refit_rows": refit_rows,
     }
     command = command_line("pickenv", "calibrate", *files, arm=arm, test=test, **options)
     deliver(

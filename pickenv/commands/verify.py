@@ -22,7 +22,9 @@ def verify(
         str | None,
         typer.Option(help="Find base, tool or base,tool anew first: the instrument or its target was moved."),
     ] = None,
-    refit_rows: Annotated[int, typer.Option(help="Rows to find them from; the others judge.", min=3)] = 6,
+    refit_rows: Annotated[
+        int | None, typer.Option(help="Rows to find them from; the others judge. 6 if left out.", min=3)
+    ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
 ) -> None:
     """Judge an old calibration on new rows: still good, drifted (by how much, since when), or another arm.
@@ -30,14 +32,14 @@ def verify(
     The verdict comes first; unless it is "still good" the exit code is 3.
     """
     from pickenv.calibration.pipeline.calibration import Calibration
-    from pickenv.calibration.pipeline.restation import frames_of
+    from pickenv.calibration.pipeline.restation import frames_and_rows
     from pickenv.calibration.pipeline.verification import verify as verified
     from pickenv.calibration.reading.read import read_observations
 
     separate({"CALIBRATION": calibration, "FILES": files, "--columns": columns}, {"--json": json_file})
     old = Calibration.load(calibration)
     data = read_observations(files, old.arm, columns).observations
-    found = verified(old, data, frames_of(refit) if refit else (), refit_rows)
+    found = verified(old, data, *frames_and_rows(refit, refit_rows))
     deliver([(json_file, lambda path: write_json(path, found.as_dict()))], lambda: print(found.text()))
     if found.status != "still good":
         raise typer.Exit(NOT_GOOD)

@@ -65,11 +65,9 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
         calibrated arm end nearer, as counted on rows that it never saw.
         """
         observation, reward, terminated, truncated, info = self.env.step(action)
-        within95 = getattr(self._compensator, "within95", None)
-        if (terminated or truncated) and within95 is not None and "joint_command" in info:
-            position, attitude = within95(np.asarray(info["joint_command"], dtype=float))
-            info |= {} if position is None else {"within95_mm": float(position) * 1e3}
-            info |= {} if attitude is None else {"within95_deg": float(np.degrees(attitude))}
+        if (terminated or truncated) and "joint_command" in info:
+            told = _within95(self._compensator, np.asarray(info["joint_command"], dtype=float))
+            info |= {name: float(value) for name, value in told.items()}
         return observation, reward, terminated, truncated, info
 
     def close(self) -> None:
@@ -108,11 +106,39 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
         RecordConstructorArgs.__init__(self, compensator=compensator, allow=allow)
         VectorWrapper.__init__(self, env)
         _install(_seams(env), compensator, allow)
+        self._compensator = compensator
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step, and say of the environments whose episodes end what `CompensationWrapper.step` says of one.
+
+        Where environments start anew within the step, it stands in `final_info`, like all else of the ended episode.
+        """
+        observations, rewards, terminations, truncations, infos = self.env.step(actions)
+        ended = np.flatnonzero(_numpy(terminations) | _numpy(truncations))
+        last = infos.get("final_info", infos)
+        if len(ended) and "joint_command" in last:
+            for name, values in _within95(self._compensator, _numpy(last["joint_command"])[ended]).items():
+                last[name], last[f"_{name}"] = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.bool_)
+                last[name][ended], last[f"_{name}"][ended] = values, True
+        return observations, rewards, terminations, truncations, infos
 
     def close(self, **arguments: Any) -> None:
         """Close the environments and remove the compensator."""
         _remove(_seams(self.env))
         super().close(**arguments)
+
+
+def _within95(compensator: Compensate, commands: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    """Within what 95 of 100 reaches at commands ``(..., n)`` end, by its name in `info`; empty where nobody knows."""
+    known = getattr(compensator, "within95", None)
+    position, attitude = (None, None) if known is None else known(commands.astype(float))
+    told = {} if position is None else {"within95_mm": np.asarray(position) * 1e3}
+    return told | ({} if attitude is None else {"within95_deg": np.degrees(attitude)})
+
+
+def _numpy(values: Any) -> NDArray[Any]:
+    """A tensor of any device, or an array, as an array."""
+    return np.asarray(values.cpu() if hasattr(values, "cpu") else values)
 
 
 def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:

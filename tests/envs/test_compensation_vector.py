@@ -6,7 +6,7 @@ import pytest
 from gymnasium.vector import SyncVectorEnv
 
 from pickenv import InputError
-from pickenv.wrappers import CompensationVectorWrapper
+from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 
 def native(count=6, **arguments):
@@ -65,3 +65,41 @@ def test_it_is_installed_once_and_removed_on_closing(compensator):
     assert envs.unwrapped.compensator is None
     with pytest.raises(InputError, match="no compensation seam"):
         CompensationVectorWrapper(gym.make_vec("CartPole-v1", num_envs=1), compensator)
+
+
+class Sure:
+    """A compensator that changes nothing and knows how far reaches end: by the size of their commands."""
+
+    def __call__(self, joints):
+        return joints
+
+    def within95(self, commands):
+        assert commands.ndim <= 2
+        return 1e-3 * np.abs(commands).sum(axis=-1), np.radians(np.abs(commands).max(axis=-1))
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize("executor", ["numpy", "torch"])
+def test_ended_episodes_say_how_far_such_commands_end_as_single_ones_do(mode, executor):
+    options = {"plant": "geometry_only", "max_episode_steps": 3, "autoreset_mode": mode, "executor": executor}
+    if executor == "torch":
+        pytest.importorskip("torch")
+        options["compiled"] = False
+    envs = CompensationVectorWrapper(native(3, **options), Sure())
+    said = 0
+    for *_, terminations, truncations, infos in taken(envs, 8):
+        ended = np.asarray(terminations) | np.asarray(truncations)
+        last = infos.get("final_info", infos)
+        assert ("within95_mm" in last) == ended.any()
+        if ended.any():
+            said += 1
+            command = np.asarray(last["joint_command"])
+            np.testing.assert_array_equal(last["_within95_mm"], ended)
+            np.testing.assert_allclose(last["within95_mm"][ended], np.abs(command).sum(axis=1)[ended])
+            np.testing.assert_allclose(last["within95_deg"][ended], np.abs(command).max(axis=1)[ended])
+    assert said >= 2
+    single = CompensationWrapper(gym.make("pickenv/Reach-v0", plant="geometry_only", max_episode_steps=3), Sure())
+    single.reset(seed=2)
+    infos = [single.step(single.action_space.sample())[-1] for _ in range(3)]
+    assert ["within95_mm" in info for info in infos] == [False, False, True]
+    assert infos[-1]["within95_mm"] == pytest.approx(np.abs(infos[-1]["joint_command"]).sum())

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Geometry, Pose, forward, load_arm, rotation_matrix
+from pickenv.calibration.assessment.instrument import said_of_instruments
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.identification.board_poses import board_poses
 from pickenv.calibration.identification.diagnosis import checked_rows
@@ -191,3 +192,20 @@ def test_a_board_taken_for_a_turned_one_is_left_out(mount: str) -> None:
     )
     assert sorted(item.line for item in left) == [4, 12]
     np.testing.assert_array_equal(kept.joints, np.delete(data.joints, [3, 11], axis=0))
+
+
+def test_a_lens_that_is_not_the_cameras_own_is_said_to_be_one() -> None:
+    """And the right one is not, nor one that is fitted already."""
+    other = replace(LENS, values=LENS.values * np.where(np.arange(9) < 2, 1.1, 1.0))
+    for lens, free, said in ((LENS, False, 0), (other, False, 1), (other, True, 0)):
+        geometry, data = views_of("hand", noise=0.2, lens=lens, free=free)
+        model = frames_model(geometry)
+        found = identify(model, geometry, [data])
+        words = [text for _, text in said_of_instruments(model, found, data)]
+        assert len(words) == said
+        if said:
+            errors = data.pixel_errors(found.arm_model, np.zeros(0))
+            assert words[0].startswith(
+                f"the lens as given leaves {np.sqrt(np.mean(errors**2)):.3g} px per coordinate, "
+            )
+            assert "a fitted one 0.19" in words[0] or "a fitted one 0.2" in words[0]

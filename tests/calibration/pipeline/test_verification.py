@@ -16,7 +16,7 @@ from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.choices import Choices
 from pickenv.calibration.pipeline.given import given_rows
-from pickenv.calibration.pipeline.restation import frames_of, restationed
+from pickenv.calibration.pipeline.restation import frames_and_rows, restationed
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.calibration.pipeline.verification import verify
@@ -124,7 +124,7 @@ def test_a_drifted_arm_is_told_and_by_how_much(result: Result, true: Geometry) -
     )
     size = float(np.sqrt(np.mean(np.sum(apart**2, axis=1)))) * 1e3
     assert found.status == "drifted" and found.since is None
-    said = float(found.reason.partition("moved by ")[2].split()[0])
+    said = float(found.reason.partition("but ")[2].split()[0])
     assert said == pytest.approx(size, rel=0.15)
 
 
@@ -204,8 +204,12 @@ def test_a_result_keeps_the_files_noise_and_the_robots_number(
 
 def test_bad_wishes_are_refused(result: Result, true: Geometry) -> None:
     with pytest.raises(InputError, match="refit is 'basis'; give base, tool, or base,tool"):
-        frames_of("basis")
-    assert frames_of("base, tool") == ("base", "tool")
+        frames_and_rows("basis", 6)
+    assert frames_and_rows("base, tool", 9) == (("base", "tool"), 9)
+    assert frames_and_rows(None, None)[0] == ()
+    assert frames_and_rows("tool", None) == (("tool",), 6)
+    with pytest.raises(InputError, match="--refit-rows 8 is for --refit; say which frames"):
+        frames_and_rows(None, 8)
     with pytest.raises(InputError, match="found from 5 of 120 rows; give 6 rows or more"):
         verify(result.calibration, seen(true, 2), ("base", "tool"), 5)
     with pytest.raises(InputError, match="found from 6 of 8 rows"):
