@@ -52,7 +52,7 @@ def _rows(calibration: Calibration) -> list[dict[str, Any]]:
             "table": table,
             "row": number,
             "joint": label,
-            "parameter": name.rstrip("0123456789") if table in ("modified", "standard") else name,
+            "parameter": name.rstrip("0123456789"),
             "unit": "deg" if angle else "mm",
             "nominal": before,
             "corrected": after,

@@ -97,7 +97,7 @@ def ur_kinematics_yaml(calibration: Calibration) -> Document:
     frames = [identity_pose(), *link_frames(based, np.zeros(len(UR_LINKS)))]
     origins = [behind(inverse_pose(one), other) for one, other in pairwise(frames)]
     joints = [ChainJoint(link, link, 1.0, 0.0, False, pose, Z) for link, pose in zip(UR_LINKS, origins, strict=True)]
-    alike = SameChain(identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS)), (0.0, 0.0))
+    alike = SameChain(identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS)))
     found = corrected_chain(based, calibration.identified, joints, identity_pose(), alike)
     for link, origin in zip(UR_LINKS, found.origins, strict=True):
         values = [*origin.position, *roll_pitch_yaw(np.asarray(origin.rotation))]

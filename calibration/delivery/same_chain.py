@@ -44,7 +44,7 @@ class SameChain:
     root: Pose
     sign: Array
     zero: Array
-    apart: tuple[float, float]
+    apart: tuple[float, float] = (0.0, 0.0)
 
     def plain(self) -> bool:
         """Whether joints read alike in both."""

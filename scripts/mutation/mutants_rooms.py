@@ -162,8 +162,8 @@ ROOMS = {
     ),
     "delivery": room(
         "calibration/delivery",
-        "corrected_chain same_chain patched joint_offsets offset_files lerobot_file dh_tables static_transforms xml_edit "
-        "onto_urdf onto_mjcf onto_kinematics_yaml",
+        "corrected_chain same_chain patched joint_offsets offset_files lerobot_file dh_tables static_transforms "
+        "xml_edit onto_urdf onto_mjcf onto_kinematics_yaml",
         "tests/calibration/delivery",
         "joint_offsets tables_and_transforms same_chain onto_mjcf kinematics_yaml onto_urdf",
         most=SECOND,

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
+from scipy.stats import qmc
 
 from pickenv.arm import forward, load_arm, pose_error
 from pickenv.arm.kinematics.geometry import Pose
@@ -87,6 +88,17 @@ def test_with_fitted_frames_the_first_and_the_last_zero_are_left_to_them(so101):
     assert found.note().endswith("of shoulder_pan, wrist_roll these data tell none")
 
 
+def test_two_joints_on_one_axis_share_what_only_their_sum_tells():
+    arm = load_arm("so101").nominal
+    tilted, reach = np.array([0.0, 0.0, np.pi / 2, 0.0, 0.5]), np.array([0.0, 0.0, 0.0, 0.3, 0.2])
+    coaxial = replace(arm, alpha=tilted, a=reach, theta=np.zeros(5), d=np.array([0.1, 0.2, 0.0, 0.0, 0.1]))
+    found = replace(coaxial, theta=np.array([0.03, -0.01, 0.02, 0.0, 0.0]))
+    calibration = Calibration("coaxial", coaxial, coaxial, ArmModel.of(found), None, {"frames": "known"})
+    offsets = joint_offsets(calibration)
+    np.testing.assert_allclose(offsets.offsets, [0.01, 0.01, 0.02, 0.0, 0.0], atol=1e-6)
+    assert offsets.left < 1e-6
+
+
 def test_where_positions_alone_were_measured_positions_alone_count(made):
     """An attitude that no row told is not followed: the millimetres left are as few as offsets can make them."""
     rng, arm = np.random.default_rng(54), load_arm("so101")
@@ -102,6 +114,26 @@ def test_where_positions_alone_were_measured_positions_alone_count(made):
     assert np.sum(missed(found.offsets) ** 2) == pytest.approx(np.sum(best.fun**2), rel=1e-6)
     assert found.left_turn is None and " deg" not in found.note() and " deg" in poses.note()
     assert found.left < poses.left
+
+
+@pytest.mark.parametrize(
+    ("name", "ranges", "said"),
+    [
+        ("ur5", None, "within the joint limits"),
+        ("so101", [[-0.5, -0.2, 0.0, 0.1, -1.0], [0.5, 0.2, 0.4, 1.1, 1.0]], "within the ranges measured"),
+    ],
+)
+def test_offsets_are_those_of_the_region_measured(made, name, ranges, said):
+    """Filled by Halton's sequence, the same every time; of joints that turn on, half a turn to either side."""
+    arm = load_arm(name)
+    calibration = made(arm, np.random.default_rng(55))
+    record = calibration.record if ranges is None else {**calibration.record, "joint_ranges": ranges}
+    found = joint_offsets(replace(calibration, record=record))
+    low, high = (-np.pi, np.pi) if ranges is None else np.array(ranges)
+    unit = qmc.Halton(arm.nominal.joints, scramble=False).random(257)[1:]
+    again = joint_offsets(calibration, low + (high - low) * unit)
+    np.testing.assert_allclose(found.offsets, again.offsets, atol=1e-12)
+    assert found.left == pytest.approx(again.left) and said in found.note() and found.poses == 256
 
 
 def test_what_offsets_leave_out_is_what_no_other_offsets_avoid(made):
