@@ -53,10 +53,8 @@ def read_lerobot(path: str | Path) -> dict[str, LerobotMotor]:
     Raises:
         InputError: If it is none, or of the old form.
     """
-    return _servos(read_text(path, "a LeRobot calibration (.json)"), Path(path))
-
-
-def _servos(text: str, path: Path) -> dict[str, LerobotMotor]:
+    path = Path(path)
+    text = read_text(path, "a LeRobot calibration (.json)")
     found: Any = parsed(lambda: json.loads(text), path, "JSON")
     if isinstance(found, dict) and isinstance(found.get("homing_offset"), list):
         raise InputError(
@@ -87,8 +85,8 @@ def onto_lerobot(found: JointOffsets, path: Path) -> Document:
     Raises:
         InputError: If a joint has no motor of its name, or cannot be moved as far.
     """
-    text = read_text(path, "a LeRobot calibration (.json)")
-    servos = _servos(text, path)
+    servos = read_lerobot(path)
+    data = path.read_bytes()
     left, moved = 0.0, 0
     for name, slides, offset in zip(found.names, found.slides, found.offsets, strict=True):
         servo = servos.get(name)
@@ -107,13 +105,17 @@ def onto_lerobot(found: JointOffsets, path: Path) -> Document:
                 f"{LARGEST_HOMING} at most; turn the horn on by a tooth, or home it elsewhere, and calibrate again"
             )
         left, moved = max(left, abs(exact - round(exact))), max(moved, abs(round(exact)))
-        pattern = rf'({re.escape(json.dumps(name))}\s*:\s*\{{[^{{}}]*?"homing_offset"\s*:\s*)-?\d+'
-        text = re.sub(pattern, lambda match, homing=homing: f"{match[1]}{homing}", text, count=1)  # type: ignore[misc]
+        pattern = rf'({re.escape(json.dumps(name))}\s*:\s*\{{[^{{}}]*?"homing_offset"\s*:\s*)-?\d+'.encode()
+        data, written = re.subn(pattern, rb"\g<1>" + str(homing).encode(), data, count=1)
+        if not written:
+            raise InputError(
+                f"{path}: the homing_offset of '{shortened(name)}' is not where LeRobot writes it; save it anew"
+            )
     notes = (
         found.note(),
         f"homing offsets move by up to {moved} counts; rounding to whole counts leaves up to "
         f"{360.0 / COUNTS * left:.2g} deg, and the ends of each range move along with its zero",
         "taken for granted: angles were LeRobot's degrees with its sign (Feetech servos: present = actual - homing)",
-        "LeRobot asks on connecting whether to use the file or the motors' own values: use the file",
+        "LeRobot will find on connecting that file and motors differ: let it use the file",
     )
-    return Document(text.encode(), notes)
+    return Document(data, notes)

@@ -91,8 +91,7 @@ def ros2_offsets(calibration: Calibration, found: JointOffsets, onto: Path | Non
                 "  </joint>",
             ]
         return Document(("\n".join([*lines, "</ros2_control>"]) + "\n").encode(), notes)
-    data = read_text(onto, "a robot description").encode()
-    tags = parsed(lambda: start_tags(data), onto, "XML")
+    data, tags = _description(onto)
     joints = _control_joints(tags)
     edits: list[Edit] = []
     for name, value in zip(found.names, found.offsets, strict=True):
@@ -117,13 +116,19 @@ def read_ros2_offsets(path: Path) -> dict[str, float]:
     Raises:
         InputError: If the file is unusable.
     """
-    data = read_text(path, "a robot description").encode()
-    tags = parsed(lambda: start_tags(data), path, "XML")
+    data, tags = _description(path)
     found = {}
     for name, place in _control_joints(tags).items():
         param = _offset_of(tags, place)
         found[name] = 0.0 if param is None else _value(data[param.end : data.index(b"<", param.end)], name, path)
     return found
+
+
+def _description(path: Path) -> tuple[bytes, list[StartTag]]:
+    """Bytes and elements of a robot description."""
+    read_text(path, "a robot description")
+    data = path.read_bytes()
+    return data, parsed(lambda: start_tags(data), path, "XML")
 
 
 def _control_joints(tags: list[StartTag]) -> dict[str, int]:

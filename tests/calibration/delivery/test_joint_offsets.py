@@ -252,6 +252,7 @@ def test_lerobot_reads_where_the_arm_stands(follower, tmp_path):
     """To half a count per joint, the rounding of a homing offset."""
     rng, arm = np.random.default_rng(53), load_arm("so101")
     offsets = rng.normal(size=5) * 0.03
+    follower.write_bytes(b"\xef\xbb\xbf" + LEROBOT.replace("\n", "\r\n").encode())
     done = export(zeros_off("so101", offsets), tmp_path / "new.json", onto=follower)
     before, after = read_lerobot(follower), read_lerobot(done.path)
     assert list(before) == list(after) and before["gripper"] == after["gripper"]
@@ -260,8 +261,8 @@ def test_lerobot_reads_where_the_arm_stands(follower, tmp_path):
         actual = np.arange(0, 4096, 37)
         gained = degrees_read(after[name], actual) - degrees_read(before[name], actual)
         np.testing.assert_allclose(gained, np.degrees(offset), atol=0.5 * 360 / 4095 + 1e-9)
-    kept = re.sub(r'"homing_offset": -?\d+', "", done.path.read_text())
-    assert kept == re.sub(r'"homing_offset": -?\d+', "", LEROBOT)
+    old, new = (re.sub(rb'"homing_offset": -?\d+', b"", path.read_bytes()) for path in (follower, done.path))
+    assert old == new
     assert any("rounding to whole counts" in note for note in done.notes)
 
 
@@ -286,8 +287,9 @@ def test_lerobots_range_is_its_limits(follower):
         (LEROBOT.replace('"drive_mode": 0', '"drive_mode": 1'), "has drive_mode 1"),
         (LEROBOT.replace("1951", "2040"), "would need a homing offset of 2073 counts"),
         ("{", "is not valid JSON"),
+        (LEROBOT.replace('"elbow_flex": {', '"elbow_flex": {"note": {},'), "is not where LeRobot writes it"),
     ],
-    ids=["old", "list", "field", "motor", "drive mode", "too far", "no JSON"],
+    ids=["old", "list", "field", "motor", "drive mode", "too far", "no JSON", "nested"],
 )
 def test_a_lerobot_file_that_will_not_do_is_one_sentence(tmp_path, text, said):
     path = tmp_path / "follower.json"
