@@ -158,8 +158,13 @@ def test_the_file_of_another_type_is_refused(default, made, tmp_path):
     for name in ("ur10", "ur5e"):
         with pytest.raises(InputError, match=f"default_kinematics.yaml is of another arm than '{name}': .* lies .* mm"):
             export(made(load_arm(name), np.random.default_rng(0)), tmp_path / "out.yaml", onto=default)
-    with pytest.raises(InputError, match="has not the frames of a UR"):
-        export(made(load_arm("panda"), np.random.default_rng(0)), tmp_path / "out.yaml", kind="kinematics-yaml")
+    ur5 = load_arm("ur5")
+    moved, turned = ur5.nominal.a.copy(), ur5.nominal.alpha.copy()
+    moved[1], turned[1] = 1e-3, 1.6
+    others = [replace(ur5, nominal=replace(ur5.nominal, **part)) for part in ({"a": moved}, {"alpha": turned})]
+    for other in (load_arm("panda"), load_arm("so101"), *others):
+        with pytest.raises(InputError, match="has not the frames of a UR"):
+            export(made(other, np.random.default_rng(0)), tmp_path / "out.yaml", kind="kinematics-yaml")
 
 
 @pytest.mark.parametrize(

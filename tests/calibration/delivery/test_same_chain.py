@@ -20,7 +20,8 @@ def told_otherwise(arm: Geometry, rng: np.random.Generator, plain: bool) -> Geom
     """The same arm as a vendor might tell it: another root, other zeros, other signs."""
     n = arm.joints
     sign = rng.choice([-1.0, 1.0], n)
-    zero = np.where(arm.prismatic, 0.1, 1.0) * rng.normal(size=n)
+    # Zeros well above what counts as a file's last digits, below which none is preferred.
+    zero = np.where(arm.prismatic, 0.1, 1.0) * rng.choice([-1.0, 1.0], n) * rng.uniform(0.05, 3.0, n)
     if plain:
         sign, zero = np.ones(n), np.zeros(n)
     root = Pose(np.zeros(3), np.eye(3))
