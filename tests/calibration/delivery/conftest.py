@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Arm, Geometry, forward, rotation_matrix
+from pickenv.arm.kinematics.axes import geometry_from_axes
 from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration import Calibration, Choices, Measurements, calibrate, random_joints
+from pickenv.calibration.delivery.same_chain import link_frames
 from pickenv.calibration.model.arm_model import ArmModel
 
 UR5 = Path("robots/ur_description/urdf/ur5_robot.urdf")
@@ -153,3 +155,29 @@ def rigid() -> Callable[[Pose, Pose], float]:
         return float(max(np.abs(hand - hand[0]).max(), np.abs(turn - turn[0]).max()))
 
     return apart
+
+
+@pytest.fixture(scope="session")
+def told_otherwise() -> Callable[[Geometry, np.random.Generator, bool], Geometry]:
+    """``told_otherwise(arm, rng, plain)``: the arm as a vendor might tell it: another root, other zeros and signs."""
+
+    def geometry(arm: Geometry, rng: np.random.Generator, plain: bool) -> Geometry:
+        n = arm.joints
+        sign = rng.choice([-1.0, 1.0], n)
+        # Zeros well above what counts as a file's last digits, below which none is preferred.
+        zero = np.where(arm.prismatic, 0.1, 1.0) * rng.choice([-1.0, 1.0], n) * rng.uniform(0.05, 3.0, n)
+        if plain:
+            sign, zero = np.ones(n), np.zeros(n)
+        root = Pose(np.zeros(3), np.eye(3))
+        if not plain:
+            root = Pose(rng.normal(size=3), rotation_matrix(rng.normal(size=3)))
+        frames, tool = link_frames(arm, zero), forward(arm, zero)
+        points = np.array([root.position + root.rotation @ pose.position for pose in frames])
+        directions = np.array([s * root.rotation @ pose.rotation[:, 2] for s, pose in zip(sign, frames, strict=True)])
+        slip = np.where(arm.prismatic, 0.0, 1.0)[:, None] * rng.normal(size=(n, 1)) * directions  # anywhere on the axis
+        end = Pose(root.position + root.rotation @ tool.position, root.rotation @ tool.rotation)
+        return geometry_from_axes(
+            arm.joint_names, arm.prismatic, points + slip, directions, end, -3 * np.ones(n), 3 * np.ones(n)
+        )
+
+    return geometry

@@ -147,6 +147,29 @@ def test_an_arm_known_by_its_dh_table_is_found_in_a_vendors_file(robots, made, r
         assert rigid(forward(standing, joints), forward(load_arm(own).nominal, joints)) > 1e-3
 
 
+@given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(["ur5", "so101", "panda"]))
+@settings(max_examples=20)
+def test_a_file_with_other_zeros_signs_and_root_keeps_its_own_reading(
+    tmp_path_factory, made, told_otherwise, seed, name
+):
+    """The file's joints read s q + z of the table's; what they read before they read after, at the corrected arm."""
+    folder, rng, arm = tmp_path_factory.mktemp("vendor"), np.random.default_rng(seed), load_arm(name)
+    own = write_urdf(told_otherwise(arm.nominal, rng, False), folder / "vendor.urdf")
+    calibration = made(arm, rng, "fitted")
+    done = export(calibration, folder / "out.urdf", onto=f"{own}#tool")
+    same = same_chain(arm.nominal, load_arm(f"{own}#tool").nominal, "vendor.urdf", name)
+    q = rng.uniform(-2.0, 2.0, (40, arm.nominal.joints))
+    standing = replace(calibration.identified, base=behind(same.root, arm.nominal.base))
+    wanted, seen = forward(standing, q * same.sign + same.zero), forward(load_arm(f"{done.path}#tool").nominal, q)
+    hand = np.einsum("nji,nj->ni", wanted.rotation, seen.position - wanted.position)
+    np.testing.assert_allclose(hand, np.broadcast_to(hand[0], hand.shape), atol=1e-8)
+    turn = np.swapaxes(wanted.rotation, 1, 2) @ seen.rotation
+    np.testing.assert_allclose(turn, np.broadcast_to(turn[0], turn.shape), atol=1e-8)
+    joint = next(i for i in range(arm.nominal.joints) if same.sign[i] != 1 or same.zero[i] != 0)
+    reading = f"{arm.nominal.joint_names[joint]} = {same.sign[joint]:+.0f} x {arm.nominal.joint_names[joint]}"
+    assert any("joints read otherwise in the file" in note and reading in note for note in done.notes)
+
+
 @pytest.fixture
 def hand_made(tmp_path):
     path = tmp_path / "hand_made.urdf"
