@@ -138,7 +138,7 @@ def identify(
         start: Geometry, or geometry with parametric terms, to start from, near the data (see
             `pickenv.calibration.identification.alignment`).
         data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
-        max_iterations: Steps at most; three or four are usual.
+        max_iterations: Steps at most, until the rank is judged once more and after it; three or four are usual.
         row_factors: Factors on the whitened rows ``(rows,)``, in the order of the data; for robust weights.
         rank_tolerance: What counts as redundant, see `pickenv.calibration.model.identifiability.REDUNDANCY_TOLERANCE`.
 
@@ -164,8 +164,8 @@ def identify(
     kept, scale = found.kept, tolerance[found.kept]
     iterates, unknown_iterates = [arm], [begun]
     history = [_rms(weighted)]
-    converged, damping = False, 0.0
-    for _ in range(max_iterations):
+    converged, damping, judged = False, 0.0, not own
+    for _ in range(max_iterations if judged else 2 * max_iterations):
         step = whole = _solve(matrix[:, kept], weighted, 0.0)
         if damping:
             step = _solve(matrix[:, kept], weighted, damping)
@@ -191,10 +191,22 @@ def identify(
         history.append(rms)
         iterates.append(arm)
         unknown_iterates.append(np.concatenate(unknowns))
-        if progress.negligible or (damping == 0.0 and progress.finished):
+        settled = progress.negligible or (damping == 0.0 and progress.finished)
+        if settled and judged:
             converged = True
             break
         matrix = _system(model, sets, arm, unknowns, tolerance, factors)
+        if settled:
+            # Where a kind's unknowns start, a parameter may have no effect that has one where they end: a tip that
+            # starts in the flange's middle hides how the flange turns. So the rank is judged once more with them, of
+            # the arm as it started: axes that were parallel are told apart by their errors alone, which is too weak.
+            judged = True
+            seen = _system(model, sets, iterates[0], unknowns, tolerance, factors)
+            there = identifiable_parameters(model, sets, iterates[0], unknowns, seen, names, tolerance, rank_tolerance)
+            if there.rank <= found.rank:
+                converged = True
+                break
+            found, kept, scale = there, there.kept, tolerance[there.kept]
         damping = damping / 10.0 if damping > 1e-6 else 0.0
     ended = np.concatenate(unknowns)
     return Identification(
@@ -318,7 +330,9 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _covariance(matrix: Array, weighted: Array, found: Identifiability, tolerance: Array, rows: Rows | None) -> Array:
+def _covariance(
+    matrix: Array, weighted: Array, found: Identifiability, tolerance: Array, rows: Rows | None = None
+) -> Array:
     """Covariance of the kept parameters, with the residual's own scatter as the noise (GUM type A); else NaN."""
     freedom = len(weighted) - found.rank
     if freedom <= 0:

@@ -225,7 +225,7 @@ def test_what_has_no_zero_of_its_own_is_not_tried(surface: str, known: float) ->
 
 SEEN_BY_A_WIRE = (
     *("alpha1", "alpha2", "alpha3", "alpha4", "alpha5", "a1", "a2", "a3", "a4", "a5", "d2"),
-    *("theta2", "theta3", "theta4", "beta2", "beta3"),
+    *("d5", "theta2", "theta3", "theta4", "theta5", "beta2", "beta3"),
 )
 """What of a UR5 one length sees; the rest is the same arm written otherwise, and stays nominal in the true one."""
 
