@@ -25,5 +25,6 @@ def write_arm_urdf(calibration: Calibration, arm: Arm, path: str | Path) -> Path
     placed = replace(calibration.identified, base=own.base, tool=tool)
     text = urdf_text(placed, f"{arm.name}_calibrated", arm.speed)
     declaration, _, rest = text.partition("\n")
-    comment = "\n".join(one_line(line).replace("--", "- -") for line in provenance(calibration))
+    words = (*provenance(calibration), "written against URDF 1.0, as ROS 2 has it")
+    comment = "\n".join(one_line(line).replace("--", "- -") for line in words)
     return write_text(path, f"{declaration}\n<!--\n{comment}\n-->\n{rest}")

@@ -3,13 +3,14 @@
 A vendor's file and a table of DH parameters describe one arm where, joint by joint, the axes can be laid upon one
 another: the file's root stands somewhere in the table's base frame (G), and joint i of the table reads
 s_i q_i + z_i where the file's reads q_i. Signs and zeros that leave the joints' readings as they are are preferred;
-what the first joint's zero could be is taken as a turn of the root. An arm whose slides come before other axes have
-said where it stands must be told in the table's own root and zeros. Metres and radians.
+what the first joint's zero could be is taken as a turn of the root. Of an arm that begins with a slide, or has one
+before other axes have said where it stands, joints must read alike in both. Metres and radians.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -96,7 +97,7 @@ def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameC
             "file of this arm, or name its last link as in file#link"
         )
     mine, theirs = _axes(arm), _axes(file)
-    worst: dict[int, tuple[float, float]] = {}
+    worst = {0: mine[0].apart(theirs[0])}
     for root, sign, zero in _fits(arm, mine, theirs, worst):
         apart = _apart(arm, file, root, sign, zero)
         if apart[0] <= 10 * NEAR and apart[1] <= 10 * TURNED:
@@ -151,13 +152,15 @@ def _fits(
 
 
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
-    """Where the first axes agree: as the frames are, then with the table's laid upon the file's.
+    """Where the first axes agree: as the frames are, then with all axes laid upon all, then the first upon the first.
 
-    About and along the first axis the second says where; an arm whose first joint slides must have the file's root.
+    About and along the first axis the second then says where. Of an arm that begins with a slide joints read alike.
     """
     wanted = _Axis(theirs[0].point, turn * theirs[0].direction, theirs[0].slides)
     if mine[0].same(wanted):
         yield identity_pose()
+    if turn == 1.0:
+        yield _laid(mine, theirs)
     if mine[0].slides:
         return
     rotation, _ = Rotation.align_vectors(wanted.direction[None], mine[0].direction[None])
@@ -171,6 +174,20 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
         there = mine[1].moved(turned)
         along = _value(_Axis(wanted.point, wanted.direction, True), there, other)
         yield Pose(turned.position + along * wanted.direction, turned.rotation)
+
+
+def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
+    """The root with which axes agree best where joints read alike: directions first, then places, least squares."""
+    with warnings.catch_warnings():  # parallel axes leave it open; another root is tried then
+        warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
+        turn = Rotation.align_vectors([axis.direction for axis in theirs], [axis.direction for axis in mine])[0]
+    rotation = turn.as_matrix()
+    across = [np.eye(3) - np.outer(axis.direction, axis.direction) for axis in theirs if not axis.slides]
+    gaps = [own.point - rotation @ axis.point for axis, own in zip(mine, theirs, strict=True) if not own.slides]
+    if not gaps:
+        return Pose(np.zeros(3), rotation)
+    apart = np.concatenate([matrix @ gap for matrix, gap in zip(across, gaps, strict=True)])
+    return Pose(np.linalg.lstsq(np.concatenate(across), apart, rcond=None)[0], rotation)
 
 
 def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:

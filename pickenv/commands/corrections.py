@@ -173,8 +173,8 @@ def export(
         str | None,
         typer.Option(
             "--as",
-            help="toml, urdf, onnx, kinematics-yaml, table, offsets, ros2-control, lerobot or transforms; told by the "
-            "file's name if left out.",
+            help="toml, urdf, mjcf, onnx, kinematics-yaml, table, offsets, ros2-control, lerobot or transforms; told "
+            "by the file's name if left out.",
             show_default=False,
         ),
     ] = None,

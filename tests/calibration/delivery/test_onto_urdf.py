@@ -28,6 +28,7 @@ CHAIN = """<?xml version='1.0'?>
 <!-- a comment with <origin xyz="9 9 9"/> and 'quotes' -->
 <robot name="hand_made">\r
   <link name="base"/> <link name="one"/> <link name="two"/> <link name="hand"/> <link name="side"/>
+  <transmission name="t"><joint name="turn"><hardwareInterface>x</hardwareInterface></joint></transmission>
   <joint name='turn' type="revolute">
 \t<parent link="base"/><child link="one"/>
     <axis xyz="0 0 2"/><limit lower="-2" upper="2" velocity="1" effort="5"/>
@@ -38,7 +39,6 @@ CHAIN = """<?xml version='1.0'?>
   <joint name="nod" type="revolute"><parent link="two"/><child link="hand"/><origin
       rpy="0 1.5707963267948966 0" xyz="0.3 0 0"  /><axis xyz="1 0 0"/>
     <limit lower="-2" upper="2" velocity="1" effort="5"/></joint>
-  <transmission name="t"><joint name="turn"><hardwareInterface>x</hardwareInterface></joint></transmission>
 </robot>
 """
 
@@ -132,19 +132,28 @@ def test_urdfdoms_own_check_passes(own_urdf, made, tmp_path):
     assert checked.returncode == 0 and "Successfully Parsed XML" in checked.stdout, checked.stdout + checked.stderr
 
 
-def test_an_arm_known_by_its_dh_table_is_found_in_a_vendors_file(robots, made, rigid, tmp_path):
-    """ur5's table against the maker's URDF: other root, link frames and places of the parallel axes."""
-    rng, arm = np.random.default_rng(23), load_arm("ur5")
-    own = robots / "robots/ur_description/urdf/ur5_robot.urdf"
+@pytest.mark.parametrize(
+    ("name", "own"),
+    [
+        ("ur5", "ur_description/urdf/ur5_robot.urdf"),
+        ("ur10", "ur_description/urdf/ur10_robot.urdf"),
+        ("tiago", "tiago_description/robots/tiago.urdf#arm_tool_link"),
+        ("panda", "panda_description/urdf/panda.urdf"),
+    ],
+)
+def test_an_arm_known_by_its_dh_table_is_found_in_a_vendors_file(robots, made, rigid, tmp_path, name, own):
+    """A shipped table against the maker's URDF: other root, link frames and places of the parallel axes."""
+    rng, arm, onto = np.random.default_rng(23), load_arm(name), f"{robots / 'robots' / own}"
+    vendor, tip = load_arm(onto).nominal, own.partition("#")[1:]
     for frames in ("known", "fitted"):
         calibration = made(arm, rng, frames)
-        out = export(calibration, tmp_path / f"{frames}.urdf", onto=own).path
+        out = export(calibration, tmp_path / f"{frames}.urdf", onto=onto).path
         joints = random_joints(arm.nominal, 200, rng)
-        same = same_chain(arm.nominal, load_arm(own).nominal, "ur5_robot.urdf", "ur5")
+        same = same_chain(arm.nominal, vendor, own, name)
         assert same.plain()
         standing = replace(calibration.identified, base=behind(same.root, arm.nominal.base))
-        assert rigid(forward(standing, joints), forward(load_arm(out).nominal, joints)) < 1e-12
-        assert rigid(forward(standing, joints), forward(load_arm(own).nominal, joints)) > 1e-3
+        assert rigid(forward(standing, joints), forward(load_arm("".join((str(out), *tip))).nominal, joints)) < 1e-12
+        assert rigid(forward(standing, joints), forward(vendor, joints)) > 1e-3
 
 
 @given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(["ur5", "so101", "panda"]))

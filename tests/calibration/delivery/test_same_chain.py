@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pickenv.arm import forward, load_arm
+from pickenv.arm import forward, load_arm, rotation_matrix
+from pickenv.arm.files.joint_chain import behind
+from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration.delivery.same_chain import link_frames, same_chain
 from pickenv.errors import InputError
 
@@ -50,6 +52,19 @@ def test_an_arm_a_millimetre_off_is_another(told_otherwise, seed):
     other[length + 1] += 1e-3
     with pytest.raises(InputError, match=r"is of another arm than 'ur5': .* lies .* mm and .* deg"):
         same_chain(replace(arm, a=other), file, "robot.urdf", "ur5")
+
+
+@given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(["tiago", "qiao2026", "li2016_slave", "ur5"]))
+@settings(max_examples=20)
+def test_a_root_elsewhere_is_found_where_joints_read_alike(seed, name):
+    """Also of an arm that begins with a slide, such as TIAGo's lift, whose maker's root lies on the floor."""
+    rng, arm = np.random.default_rng(seed), load_arm(name).nominal
+    root = Pose(rng.normal(size=3), rotation_matrix(rng.normal(size=3)))
+    same = same_chain(arm, replace(arm, base=behind(root, arm.base)), "robot.urdf", name)
+    assert same.plain() and same.apart[0] < 1e-9
+    if name in ("tiago", "ur5"):  # of the others a slide lies along the first axis, so that a height is any height
+        np.testing.assert_allclose(same.root.position, root.position, atol=1e-9)
+        np.testing.assert_allclose(same.root.rotation, root.rotation, atol=1e-9)
 
 
 @pytest.mark.parametrize(("one", "other"), [("ur5", "ur10"), ("ur5", "qiao2026"), ("ur5", "wam"), ("ur5e", "ur5")])
