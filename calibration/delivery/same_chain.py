@@ -154,7 +154,8 @@ def _fits(
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
     """Where the first axes agree: as the frames are, then with all axes laid upon all, then the first upon the first.
 
-    About and along the first axis the second then says where. Of an arm that begins with a slide joints read alike.
+    About the first axis the second then says where; along it both begin at the foot of their common normal. Of an arm
+    that begins with a slide joints read alike.
     """
     wanted = _Axis(theirs[0].point, turn * theirs[0].direction, theirs[0].slides)
     if mine[0].same(wanted):
@@ -170,10 +171,7 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
         return
     for second in (1.0, -1.0):
         other = _Axis(theirs[1].point, second * theirs[1].direction, theirs[1].slides)
-        turned = behind(_along(wanted, _value(wanted, mine[1].moved(laid), other)), laid)
-        there = mine[1].moved(turned)
-        along = _value(_Axis(wanted.point, wanted.direction, True), there, other)
-        yield Pose(turned.position + along * wanted.direction, turned.rotation)
+        yield behind(_along(wanted, _value(wanted, mine[1].moved(laid), other)), laid)
 
 
 def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
