@@ -66,12 +66,12 @@ def corrected_chain(
         old = behind(old, joint.origin)
         stood = behind(new, joint.origin)
         link = links[place]
-        if link is not None and link not in links[:place]:
+        if link is not None:
             laid = behind(inverse_pose(before[link]), old)
             if links.count(link) == 1:
                 laid = _laid_upon(laid, joint, float(same.sign[_owner(nominal, link)]))
             drawn, stood = stood, behind(after[link], laid)
-            if _slips(before, link, joint) and links.count(link) == 1:
+            if _slips(before, link, joint):
                 axis = stood.rotation @ joint.axis
                 stood = Pose(stood.position + axis * (axis @ (drawn.position - stood.position)), stood.rotation)
         origins.append(behind(inverse_pose(new), stood))

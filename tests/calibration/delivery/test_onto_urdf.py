@@ -240,6 +240,7 @@ def test_a_two_stage_lift_and_what_mimics_it_are_one_joint(made, tmp_path):
         ("mast", "revolute", "0 0 0.1", "0 0 1", ""),
         ("lift", "prismatic", "0 0 0.2", "0 0 1", ""),
         ("lift2", "prismatic", "0.1 0 0.2", "0 1 1", '<mimic joint="lift" multiplier="0.5" offset="0.05"/>'),
+        ("still", "revolute", "0.1 0 0", "0 1 0", '<mimic joint="lift" multiplier="0" offset="0.2"/>'),
         ("elbow", "revolute", "0.3 0 0", "0 1 0", ""),
         ("level", "revolute", "0.3 0 0", "0 1 0", '<mimic joint="elbow" multiplier="-1" offset="0.1"/>'),
         ("roll", "revolute", "0.1 0 0", "1 0 0", ""),
@@ -251,13 +252,13 @@ def test_a_two_stage_lift_and_what_mimics_it_are_one_joint(made, tmp_path):
     )
     own = tmp_path / "lift.urdf"
     own.write_text(f'<robot name="lift">{links}{joints}</robot>')
-    arm, rng = load_arm(f"{own}#l6"), np.random.default_rng(5)
+    arm, rng = load_arm(f"{own}#l7"), np.random.default_rng(5)
     assert arm.nominal.coupling is not None and arm.nominal.links == 5
     calibration = made(arm, rng)
-    out = export(calibration, tmp_path / "out.urdf", onto=f"{own}#l6").path
-    assert len(re.findall("<mimic[^>]*>", out.read_text())) == 2
+    out = export(calibration, tmp_path / "out.urdf", onto=f"{own}#l7").path
+    assert len(re.findall("<mimic[^>]*>", out.read_text())) == 3
     q = random_joints(arm.nominal, 50, rng)
-    again, wanted = forward(load_arm(f"{out}#l6").nominal, q), forward(calibration.identified, q)
+    again, wanted = forward(load_arm(f"{out}#l7").nominal, q), forward(calibration.identified, q)
     np.testing.assert_allclose(again.position, wanted.position, atol=1e-9)
     np.testing.assert_allclose(again.rotation, wanted.rotation, atol=1e-9)
 
