@@ -50,6 +50,7 @@ from pickenv.calibration.pipeline.fitting import Fit as Fit
 from pickenv.calibration.pipeline.fitting import fit as fit
 from pickenv.calibration.pipeline.result import Result as Result
 from pickenv.calibration.pipeline.stages import calibrate as calibrate
+from pickenv.calibration.pipeline.twin import twin as twin
 from pickenv.calibration.planning.plan import plan_poses as plan_poses
 from pickenv.calibration.reading.description import load_description as load_description
 from pickenv.calibration.reading.read import read_measurements as read_measurements

@@ -18,6 +18,7 @@ from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
 from pickenv.commands.showing import print_table, progress_bars
 from pickenv.commands.studies import study
+from pickenv.commands.twins import twin
 from pickenv.commands.verify import verify
 from pickenv.locks import locked
 
@@ -108,6 +109,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
     "Simulate, learn and judge": (
         demo,
+        twin,
         plants.effects,
         plants.iso9283,
         learning.train,

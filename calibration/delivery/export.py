@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pickenv.arm import Arm, load_arm, shipped_arms
+from pickenv.calibration.delivery.arm_mjcf import export_mjcf
 from pickenv.calibration.delivery.arm_toml import write_arm_toml
 from pickenv.calibration.delivery.arm_urdf import write_arm_urdf
 from pickenv.calibration.delivery.dh_tables import dh_table
@@ -32,7 +33,7 @@ KINDS = (
 )
 """What a calibration is handed over as."""
 
-BY_ENDING = {".toml": "toml", ".urdf": "urdf", ".onnx": "onnx"}
+BY_ENDING = {".toml": "toml", ".urdf": "urdf", ".xml": "mjcf", ".onnx": "onnx"}
 """Kinds that a new file's name tells."""
 
 BY_OWN_ENDING = {
@@ -52,10 +53,12 @@ class Delivery:
     Attributes:
         path: The file.
         notes: What it holds of the calibration, and what it does not, a sentence each.
+        beside: Files written with it.
     """
 
     path: Path
     notes: tuple[str, ...]
+    beside: tuple[Path, ...] = ()
 
 
 def export(
@@ -66,6 +69,8 @@ def export(
     onto: str | Path | None = None,
     arm: Arm | None = None,
     counts_per_turn: int | None = None,
+    sample: int = 0,
+    seed: int = 0,
 ) -> Delivery:
     """Write a calibration as a robot, a controller, a simulator or another program reads it.
 
@@ -77,6 +82,8 @@ def export(
             only what the calibration corrects is changed; of "robot.urdf#link" the link is the tip.
         arm: The arm, whose speeds a new arm file or URDF tells; found by its name where it is a shipped one.
         counts_per_turn: Encoder counts per turn, for tables of offsets.
+        sample: Arms that the data allow, written beside a new MJCF (see `export_mjcf`).
+        seed: Of the sample.
 
     Raises:
         InputError: If the kind is unknown, cannot hold the calibration, or the robot's own file is another arm's.
@@ -92,12 +99,15 @@ def export(
         raise InputError("counts per turn are a whole number above zero and belong to --as offsets")
     if own is not None and chosen in ("toml", "onnx", "table", "offsets"):
         raise InputError(f"a file of kind '{chosen}' is written anew; leave --onto out, or give another --as")
-    if own is None and chosen == "mjcf":
-        raise InputError("MJCF is written onto a model that you have; give --onto its file (.xml)")
+    if sample and (chosen != "mjcf" or own is not None):
+        raise InputError("--sample goes with a new MJCF; leave it and --onto out, or give --as mjcf")
     if own is None and chosen == "lerobot":
         raise InputError(
             "a LeRobot file keeps ids and ranges of your motors; give --onto the one that lerobot-calibrate wrote"
         )
+    if chosen == "mjcf" and own is None:
+        first, *others = export_mjcf(calibration, _arm(calibration, arm), out, sample=sample, seed=seed)
+        return Delivery(first, _new_file_notes(calibration, chosen), tuple(others))
     if chosen in ("toml", "onnx") or (chosen == "urdf" and own is None):
         writers: dict[str, Callable[[], Path]] = {
             "toml": lambda: write_arm_toml(calibration, _arm(calibration, arm), out),
@@ -168,8 +178,8 @@ def _new_file_notes(calibration: Calibration, kind: str) -> tuple[str, ...]:
     left = left_out(calibration)
     if left:
         notes.append(f"not in the file, because no geometry can hold it: {', '.join(left)}")
-    if kind == "urdf":
+    if kind in ("urdf", "mjcf"):
         notes.append(
-            "a skeleton without meshes or true masses, from the robot's base; --onto patches a robot's own URDF"
+            "a skeleton without meshes or true masses, from the robot's base; --onto patches a robot's own file"
         )
     return tuple(notes)

@@ -10,19 +10,19 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from pickenv.arm.files.joint_chain import ChainJoint, behind
+from pickenv.arm.files.joint_chain import ChainJoint
+from pickenv.arm.files.link_origins import link_origins
 from pickenv.arm.files.ur_yaml import UR_KEYS, UR_LINKS, ur_row
 from pickenv.arm.files.urdf_text import roll_pitch_yaw
-from pickenv.arm.kinematics.geometry import identity_pose, inverse_pose
+from pickenv.arm.kinematics.geometry import identity_pose
 from pickenv.calibration.delivery.corrected_chain import Z, corrected_chain
 from pickenv.calibration.delivery.origin_lines import Document, one_line, provenance
 from pickenv.calibration.delivery.patched import correction, is_moved
-from pickenv.calibration.delivery.same_chain import SameChain, link_frames
+from pickenv.calibration.delivery.same_chain import SameChain
 from pickenv.calibration.delivery.xml_edit import Edit, edited
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
@@ -94,8 +94,7 @@ def ur_kinematics_yaml(calibration: Calibration) -> Document:
     lines += ["# for ur_description of ROS 2, 2.x; the hash is not the controller's, so ur_robot_driver will say so"]
     lines += ["kinematics:"]
     based = replace(own, base=identity_pose())
-    frames = [identity_pose(), *link_frames(based, np.zeros(len(UR_LINKS)))]
-    origins = [behind(inverse_pose(one), other) for one, other in pairwise(frames)]
+    origins = link_origins(based)
     joints = [ChainJoint(link, link, 1.0, 0.0, False, pose, Z) for link, pose in zip(UR_LINKS, origins, strict=True)]
     alike = SameChain(identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS)))
     found = corrected_chain(based, calibration.identified, joints, identity_pose(), alike)

@@ -222,7 +222,7 @@ class GravityTerm:
     up: tuple[float, float, float]
     payload: bool = False
 
-    def _moments(self, geometry: Geometry) -> list[tuple[int, int, str]]:
+    def moments(self, geometry: Geometry) -> list[tuple[int, int, str]]:
         """(joint, link, moment) of each coefficient; "m" mass at the link's origin, "p" payload at the tool."""
         found = []
         for i in self.joints:
@@ -238,15 +238,15 @@ class GravityTerm:
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
         """Joint, link and moment: gravity2_3x."""
-        return tuple(f"gravity{i + 1}_{j + 1}{moment}" for i, j, moment in self._moments(geometry))
+        return tuple(f"gravity{i + 1}_{j + 1}{moment}" for i, j, moment in self.moments(geometry))
 
     def tolerances(self, geometry: Geometry) -> Array:
         """1 mrad at 1 m, 1 mm."""
-        return np.full(len(self._moments(geometry)), 1e-3)
+        return np.full(len(self.moments(geometry)), 1e-3)
 
     def owners(self, geometry: Geometry) -> NDArray[np.int64]:
         """The joint that each coefficient belongs to ``(k,)``, from 0."""
-        return np.array([i for i, _, _ in self._moments(geometry)])
+        return np.array([i for i, _, _ in self.moments(geometry)])
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """The joint Jacobian's columns times each moment's torque."""
@@ -262,7 +262,7 @@ class GravityTerm:
         placed = placed.reshape(len(joints), geometry.links + 1, 4, 3)
         up = geometry.base.rotation @ np.array(self.up)
         tool, found = forward(geometry, joints).position, []
-        for i, j, moment in self._moments(geometry):
+        for i, j, moment in self.moments(geometry):
             torque = np.zeros(len(joints))
             for k, ratio in geometry.links_of(i):
                 z, origin = placed[:, k + 1, 2], placed[:, k + 1, 3]

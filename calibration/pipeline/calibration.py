@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Arm, Geometry, Pose
+from pickenv.arm.files.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
 from pickenv.arm.kinematics.geometry import Array, geometry_fingerprint
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.terms import specification, term_from
 from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, uncertainty_from

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm
+from pickenv.arm import Arm, Plant, draw_plants, load_tolerances
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.base_frame import BaseFrameError
 from pickenv.calibration.assessment.harmonic_table import OWN, harmonic_block, harmonic_rows
@@ -42,6 +42,7 @@ from pickenv.calibration.pipeline.held_out import (
     HeldOut,
 )
 from pickenv.calibration.pipeline.pixel_figures import PixelFigures
+from pickenv.calibration.pipeline.twin import SCATTER, scatter_of, twin
 from pickenv.calibration.pipeline.uncertainty import PoseUncertainty
 from pickenv.calibration.reading.read import NoiseFloor
 from pickenv.calibration.residuals.gate import GateReport
@@ -152,6 +153,9 @@ class Result:
             record["harmonics"] = {"note": OWN, "found": self.harmonics}
         if self.stiffnesses:
             record["stiffnesses"] = self.stiffnesses
+        if isinstance(self.train, Measurements):
+            repeat = None if self.floor is None else self.floor.repeat
+            record[SCATTER] = vars(scatter_of(self.train, repeat))
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
         return replace(self.fit.calibration, record=record)
 
@@ -228,6 +232,14 @@ class Result:
     def compensator(self) -> Compensator:
         """The map from joint targets to joint commands; see `Calibration.compensator` for its options."""
         return self.calibration.compensator()
+
+    def plant(self) -> Plant:
+        """The arm as it was found, for every environment; see `pickenv.calibration.pipeline.twin.twin`."""
+        return twin(self.calibration, self.arm, self.train if isinstance(self.train, Measurements) else None)
+
+    def sample(self, n: int, seed: int, tolerances: str = "medium") -> Plant:
+        """``n`` arms that the data allow, as one plant; what was not identified is drawn from a tolerance class."""
+        return draw_plants(self.plant(), load_tolerances(tolerances), n, np.random.default_rng(seed))
 
     def save(self, path: str | Path) -> Path:
         """Write the calibration, with its verdict, as one file (.npz)."""

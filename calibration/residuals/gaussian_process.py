@@ -38,6 +38,9 @@ DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
 
 Shorter length scales end in noise alone, longer ones with inputs ignored."""
 
+JITTER = 1e-10
+"""Added to the noise's variance, so that a kernel matrix has a factor."""
+
 COARSE, FINE = 1e-5, 1e-7
 """A search ends when a step gains a smaller share of the log likelihood."""
 
@@ -100,6 +103,11 @@ class GaussianProcess(SavedArrays):
             return np.asarray(np.sqrt(np.maximum(self.amplitude[j] ** 2 - np.sum(known**2, axis=0), 0.0)))
 
         return self._by_output(inputs, unknown) * self.output_std
+
+    def targets(self, output: int) -> Array:
+        """What it was fitted to ``(M,)``, in units of the output's own deviation from its mean."""
+        smooth = self._kernel(output, self.rows) @ self.weights[output]
+        return np.asarray(smooth + (self.noise[output] ** 2 + JITTER) * self.weights[output])
 
     def _by_output(self, inputs: ArrayLike, one: Callable[[int, Array], Array]) -> Array:
         """What ``one`` says of each output ``(..., k)``, for so many inputs ``(..., F)`` at a time as caches hold."""
@@ -231,7 +239,7 @@ def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple
 def _factor(smooth: Array, noise: float) -> Array:
     """Lower Cholesky factor of the kernel matrix with noise and a whisper of jitter on its diagonal."""
     matrix = smooth.copy()
-    matrix[np.diag_indices_from(matrix)] += noise**2 + 1e-10
+    matrix[np.diag_indices_from(matrix)] += noise**2 + JITTER
     return np.asarray(cholesky(matrix.T, lower=True, overwrite_a=True, check_finite=False))
 
 

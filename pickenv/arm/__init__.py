@@ -32,5 +32,7 @@ from pickenv.arm.plant.tolerances import Tolerances as Tolerances
 from pickenv.arm.plant.tolerances import draw_plants as draw_plants
 from pickenv.arm.plant.tolerances import load_tolerances as load_tolerances
 from pickenv.arm.plant.tolerances import shipped_tolerances as shipped_tolerances
+from pickenv.arm.plant.twin_file import read_twin as read_twin
+from pickenv.arm.plant.twin_file import write_twin as write_twin
 
 __all__ = sorted(name for name, value in globals().items() if name[0] != "_" and not isinstance(value, _ModuleType))

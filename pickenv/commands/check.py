@@ -145,6 +145,14 @@ def _foreign(path: Path, what: str) -> tuple[int | None, str]:
     raise InputError(f"{path} holds a {what[:40]}, which this program does not know; update pickenv")
 
 
+def _twin(path: Path) -> tuple[int | None, str]:
+    from pickenv.arm.plant.twin_file import TWIN_FORMAT, read_twin
+
+    plant = read_twin(path)
+    assert plant.posterior is not None
+    return TWIN_FORMAT, f"of arm '{plant.arm.name}', {plant.posterior.factor.shape[1]} parameters with their covariance"
+
+
 def _calibration(path: Path) -> tuple[int | None, str]:
     from pickenv.agents.evaluation.calibrated import ORIGIN
     from pickenv.calibration.pipeline.calibration import FORMAT, Calibration
@@ -198,6 +206,7 @@ def _saved(path: Path) -> tuple[int | None, str]:
 
 _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
     "calibration": _calibration,
+    "twin": _twin,
     "policy": _policy,
     "checkpoint": _checkpoint,
     "chunk of a study": _chunk,

@@ -192,19 +192,30 @@ def export(
     counts_per_turn: Annotated[
         int | None, typer.Option(help="Encoder counts per turn, for --as offsets.", show_default=False, min=1)
     ] = None,
+    sample: Annotated[
+        int, typer.Option(help="With --as mjcf: so many arms that the data allow, …_1 and on.", min=0, max=10_000)
+    ] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of --sample.", min=0)] = 0,
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
     """Hand the calibration over to the robot's own files, its controller, or other programs."""
     from pickenv.arm import load_arm
+    from pickenv.calibration.delivery.arm_mjcf import mjcf_files
     from pickenv.calibration.delivery.export import export as exported
     from pickenv.calibration.pipeline.calibration import Calibration
 
-    separate({"CALIBRATION": calibration, "--arm": arm, "--onto": onto}, {"--out": out})
+    files = (
+        mjcf_files(out, sample) if onto is None and (kind == "mjcf" or (out.suffix == ".xml" and kind is None)) else out
+    )
+    separate({"CALIBRATION": calibration, "--arm": arm, "--onto": onto}, {"--out": files})
     chosen = None if arm is None else load_arm(arm)
     loaded = Calibration.load(calibration, chosen, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
-    done = exported(loaded, out, kind=kind, onto=onto, arm=chosen, counts_per_turn=counts_per_turn)
+    done = exported(
+        loaded, out, kind=kind, onto=onto, arm=chosen, counts_per_turn=counts_per_turn, sample=sample, seed=seed
+    )
     for note in done.notes:
         print(note)
-    print(f"wrote {done.path}")
+    for path in (done.path, *done.beside):
+        print(f"wrote {path}")

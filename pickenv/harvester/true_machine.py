@@ -198,7 +198,7 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
 
 def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) -> Plant:
     """A slave's plant at its offset, its true chain displaced by the error of its seat."""
-    arm = shifted(plant.arm, offset)
+    arm = shifted(replace(plant.arm, true=plant.geometry), offset)  # a calibrated arm's file has no other truth
     assert arm.true is not None
     delta = np.zeros(5 * arm.true.joints + 12)
     delta[-12:-9] = right, -up, ahead

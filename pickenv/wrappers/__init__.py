@@ -1,4 +1,4 @@
-"""Around environments: a calibration between policy and arm, and Stable-Baselines3's way of asking for many at once.
+"""Around environments: a calibration, a real arm's error, and Stable-Baselines3's way of asking for many at once.
 
     env = CompensationWrapper(gymnasium.make("pickenv/Reach-v0"), calibration.compensator())
     model = PPO("MlpPolicy", make_sb3_vec("pickenv/Reach-v0", 16))
@@ -12,8 +12,11 @@ from pickenv.faces import offered as _offered
 
 if _TYPE_CHECKING:
     from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper, CompensationWrapper
+    from pickenv.wrappers.miscalibrate import Miscalibrate
+    from pickenv.wrappers.mujoco_arm import geometry_in_mujoco
     from pickenv.wrappers.sb3 import Sb3Vec, make_sb3_vec
 
-__all__ = ["Compensate", "CompensationVectorWrapper", "CompensationWrapper", "Sb3Vec", "make_sb3_vec"]
+__all__ = ["Compensate", "CompensationVectorWrapper", "CompensationWrapper", "Miscalibrate", "Sb3Vec"]
+__all__ += ["geometry_in_mujoco", "make_sb3_vec"]
 
 __getattr__, __dir__ = _offered(__name__)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
+from pickenv.arm.files.link_origins import link_origins
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, identity_pose
 from pickenv.files import write_text
 
@@ -34,17 +34,13 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
     """
     robot = Element("robot", name=_printable(name))
     body = ElementTree.SubElement(robot, "link", name="base")
-    parent, pending = "base", geometry.base
+    parent = "base"
     speeds = np.ones(geometry.joints) if speed is None else speed
     leaders, titles = leading_links(geometry), [_printable(title) for title in geometry.joint_names]
     owners = range(geometry.links) if geometry.coupling is None else geometry.coupling.joint
     ratios = (1.0,) * geometry.links if geometry.coupling is None else geometry.coupling.ratio
-    for i, (owner, ratio, slides) in enumerate(zip(owners, ratios, geometry.slides, strict=True)):
-        twist = Rotation.from_euler("x", geometry.alpha[i])
-        turn = twist * Rotation.from_euler("y", geometry.beta[i]) * Rotation.from_euler("z", geometry.theta[i])
-        # Before the joint's own motion about or along z: Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d).
-        local = np.array([geometry.a[i], 0.0, 0.0]) + turn.as_matrix() @ np.array([0.0, 0.0, geometry.d[i]])
-        origin = Pose(pending.position + pending.rotation @ local, pending.rotation @ turn.as_matrix())
+    links = zip(owners, ratios, geometry.slides, link_origins(geometry), strict=True)
+    for i, (owner, ratio, slides, origin) in enumerate(links):
         link = f"link{i + 1}"
         _rod(body, origin.position)
         body = _moving_link(robot, link)
@@ -57,7 +53,7 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
         joint = _joint(robot, title, slides, parent, link, origin, (*ends, abs(ratio) * speeds[owner]))
         if leaders[owner] != i:
             ElementTree.SubElement(joint, "mimic", joint=titles[owner], multiplier=repr(ratio), offset="0.0")
-        parent, pending = link, identity_pose()
+        parent = link
     for owner, leader in enumerate(leaders):
         if leader is None:  # what is commanded moves no link as it moves itself: a drive of its own, beside the chain
             drive = f"drive{owner + 1}"

@@ -69,7 +69,10 @@ def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
 
 
 def frame_of(pose: Pose) -> Frame:
-    """The twelve components of a single pose, as Python floats."""
+    """The twelve components: Python floats of a single pose, arrays of poses ``(...)``."""
+    if pose.position.ndim > 1:
+        axes = np.ascontiguousarray(np.moveaxis(pose.rotation, (-1, -2), (0, 1)))
+        return (*axes.reshape(9, *axes.shape[2:]), *np.moveaxis(pose.position, -1, 0))
     return (*(float(v) for v in pose.rotation.T.ravel()), *(float(v) for v in pose.position))
 
 

@@ -106,7 +106,7 @@ def pose_error(reference: Pose, actual: Pose) -> Array:
         in world axes.
     """
     m = math if reference.position.ndim == actual.position.ndim == 1 else np
-    error = frame_error(m, _components(reference), _components(actual))
+    error = frame_error(m, frame_of(reference), frame_of(actual))
     return np.stack(np.broadcast_arrays(*error), axis=-1)
 
 
@@ -116,12 +116,4 @@ def displace_pose(pose: Pose, error: ArrayLike) -> Pose:
     if pose.position.ndim == error.ndim == 1:
         moved = np.array(displaced_frame(math, frame_of(pose), error.tolist()))
         return Pose(moved[9:], moved[:9].reshape(3, 3).T)
-    return pose_of(displaced_frame(np, _components(pose), list(np.ascontiguousarray(np.moveaxis(error, -1, 0)))))
-
-
-def _components(pose: Pose) -> Frame:
-    """The twelve components of poses ``(...)``: arrays, or floats of a single pose."""
-    if pose.position.ndim == 1:
-        return frame_of(pose)
-    axes = np.ascontiguousarray(np.moveaxis(pose.rotation, (-1, -2), (0, 1)))
-    return (*axes.reshape(9, *axes.shape[2:]), *np.moveaxis(pose.position, -1, 0))
+    return pose_of(displaced_frame(np, frame_of(pose), list(np.ascontiguousarray(np.moveaxis(error, -1, 0)))))

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from pickenv.arm.kinematics.forward import forward, split_joints
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.motion import Pace, moved
-from pickenv.arm.plant.plant import EFFECTS, Plant
+from pickenv.arm.plant.plant import EFFECTS, FOUND, Plant
 
 TABLE = ("geometry", *(name for name in EFFECTS if name != "measurement_noise"))
-"""Rows of the table; measurement noise never moves the arm."""
+"""Rows of a designed arm's table; measurement noise never moves the arm. A calibrated one's has `FOUND` too."""
 
 
 @dataclass(frozen=True)
@@ -109,11 +109,11 @@ def effect_shares(
     joints = np.asarray(joints, dtype=float)
     if joints.ndim != 2 or len(joints) < 2:
         raise ValueError(f"joints have shape {joints.shape}; give at least two rows of joint commands")
-    on = [name for name in TABLE if name == "geometry" or getattr(plant, name) is not None]
+    on = [name for name in (*TABLE, *FOUND) if name == "geometry" or getattr(plant, name) is not None]
     believed = forward(plant.arm.nominal, joints).position
 
     def reached(*effects: str) -> Array:
-        some = plant.without(name for name in EFFECTS if name not in effects)
+        some = plant.without(name for name in (*EFFECTS, *FOUND) if name not in effects)
         if "geometry" not in effects:
             some = replace(some, geometry=plant.arm.nominal)
         return _reached(some, joints, running_time, pace)

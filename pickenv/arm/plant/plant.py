@@ -1,9 +1,9 @@
 """The true arm: what a joint command really does to the tool.
 
-Motor (counts, lag) -> drive error -> friction -> backlash -> compliance -> swing -> warm chain -> boom -> ground. Each
-effect is None when switched off; with all of them off the plant is exactly the true geometry. Some effects depend on
-the joints alone; the others have a state, a tuple of components that runs on floats, arrays and tensors
-(`pickenv.arm.plant.dynamics`). Numbers may be arrays: one entry per arm, many arms at once.
+Motor (counts, lag) -> drive error -> friction -> backlash -> compliance -> swing -> warm chain -> boom -> ground ->
+what a calibration found beside them. Each effect is None when switched off; with all of them off the plant is exactly
+the true geometry. Some effects depend on the joints alone; the others have a state, a tuple of components that runs on
+floats, arrays and tensors (`pickenv.arm.plant.dynamics`). Numbers may be arrays: one entry per arm, many arms at once.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm.effects import hysteresis, structure
 from pickenv.arm.effects.drives import Encoder, Servo, followed, quantised
+from pickenv.arm.effects.gravity_yield import GravityYield, weighed_down
 from pickenv.arm.effects.ground import BaseTilt, immediate_tilt, long_run, sunk, tilted_frame
+from pickenv.arm.effects.residual_field import ResidualField, strayed
 from pickenv.arm.effects.settling import Settling, Swing, at_rest, swung
 from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain, grown_joints, warmed
 from pickenv.arm.files.arm import Arm
@@ -38,6 +40,7 @@ from pickenv.arm.kinematics.forward import (
 from pickenv.arm.kinematics.geometry import Geometry, Pose
 from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant.dynamics import Components, PlantState
+from pickenv.arm.plant.posterior import Posterior
 from pickenv.toml_tables import DEG, MM, toml_table
 
 WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling", "servo")
@@ -79,6 +82,9 @@ class Plant:
         settling: Vibration after moves, or None.
         encoder: Resolution of the motor encoders, or None.
         servo: Following error of the drives, or None.
+        gravity_yield: Joints that yield under weights that a calibration found, or None.
+        residual: What a calibration found that no table of links holds, or None.
+        posterior: How surely a calibration knows all this, where the plant was made of one; else None.
         ready: The geometry's chain where its numbers were moved or picked (`batch.plants_on`), or None to compute it.
     """
 
@@ -98,6 +104,9 @@ class Plant:
     settling: Settling | None = None
     encoder: Encoder | None = None
     servo: Servo | None = None
+    gravity_yield: GravityYield | None = None
+    residual: ResidualField | None = None
+    posterior: Posterior | None = None
     ready: Ready | None = None
 
     @cached_property
@@ -119,11 +128,11 @@ class Plant:
         return any(getattr(self, name) is not None for name in WITH_STATE)
 
     def without(self, effects: Iterable[str]) -> Plant:
-        """This plant with the named effects (of `EFFECTS`) switched off."""
+        """This plant with the named effects (of `EFFECTS` and `FOUND`) switched off."""
         effects = tuple(effects)
         for name in effects:
-            if name not in EFFECTS:
-                raise ValueError(f"unknown effect '{name}'; a plant has {', '.join(EFFECTS)}")
+            if name not in (*EFFECTS, *FOUND):
+                raise ValueError(f"unknown effect '{name}'; a plant has {', '.join((*EFFECTS, *FOUND))}")
         off: dict[str, Any] = dict.fromkeys(effects)
         return replace(self, **off)
 
@@ -133,12 +142,13 @@ class Plant:
         It is the settled, history-free pose: where the tool ends when ``q`` is held for ever. Gaps that gravity does
         not close, and the friction band, are in their middle.
         """
-        gear = _gear(self, m, self._target(m, q), None)
+        motor = self._target(m, q)
+        gear = _gear(self, m, motor, None)
         rise = (self.thermal_growth.final_rise,) if self.thermal_growth is not None else ()
         sinkage: Components = ()
         if self.base_tilt is not None and gear[3] is not None:
             sinkage = long_run(self.base_tilt, gear[3])
-        return _tool(self, m, self.warm_chain, gear, (), rise, sinkage)
+        return _tool(self, m, self.warm_chain, motor, gear, (), rise, sinkage)
 
     def initial_state(self, m: ModuleType, q: Sequence[Scalar]) -> PlantState:
         """State at rest at the command ``q``, just switched on: cold, and not yet sunk. See `advance`."""
@@ -182,7 +192,7 @@ class Plant:
         if self.base_tilt is not None and gear[3] is not None:
             sinkage = sunk(m, self.base_tilt, sinkage, gear[3], dt)
         new = _state(self, motor, gear, swings, rise, sinkage)
-        return new, _tool(self, m, chain, gear, swings, rise, sinkage)
+        return new, _tool(self, m, chain, motor, gear, swings, rise, sinkage)
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
         """What the motor encoders report after `advance` to ``state`` at the command ``q``, rad or m.
@@ -213,7 +223,13 @@ class Plant:
         return displace_pose(pose, rng.normal(size=(*pose.position.shape[:-1], 6)) * scale)
 
 
-EFFECTS = tuple(part.name for part in fields(Plant) if part.name not in ("name", "arm", "geometry", "load", "ready"))
+FOUND = ("gravity_yield", "residual")
+"""Effects of which only a calibration knows the numbers: no plant file holds them."""
+
+_OTHERS = ("name", "arm", "geometry", "load", "posterior", "ready", *FOUND)
+
+EFFECTS = tuple(part.name for part in fields(Plant) if part.name not in _OTHERS)
+"""Effects that plant files hold."""
 
 
 _Gear: TypeAlias = tuple[Sequence[Scalar], Sequence[Scalar], list[Scalar] | None, tuple[Scalar, Scalar] | None]
@@ -266,6 +282,7 @@ def _tool(
     plant: Plant,
     m: ModuleType,
     chain: Chain,
+    motor: Sequence[Scalar],
     gear: _Gear,
     swings: Sequence[Swing],
     rise: Components,
@@ -275,6 +292,8 @@ def _tool(
     _, joints, torques, tilt = gear
     if plant.joint_compliance is not None and torques is not None:
         joints = structure.yielded_joints(plant.joint_compliance, torques, joints)
+    if plant.gravity_yield is not None:
+        joints = weighed_down(m, plant.gravity_yield, plant.chain, joints)
     if swings:
         joints = [value + swing.vibration for value, swing in zip(joints, swings, strict=True)]
     if plant.thermal_growth is not None:
@@ -282,7 +301,7 @@ def _tool(
     frame = tool_frame(m, chain, joints, _flexure(plant, joints))
     if plant.base_tilt is not None and tilt is not None:
         frame = tilted_frame(plant.base_tilt, tilt, sinkage, frame)
-    return frame
+    return frame if plant.residual is None else strayed(m, plant.residual, motor, frame)
 
 
 def _flexure(plant: Plant, joints: Sequence[Scalar]) -> Flexure | None:

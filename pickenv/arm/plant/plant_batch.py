@@ -1,6 +1,7 @@
 """Many arms in one plant: every number of it may be an array with one entry per arm. Pick one arm, or move the numbers.
 
 Link parameters of the geometry are then ``(N, n)``, other numbers ``(N,)``; what all arms share stays a plain number.
+Base and tool are shared, or have one entry per arm too.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from dataclasses import replace
 from typing import Any
 
 from pickenv.arm.kinematics.forward import Scalar
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
-from pickenv.arm.plant.plant import EFFECTS, Plant, Ready
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose
+from pickenv.arm.plant.plant import EFFECTS, FOUND, Plant, Ready
 from pickenv.arm.plant.tree import leaves, tree_map
 
-PARTS = ("load", *EFFECTS)
+PARTS = ("load", *EFFECTS, *FOUND)
 
 
 def plant_count(plants: Plant) -> int | None:
@@ -31,7 +32,11 @@ def plant_at(plants: Plant, i: int) -> Plant:
     count = plant_count(plants)
     if count is None or not -count <= i < count:
         raise IndexError(f"there is no arm {i} in this plant of {count or 1} arms")
-    parts = {name: tree_map(lambda values: float(values[i]), getattr(plants, name)) for name in PARTS}
+
+    def own(values: Array) -> Any:
+        return values[i] if values.ndim > 1 else float(values[i])
+
+    parts = {name: tree_map(own, getattr(plants, name)) for name in PARTS}
     return replace(plants, geometry=with_links(plants.geometry, lambda values: values[i]), ready=None, **parts)
 
 
@@ -63,7 +68,15 @@ def arrays_of(plants: Plant) -> list[Any]:
 
 
 def with_links(geometry: Geometry, change: Callable[..., Any], *others: Geometry) -> Geometry:
-    """The geometry with ``change`` applied to each of its link parameters (and those of the others beside it)."""
+    """The geometry with ``change`` applied to each of its link parameters (and those of the others beside it).
+
+    Of a batch of arms whose bases or tools differ, to those too.
+    """
     tables = (geometry, *others)
     values: dict[str, Any] = {name: change(*(getattr(each, name) for each in tables)) for name in LINK_PARAMETERS}
+    for name in ("base", "tool"):
+        if getattr(geometry, name).position.ndim > 1:
+            values[name] = Pose(
+                *(change(*parts) for parts in zip(*(getattr(each, name) for each in tables), strict=True))
+            )
     return replace(geometry, **values)

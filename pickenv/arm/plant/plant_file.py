@@ -1,4 +1,7 @@
-"""Plants are TOML files: which arm, and the size and source of each effect. The presets lie in `plants`."""
+"""Plants are TOML files: which arm, and the size and source of each effect. The presets lie in `plants`.
+
+A calibrated arm's plant is a file of its own kind (`pickenv.arm.plant.twin_file`).
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.load import load_arm
 from pickenv.arm.plant.effect_tables import BY_JOINT
 from pickenv.arm.plant.plant import EFFECTS, Plant
+from pickenv.arm.plant.twin_file import read_twin
 from pickenv.errors import InputError
 from pickenv.toml_tables import LINE, Check, Then, file_named, read, shipped_in, toml_table
 
@@ -51,16 +55,18 @@ def shipped_plants() -> list[str]:
 
 
 def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
-    """Read a plant by name (a preset) or from a path to a TOML file.
+    """Read a plant by name (a preset) or from a path to a TOML file, or to that of a calibrated arm.
 
     Args:
-        name: A preset's name or a path ending in .toml.
+        name: A preset's name or a path ending in .toml or .npz.
         without: Effects to switch off.
 
     Raises:
         InputError: If the plant or an effect is unknown or a number is impossible; names the file and the key.
     """
-    path = file_named("plant", name, PLANTS)
+    if Path(name).suffix == ".npz":
+        return _without(read_twin(name), without)
+    path = file_named("plant", name, PLANTS, ".toml, .npz")
     parts = dict(vars(read(PlantFile, path, context={})))
     del parts["source"]
     plant = Plant(geometry=parts["arm"].true, **parts)
@@ -72,6 +78,10 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
             f"{path}: overlap_mm of [roller_play] is {play.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
             f"that joint {play.joint + 1} runs out"
         )
+    return _without(plant, without)
+
+
+def _without(plant: Plant, without: Iterable[str]) -> Plant:
     try:
         return plant.without(without)
     except ValueError as error:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,6 +19,7 @@ from scipy.special import ndtri
 from pickenv import toml_tables
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.twin_arms import twin_arms
 from pickenv.errors import InputError
 
 TOLERANCES = Path(__file__).parent / "tolerance_classes"
@@ -110,9 +111,12 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
     Link parameters are drawn about the nominal geometry; the sizes of the effects that are on, about the plant's own.
     Arm i has its own random stream, child i of ``rng``: it does not depend on ``count``, nor on which effects are on.
 
+    Of a plant that a calibration made, arms are drawn that its data allow, and what these do not tell is drawn about
+    what was found.
+
     Args:
-        plant: The design; on single numbers.
-        tolerances: How far its arms differ.
+        plant: The design, or the arm that was calibrated; on single numbers.
+        tolerances: How far its arms differ; of a calibrated one, what was not identified.
         count: Number of arms N, at least 1.
         rng: The parent of the arms' streams.
 
@@ -127,6 +131,8 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
         raise InputError(f"count is {count}; draw at least one arm")
     if plant.geometry.alpha.ndim != 1:
         raise InputError(f"plant '{plant.name}' is already a batch of arms; draw from a single one")
+    if plant.posterior is not None:
+        return twin_arms(plant, _zone(plant, tolerances), rng.spawn(count))
     total = max(columns.stop for columns in random_columns(plant).values())
     return plants_from(plant, tolerances, np.stack([child.random(total) for child in rng.spawn(count)]))
 
@@ -165,8 +171,7 @@ class _Draws:
 
     def deviation(self, key: str) -> Array:
         """Numbers in the tolerance zone from -1 to 1, (N, size)."""
-        even = self.even[key]
-        return 2.0 * even - 1.0 if self.tolerances.distribution == "uniform" else _normal(even) / 3.0
+        return _deviation(self.tolerances, self.even[key])
 
     def factors(self, key: str, spread: str | None = None) -> Array:
         """Factors about 1, (N, size)."""
@@ -176,6 +181,25 @@ class _Draws:
         """Each value times the factors of its column."""
         factors = self.factors(key)
         return tuple(value * factors[:, first + i] for i, value in enumerate(values))
+
+
+def _deviation(tolerances: Tolerances, even: Array) -> Array:
+    """Numbers in the tolerance zone from -1 to 1."""
+    return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else _normal(even) / 3.0
+
+
+def _length_zone(tolerances: Tolerances, length: Array) -> Array:
+    """Half-widths of lengths' tolerance zones, m."""
+    return it_tolerance(tolerances.it_grade, np.maximum(np.abs(length), tolerances.least_length)) / 2.0
+
+
+def _zone(plant: Plant, tolerances: Tolerances) -> Callable[[Array], Array]:
+    """How far what a calibration did not identify may lie from where it is."""
+    assert plant.posterior is not None
+    nominal, unseen = plant.arm.nominal, plant.posterior.unseen
+    lengths = np.concatenate([*(getattr(nominal, name) for name in LINK_PARAMETERS), np.zeros(12)])  # frames: least
+    half = np.where(nominal.parameter_is_angle, tolerances.angle, _length_zone(tolerances, lengths))[unseen]
+    return lambda even: half * _deviation(tolerances, even)
 
 
 def _normal(even: Array) -> Array:
@@ -189,11 +213,8 @@ def _geometry(draws: _Draws) -> Geometry:
     count = len(deviation)
     numbers: dict[str, Any] = {name: np.tile(getattr(nominal, name), (count, 1)) for name in LINK_PARAMETERS}
     for k, name in enumerate(("alpha", "a", "theta", "d")):
-        if name in ("a", "d"):
-            length = np.maximum(np.abs(getattr(nominal, name)), tolerances.least_length)
-            half = it_tolerance(tolerances.it_grade, length) / 2.0
-        else:
-            half = np.full(n, tolerances.angle)
+        length = name in ("a", "d")
+        half = _length_zone(tolerances, getattr(nominal, name)) if length else np.full(n, tolerances.angle)
         numbers[name] = numbers[name] + half * deviation[:, k * n : (k + 1) * n]
     return replace(nominal, **numbers)
 

@@ -48,9 +48,9 @@ class Exact:
         return Exact(-self.value)
 
 
-def exact(value: float) -> Any:
-    """``value``, as an `Exact` where it is one."""
-    for whole in (0.0, 1.0, -1.0):
+def exact(value: Scalar) -> Any:
+    """``value``, as an `Exact` where it is one; arrays, one entry per arm, stay as they are."""
+    for whole in (0.0, 1.0, -1.0) if isinstance(value, float) else ():
         if abs(value - whole) < ROUNDING:
             return Exact(whole)
     return value

@@ -18,19 +18,21 @@ from pickenv.inspect.figures import style
 from pickenv.inspect.runs.comparison_summary import round_step
 
 
-def error_per_pose(errors_mm: Mapping[str, ArrayLike]) -> Figure:
-    """Position error at each test pose, one curve per method: before and after calibration.
+def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position error", unit: str = "mm") -> Figure:
+    """Error at each test pose, one curve per method: before and after calibration.
 
     Args:
-        errors_mm: For each method, by label, its errors ``(N,)``, mm.
+        errors: For each method, by label, its errors ``(N,)``, in ``unit``.
+        quantity: What the errors are.
+        unit: Their unit.
     """
-    series = style.finite_series(errors_mm)
+    series = style.finite_series(errors)
     with style.new_figure(style.WIDTH, 2.9) as figure:
-        axes = figure.add_subplot(xlabel="test pose (number)", ylabel="position error (mm)")
-        axes.set_title("Position error at each test pose")
+        axes = figure.add_subplot(xlabel="test pose (number)", ylabel=f"{quantity} ({unit})")
+        axes.set_title(f"{quantity.capitalize()} at each test pose")
         for label, values, colour in style.coloured(series):
             number = np.arange(1, len(values) + 1)
-            name = f"{label}: mean {values.mean():.2f} mm, max {values.max():.2f} mm"
+            name = f"{label}: mean {values.mean():.2f} {unit}, max {values.max():.2f} {unit}"
             axes.plot(number, values, "o-", color=colour, label=name, markersize=3.0, linewidth=1.1)
         longest = max(len(values) for values in series.values())
         axes.set(xlim=(0.5, longest + 0.5), ylim=(0.0, None))

@@ -14,7 +14,7 @@ from pickenv.arm import Plant, forward, load_plant, noncompensable_error
 from pickenv.arm.kinematics.forward import split_joints
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.effect_shares import TABLE
-from pickenv.arm.plant.plant import EFFECTS
+from pickenv.arm.plant.plant import EFFECTS, FOUND
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.comparison_summary import attitude_scale_deg, round_step
 
@@ -78,10 +78,10 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
     plant, joints = comparison.plant, comparison.field_joints
     believed = forward(comparison.nominal, joints).position
     fields = {}
-    for name in TABLE:
+    for name in (*TABLE, *FOUND):
         if name != "geometry" and getattr(plant, name) is None:
             continue
-        alone = plant.without(other for other in EFFECTS if other != name)
+        alone = plant.without(other for other in (*EFFECTS, *FOUND) if other != name)
         if name != "geometry":
             alone = replace(alone, geometry=comparison.nominal)
         field = alone.tool_pose(joints).position - believed

@@ -166,7 +166,7 @@ def test_without_a_file_the_frames_are_the_tables(made, tmp_path):
         ({"kind": "dxf"}, "there is no kind 'dxf' of file; give one of toml, urdf"),
         ({}, "does not tell what to write; give --as one of"),
         ({"kind": "lerobot"}, "give --onto the one that lerobot-calibrate wrote"),
-        ({"kind": "mjcf"}, "give --onto its file"),
+        ({"kind": "table", "sample": 2}, "--sample goes with a new MJCF"),
         ({"kind": "table", "onto": "robot.urdf"}, "is written anew; leave --onto out"),
         ({"kind": "table", "counts_per_turn": 4096}, "belong to --as offsets"),
         ({"onto": "robot.stl"}, "does not tell what to write"),

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.arm import load_arm
-from pickenv.calibration import BpnnSettings, fit, random_joints, simulated_tracker
+from pickenv.arm import forward, load_arm
+from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.cli import app
 from pickenv.errors import InputError
@@ -78,6 +78,22 @@ def test_the_corrected_arm_is_exported(folder):
         call("export", folder / "arm.npz", "--out", folder / "a.dat")
     with pytest.raises(InputError, match="belongs to arm"):
         call("export", folder / "arm.npz", "--arm", "ur5", "--out", folder / "b.toml")
+
+
+def test_models_that_the_data_allow_are_written_side_by_side(folder):
+    said = call("export", folder / "arm.npz", "--out", folder / "m.xml", "--sample", 2)
+    names = ["m.xml", "m_nominal.xml", "m_1.xml", "m_2.xml"]
+    assert [line.rpartition("/")[2] for line in said.splitlines() if line.startswith("wrote")] == names
+    calibration = Calibration.load(folder / "arm.npz")
+    found, joints = (
+        load_arm(folder / "m.xml#tool").nominal,
+        random_joints(calibration.identified, 20, np.random.default_rng(0)),
+    )
+    np.testing.assert_allclose(
+        forward(found, joints).position, forward(calibration.identified, joints).position, atol=1e-8
+    )
+    with pytest.raises(InputError, match=r"--out would write over .*m_1\.xml, which --arm reads"):
+        call("export", folder / "arm.npz", "--arm", folder / "m_1.xml", "--out", folder / "m.xml", "--sample", 2)
 
 
 def test_the_robots_own_file_is_never_written_over(folder):

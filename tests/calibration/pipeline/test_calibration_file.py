@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
+from pickenv.arm.files.geometry_arrays import geometry_arrays
 from pickenv.calibration import BpnnSettings, Calibration, Measurements, fit
-from pickenv.calibration.model.geometry_arrays import geometry_arrays
 from pickenv.calibration.pipeline.calibration import FORMAT
 from pickenv.container import read_container, write_container
 from pickenv.errors import InputError

@@ -1,0 +1,322 @@
+"""A calibrated arm as a plant: its truth is what the calibration found; its arms are drawn from what the data allow.
+
+Geometry and terms come with their covariance; parameters that were dropped lie anywhere in their tolerance. What no
+term says is a Gaussian process: that of the calibration where it learnt one (alone, or as a part of a blend), else one
+fitted to what geometry and terms leave of its rows, which stands in for the posterior that networks and forests do not
+have. What is no smooth function of the joints is scatter; of that the instrument's share is taken off, and the rest is
+the arm's. SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm import Arm, Plant
+from pickenv.arm.effects.residual_field import Features, ResidualField
+from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.arm.plant.plant import MeasurementNoise
+from pickenv.arm.plant.posterior import Layout, Posterior
+from pickenv.arm.plant.twin_arms import twin_plant
+from pickenv.calibration.model.arm_model import ArmModel, Term
+from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
+from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, GravityTerm, LeadTerm, PeriodicTerm
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.pipeline.uncertainty import uncertainty_from
+from pickenv.calibration.residuals.blend import Blend
+from pickenv.calibration.residuals.gaussian_process import GaussianProcess
+from pickenv.calibration.residuals.random_features import FeatureProcess, feature_process
+from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
+from pickenv.errors import InputError
+from pickenv.toml_tables import GRAVITY
+
+SMOOTH, ROUGH = 256, 8
+"""Waves of one output, cosine and sine each: of the process, and of the arm's own scatter."""
+
+ROUGH_LENGTH = 1e-2
+"""Poses farther apart than this scatter independently, rad or m."""
+
+SCATTER = "scatter"
+"""Entry of a calibration's record: what is known of the instrument's share of the scatter."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """What of a measurement's scatter is the instrument's, per coordinate.
+
+    Attributes:
+        position_std: Of a position, m.
+        attitude_std: Of an attitude, rad.
+        source: Where that is known from, in words.
+    """
+
+    position_std: float = POSITION_STD
+    attitude_std: float = ATTITUDE_STD
+    source: str = "what is assumed of an instrument of which nothing is stated"
+
+
+def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
+    """The instrument's share: from repeats of the same command where there are some, else what is stated of it.
+
+    Repeats hold the arm's repeatability too, so they are an upper bound, and the smaller of both is taken.
+
+    Args:
+        data: The rows.
+        repeat: RMS of the position's scatter between repeats, m, where the file states it.
+    """
+    stated = "stated" if data.std_stated else "assumed"
+    found = repeated_std(data) if repeat is None else repeat / np.sqrt(3.0)
+    if found is None:
+        return Scatter(data.position_std, data.attitude_std, f"the instrument's {stated} uncertainty: no repeats")
+    if found < data.position_std:
+        return Scatter(found, data.attitude_std, "repeats, which scatter less than the instrument is said to")
+    return Scatter(
+        data.position_std,
+        data.attitude_std,
+        f"the instrument's {stated} uncertainty; repeats scatter by {found * 1e3:.4f} mm, the arm's share among it",
+    )
+
+
+def repeated_std(data: Measurements) -> float | None:
+    """Standard deviation of one position coordinate between rows of equal joints, m; None where there are none."""
+    _, group = np.unique(np.round(data.joints, 9), axis=0, return_inverse=True)
+    group = group.ravel()
+    counts = np.bincount(group)
+    spare = len(group) - len(counts)
+    if spare == 0:
+        return None
+    means = np.stack([np.bincount(group, data.position[:, i]) / counts for i in range(3)], -1)
+    return float(np.sqrt(np.sum((data.position - means[group]) ** 2) / (3 * spare)))
+
+
+def twin(
+    calibration: Calibration,
+    arm: Arm,
+    rows: Measurements | None = None,
+    *,
+    name: str | None = None,
+    seed: int = 0,
+    geometry_only: bool = False,
+) -> Plant:
+    """The plant of a calibrated arm: fixed it is the best guess; its arms are drawn with `draw_plants`.
+
+    Args:
+        calibration: The calibration.
+        arm: Its arm.
+        rows: Poses or positions that it was fitted to: needed where it has no Gaussian process of its own.
+        name: Name of the plant.
+        seed: Of the waves, and of the process where one is fitted.
+        geometry_only: Whether terms and residual stay out.
+
+    Raises:
+        InputError: If it is another arm's, joints move several links, it holds no covariance, or a term needs what a
+            plant does not have.
+    """
+    calibration.refuse_another(arm)
+    if geometry_only:
+        model = ArmModel(calibration.identified)
+        calibration = replace(calibration, model=model, learnt=None)
+    elif calibration.arm.coupling is not None:
+        raise InputError(f"a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet")
+    sure = uncertainty_from(calibration.record)
+    if sure is None:
+        raise InputError("the calibration does not say how surely its parameters are known; measure more rows")
+    rng = np.random.default_rng(seed)
+    layout, carry = _layout(calibration.model.terms, calibration.identified)
+    names = calibration.model.parameter_names
+    links = len(calibration.identified.parameter_names)
+    matrix = np.eye(links)
+    matrix = np.block([[matrix, np.zeros((links, carry.shape[1]))], [np.zeros((carry.shape[0], links)), carry]])
+    known = [i for i, each in enumerate(sure.names) if each in names]
+    factor = np.zeros((len(names), len(known)))
+    factor[[names.index(sure.names[i]) for i in known]] = _root(sure.covariance[np.ix_(known, known)])
+    unseen, traces = _unseen(calibration, names)
+    scatter = Scatter() if rows is None else scatter_of(rows)
+    if SCATTER in calibration.record:
+        scatter = Scatter(**calibration.record[SCATTER])
+    field, root, rough, notes = _residual(calibration, rows, scatter, sure.position_repeat, rng)
+    if field is not None:
+        turn = arm.nominal.base.rotation @ calibration.nominal.base.rotation.T
+        field = replace(field, turn=tuple(map(tuple, turn.tolist())))
+    posterior = Posterior(
+        identified=calibration.identified,
+        aligned=(calibration.nominal.base, calibration.nominal.tool),
+        layout=layout,
+        coefficients=carry @ calibration.model.coefficients,
+        factor=matrix @ factor,
+        unseen=unseen,
+        traces=matrix @ traces,
+        field=field,
+        field_factor=root,
+        rough=rough,
+        notes=(*notes, *_missing(calibration)),
+    )
+    noise = MeasurementNoise(scatter.position_std, scatter.attitude_std)
+    return twin_plant(name or f"{arm.name}_twin", arm, posterior, noise)
+
+
+def _root(covariance: Array) -> Array:
+    """A square root C = R R^T, of a covariance that may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]:
+    """Places of the geometry's parameters that were dropped, and what gives way when one of them is moved."""
+    own = calibration.identified.parameter_names
+    dropped: Mapping[str, Mapping[str, float]] = calibration.record.get("dropped", {})
+    lost = [each for each in dropped if each in own]
+    traces = np.zeros((len(names), len(lost)))
+    for column, each in enumerate(lost):
+        traces[names.index(each), column] = 1.0
+        for other, share in dropped[each].items():
+            if other in names:
+                traces[names.index(other), column] -= share
+    return np.array([own.index(each) for each in lost], dtype=np.int64), traces
+
+
+def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
+    """What the coefficients of a plant stand for, and the terms' coefficients as those ``(k, t)``."""
+    kinds: dict[str, list[Any]] = {"leads": [], "harmonics": [], "moments": [], "boom": []}
+    rows: dict[str, list[Array]] = {kind: [] for kind in kinds}
+    sizes = [len(term.names(geometry)) for term in terms]
+    up = (0.0, 0.0, 1.0)
+    for number, term in enumerate(terms):
+        unit = np.eye(sum(sizes))[sum(sizes[:number]) : sum(sizes[: number + 1])]
+        if isinstance(term, LeadTerm):
+            kinds["leads"] += term.joints
+            rows["leads"] += list(unit)
+        elif isinstance(term, PeriodicTerm):
+            kinds["harmonics"] += zip(term.joints, term.orders, strict=True)
+            rows["harmonics"] += list(unit)
+        elif isinstance(term, BendingTerm):
+            kinds["boom"] += [(term.joint, term.length)]
+            rows["boom"] += list(unit)
+        elif isinstance(term, GravityTerm | ComplianceTerm):
+            moments, weights, up = _moments(term, geometry)
+            kinds["moments"] += moments
+            rows["moments"] += list(weights @ unit)
+    every = [row for kind in kinds for row in rows[kind]]
+    layout = Layout(
+        tuple(kinds["leads"]),
+        tuple(kinds["harmonics"]),
+        tuple(kinds["moments"]),
+        up,
+        kinds["boom"][0] if kinds["boom"] else None,
+    )
+    return layout, np.array(every).reshape(len(every), sum(sizes))
+
+
+def _moments(
+    term: GravityTerm | ComplianceTerm, geometry: Geometry
+) -> tuple[list[tuple[int, int, str]], Array, tuple[float, float, float]]:
+    """Moments that joints yield to, each one's size per coefficient of the term ``(k, t)``, and where up is."""
+    if isinstance(term, GravityTerm):
+        all_ = term.moments(geometry)
+        own = [i for i, (_, _, moment) in enumerate(all_) if moment != "p"]  # no payload is held
+        return [all_[i] for i in own], np.eye(len(all_))[own], term.up
+    found: list[tuple[int, int, str]] = []
+    sizes: list[tuple[int, float]] = []
+    if term.weight is not None:
+        up = term.weight.up
+        for moment, size in zip(term.weight.moments(geometry), term.moments, strict=True):
+            if moment[2] != "p":
+                found.append(moment)
+                sizes.append((term.joints.index(moment[0]), size))
+    elif term.load is not None:
+        # Gravity points along -z of the instrument's frame, as in `gravity_torques`.
+        up = tuple((geometry.base.rotation.T @ [0.0, 0.0, 1.0]).tolist())
+        for number, joint in enumerate(term.joints):
+            for link in range(joint, geometry.links):
+                mass, centre = float(term.load.mass[link]), term.load.centre[link]
+                parts = {"m": mass}
+                if not geometry.prismatic[joint]:
+                    parts |= {axis: mass * part for axis, part in zip("xyz", centre, strict=True)}
+                found += [(joint, link, moment) for moment in parts]
+                sizes += [(number, GRAVITY * part) for part in parts.values()]
+    else:
+        raise InputError("the calibration's compliance needs measured torques, which a plant does not have")
+    weights = np.zeros((len(found), len(term.joints)))
+    for row, (column, size) in enumerate(sizes):
+        weights[row, column] = size
+    return found, weights, up
+
+
+def _missing(calibration: Calibration) -> list[str]:
+    """What stays out of the plant, in words."""
+    found = []
+    kinds = [type(term).__name__ for term in calibration.model.terms]
+    if "ThermalTerm" in kinds:
+        found.append("the arm stays at its reference temperature: of its growth only the coefficient is known")
+    if calibration.record.get("frames") == "fitted":
+        found.append("base and tool were fitted, so it errs in its own base as it did against the aligned nominal arm")
+    return found
+
+
+def _residual(
+    calibration: Calibration, rows: Measurements | None, scatter: Scatter, repeat: float, rng: np.random.Generator
+) -> tuple[ResidualField | None, Array, Array, list[str]]:
+    """The residual's mean, its posterior's factor, the arm's own scatter, and what is to be said of them."""
+    process, inputs, said = _process(calibration, rows, rng)
+    instrument = np.repeat([scatter.position_std, scatter.attitude_std], 3)
+    if process is None or inputs is None:
+        joints = calibration.identified.joints
+        noise = np.full(3, repeat)
+        nothing = (np.zeros((3, joints, 0)), np.zeros((3, 0)), np.zeros((3, 0, 0)), np.zeros(3))
+        smooth = FeatureProcess(*nothing, noise)
+        inputs = JointInputs(np.zeros(joints, dtype=bool), 0, np.zeros(joints), np.ones(joints))
+    else:
+        smooth = feature_process(process, SMOOTH, rng)
+    outputs = len(smooth.noise)
+    rough = np.sqrt(np.maximum(smooth.noise**2 - instrument[:outputs] ** 2, 0.0))
+    own = np.sqrt(np.mean(rough[:3] ** 2)) * 1e3
+    told = (
+        f"of the scatter {scatter.position_std * 1e3:.4f} mm per coordinate are the instrument's, by {scatter.source}; "
+        f"the arm's own is {own:.4f} mm: it stays the same where a command is repeated to the bit, and no smooth "
+        "function tells it"
+    )
+    return _field(smooth, inputs), smooth.factor, rough, [said, told] if rough.any() else [said]
+
+
+def _process(
+    calibration: Calibration, rows: Measurements | None, rng: np.random.Generator
+) -> tuple[GaussianProcess | None, JointInputs | None, str]:
+    """The Gaussian process on what geometry and terms leave, its inputs, and where it is from."""
+    learnt = calibration.learnt
+    model: Any = None if learnt is None else learnt.model
+    if isinstance(model, Blend):
+        model = model.process
+    if learnt is not None and isinstance(model, GaussianProcess):
+        return model, learnt.inputs, "the residual is the calibration's own Gaussian process"
+    if rows is None and learnt is not None:
+        raise InputError(
+            f"the residual model '{learnt.kind}' of the calibration does not know how sure it is; give the rows that "
+            "it was fitted to (--rows), or calibrate with --residual gp"
+        )
+    if rows is None:
+        return None, None, "no residual was learnt: what geometry and terms leave is taken as scatter"
+    found = fit_residual("gp", rows.joints, rows.difference(calibration.model), rows.prismatic, rng)
+    assert isinstance(found.model, GaussianProcess)
+    return found.model, found.inputs, "the residual is a Gaussian process on what geometry and terms leave of the rows"
+
+
+def _field(smooth: FeatureProcess, inputs: JointInputs) -> ResidualField:
+    """The mean as a function of the joints, with waves for the arm's own scatter, whose weights are zero on average."""
+    joints = len(inputs.periodic) + int(inputs.periodic.sum())  # conditions come after them, and stay at their mean
+    scaled = smooth.frequency[:, :joints] / inputs.std[:joints, None]
+    outputs = len(scaled)
+    rough = np.random.default_rng(0).standard_normal((outputs, joints, ROUGH)) / ROUGH_LENGTH
+    frequency = np.concatenate([scaled, rough], axis=-1).transpose(1, 0, 2).reshape(joints, -1)
+    weight = np.zeros((outputs, 2, scaled.shape[-1] + ROUGH))
+    weight[..., : scaled.shape[-1]] = smooth.mean.reshape(outputs, 2, -1)
+    features = Features(
+        np.ascontiguousarray(frequency, dtype=np.float32),
+        tuple(inputs.mean[:joints].tolist()),
+        tuple(inputs.periodic.tolist()),
+        outputs,
+    )
+    unturned = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    return ResidualField(features, weight.astype(np.float32), tuple(smooth.offset.tolist()), unturned)

@@ -1,0 +1,63 @@
+"""`pickenv twin`: a calibrated arm as a plant for every environment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pickenv.commands.corrections import ALLOW, CALIBRATION, UNIT
+from pickenv.files import separate
+from pickenv.reservations import DO_NOT_USE, obey
+
+
+def twin(
+    calibration: Annotated[Path, CALIBRATION],
+    out: Annotated[Path, typer.Option(help="Write the plant (.npz).")] = Path("my_arm.npz"),
+    arm: Annotated[
+        str | None, typer.Option(help="Arm name or arm file; by its name in the calibration if left out.")
+    ] = None,
+    rows: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Poses or positions that it was fitted to, where it has no Gaussian process.", show_default=False
+        ),
+    ] = None,
+    columns: Annotated[str | None, typer.Option(help="Column description of --rows; ours if left out.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the residual's waves.", min=0)] = 0,
+    unit: Annotated[str | None, UNIT] = None,
+    allow: Annotated[list[str] | None, ALLOW] = None,
+) -> None:
+    """Make a plant whose truth is what a calibration found, and whose arms are drawn from what its data allow.
+
+    Environments take it as plant="my_arm.npz"; with arms="per_episode" each episode has another arm of them.
+    """
+    from pickenv.arm import load_arm, write_twin
+    from pickenv.calibration.model.measurements import Measurements
+    from pickenv.calibration.pipeline.calibration import Calibration
+    from pickenv.calibration.pipeline.twin import twin as made
+    from pickenv.calibration.reading.read import read_observations
+    from pickenv.errors import InputError
+
+    if columns is not None and rows is None:
+        raise InputError("--columns describes the files of --rows; give those too")
+    path = out if out.suffix == ".npz" else out.with_name(f"{out.name}.npz")
+    separate({"CALIBRATION": calibration, "--arm": arm, "--rows": rows or []}, {"--out": path})
+    loaded = Calibration.load(calibration, None, unit)
+    chosen = load_arm(arm or loaded.arm_name)
+    obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
+    data = None if not rows else read_observations(rows, chosen.nominal, columns).observations
+    if data is not None and not isinstance(data, Measurements):
+        raise InputError(f"--rows holds {data.kind}, not poses or positions; leave it out")
+    plant = made(loaded, chosen, data, name=path.stem, seed=seed)
+    written = write_twin(plant, path)
+    assert plant.posterior is not None
+    known = plant.posterior
+    print(
+        f"{plant.name}: {known.factor.shape[1]} parameters of arm '{chosen.name}' as found, "
+        f"{len(known.unseen)} that were not identified"
+    )
+    for note in known.notes:
+        print(f"  {note}")
+    print(f"wrote {written}")
