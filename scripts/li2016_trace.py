@@ -18,20 +18,21 @@ CLOUD = 4000
 
 def trace_of(
     machine: Machine,
+    shown: Machine,
     trees: Mapping[str, Sequence[Harvest]],
     measures: Mapping[str, Mapping[str, Measure]],
     throughput: Mapping[str, Mapping[int, Measure]],
     targets_mm: Mapping[str, tuple[int, int, int]],
     pick_point_mm: tuple[int, int, int],
 ) -> HarvestTrace:
-    """The trace of the comparison; one tree of each strategy is kept."""
+    """The trace of the comparison; one tree of each strategy is kept, and the curves are those of ``shown``."""
     return HarvestTrace(
         trees={name: picked_tree(harvests[0]) for name, harvests in trees.items()},
         funnels={name: funnel(harvests) for name, harvests in trees.items()},
         measures=measures,
         throughput=throughput,
         cloud=workspace(machine, CLOUD, np.random.default_rng(0)),
-        curves=curves(machine, targets_mm, pick_point_mm),
+        curves=curves(shown, targets_mm, pick_point_mm),
         tree_count=len(next(iter(trees.values()))),
     )
 

@@ -34,10 +34,12 @@ def found_by_hand(
     covariance: np.ndarray | None = None,
     dropped: dict[str, dict[str, float]] | None = None,
 ) -> Calibration:
-    """A calibration whose links deviate by 0.1 mm and mrad, and whose terms have ``size`` tolerances."""
+    """A calibration whose links, and fitted frames, deviate by 0.1 mm and mrad; terms have ``size`` tolerances."""
     nominal = seen_from(arm.nominal, rng) if fitted else arm.nominal
     delta = np.zeros(len(nominal.parameter_names))
     delta[: 4 * nominal.links] = rng.uniform(-1e-4, 1e-4, 4 * nominal.links)
+    if fitted:
+        delta[-12:] = rng.uniform(-1e-4, 1e-4, 12)
     model = ArmModel.of(nominal.displaced(delta), terms)
     model = ArmModel(
         model.geometry, terms, size * rng.uniform(-1.0, 1.0, len(model.coefficients)) * model.term_tolerances

@@ -109,6 +109,9 @@ def test_success_is_where_the_true_tool_is(name):
         assert info["tool_error_mm"] == pytest.approx(1e3 * moved, abs=1e-6)
         assert info["is_success"] == float(info["true_distance_mm"] < 5.0) == 1.0 + reward
         succeeded.append(info["is_success"])
+        *_, info = wrapped.step(env.wanted + 0.01)  # beside the goal, where it matters to which side the tool errs
+        true = forward(plant.geometry, joints_in_mujoco(env.model, env.data, nominal)).position
+        assert info["true_distance_mm"] == pytest.approx(1e3 * np.linalg.norm(true - env.goal), abs=1e-6)
     assert np.mean(succeeded) < 1.0
 
 
