@@ -3,6 +3,7 @@
 #   make demo                 calibrate the arm, pick with it, look at the error: runs/demo
 #   make test                 style, types, tests
 #   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
+#   make test-referees        patched files of UR5 and Panda against Pinocchio, which are large packages
 #   make coverage-of-intervals  how often every 95 % interval holds the truth, on data of known truth
 #   make mutants              change the lines that make numbers, one at a time: runs/mutants.json says what the tests
 #                             did not notice, docs/mutants.md the score by room. An hour or two; goes on where it was;
@@ -20,6 +21,7 @@ RUNTIME := $(VENV)/.runtime
 DEVELOPMENT := $(VENV)/.development
 BROWSER := $(VENV)/.browser
 MUTANTS := $(VENV)/.mutants
+REFEREES := $(VENV)/.referees
 # Chromium; Mesa's drivers that draw on the processor, for Vulkan (rerun's own viewer) and OpenGL (the browser); a
 # library that playwright's driver needs; a screen that is none, and what the viewer's window needs on it.
 BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatomic1 \
@@ -29,7 +31,7 @@ BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatom
 TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
-.PHONY: demo test test-slow test-browser coverage-of-intervals lint format benchmark mutants clean
+.PHONY: demo test test-slow test-referees test-browser coverage-of-intervals lint format benchmark mutants clean
 
 demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
@@ -39,6 +41,9 @@ test: lint
 
 test-slow: $(DEVELOPMENT)
 	$(PYTEST) -m "slow and not coverage" -n 2 $(ARGS)
+
+test-referees: $(REFEREES)
+	$(PYTEST) -n 2 tests/calibration/delivery $(ARGS)
 
 test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser
@@ -80,6 +85,10 @@ $(RUNTIME): pyproject.toml constraints.txt
 
 $(DEVELOPMENT): $(RUNTIME)
 	@$(PIP) install -c constraints.txt -e ".[dev]"
+	@touch $@
+
+$(REFEREES): $(DEVELOPMENT)
+	@$(PIP) install -c constraints.txt -e ".[referees]"
 	@touch $@
 
 $(MUTANTS): $(DEVELOPMENT)

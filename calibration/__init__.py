@@ -11,6 +11,14 @@ from pickenv.calibration.assessment.metrics import error_statistics as error_sta
 from pickenv.calibration.assessment.metrics import held_out_r2 as held_out_r2
 from pickenv.calibration.assessment.metrics import paper_eta as paper_eta
 from pickenv.calibration.compensation.compensator import Compensator as Compensator
+from pickenv.calibration.delivery.arm_toml import write_arm_toml as write_arm_toml
+from pickenv.calibration.delivery.arm_urdf import write_arm_urdf as write_arm_urdf
+from pickenv.calibration.delivery.export import Delivery as Delivery
+from pickenv.calibration.delivery.export import export as export
+from pickenv.calibration.delivery.joint_offsets import joint_offsets as joint_offsets
+from pickenv.calibration.delivery.lerobot_file import read_lerobot as read_lerobot
+from pickenv.calibration.delivery.offset_files import read_ros2_offsets as read_ros2_offsets
+from pickenv.calibration.delivery.onnx_network import write_onnx as write_onnx
 from pickenv.calibration.identification.alignment import align as align
 from pickenv.calibration.identification.extended_kalman_filter import continue_filter as continue_filter
 from pickenv.calibration.identification.extended_kalman_filter import filter_measurements as filter_measurements
@@ -38,10 +46,6 @@ from pickenv.calibration.pipeline.apply import apply_calibration as apply_calibr
 from pickenv.calibration.pipeline.assess import assess as assess
 from pickenv.calibration.pipeline.calibration import Calibration as Calibration
 from pickenv.calibration.pipeline.choices import Choices as Choices
-from pickenv.calibration.pipeline.export import export as export
-from pickenv.calibration.pipeline.export import write_arm_toml as write_arm_toml
-from pickenv.calibration.pipeline.export import write_arm_urdf as write_arm_urdf
-from pickenv.calibration.pipeline.export import write_onnx as write_onnx
 from pickenv.calibration.pipeline.fitting import Fit as Fit
 from pickenv.calibration.pipeline.fitting import fit as fit
 from pickenv.calibration.pipeline.result import Result as Result

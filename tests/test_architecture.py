@@ -53,6 +53,7 @@ SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
         ("camera", "identification"),
         ("residuals", "compensation", "assessment", "planning", "reading"),
         ("pipeline",),
+        ("delivery",),
     ),
     "pickenv.arm": (("kinematics",), ("files",), ("effects",), ("plant",)),
     "pickenv.envs": (("shared",), ("reaching",), ("picking", "harvesting")),
@@ -66,8 +67,11 @@ ONLY = {
     "pickenv.calibration": ("pickenv.arm", *BELOW),
     "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", *BELOW),
 }
-# The one way up: a result writes its own page when it is asked to, and loads the page's room then.
-UPWARDS = {("pickenv.calibration.pipeline.result", "pickenv.inspect.reports.calibration_report")}
+# The ways up: a result writes its own page and files when it is asked to, and loads what writes them then.
+UPWARDS = {
+    ("pickenv.calibration.pipeline.result", "pickenv.inspect.reports.calibration_report"),
+    ("pickenv.calibration.pipeline.result", "pickenv.calibration.delivery.export"),
+}
 HEAVY = (
     *("torch", "stable_baselines3", "sb3_contrib", "rerun", "matplotlib", "plotly", "PIL", "skimage", "sklearn"),
     *("pyarrow", "pandas", "ray", "grpc", "joblib", "ortools", "onnx", "onnxruntime", "tensorboard", "pettingzoo"),

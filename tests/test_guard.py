@@ -83,7 +83,7 @@ COMMANDS = [
     f"plan-poses --arm {LONG}.toml",
     f"plan-poses --arm ur5 --at {LONG}",
     f"apply {LONG} targets.csv --arm ur5",
-    f"export {LONG} --arm ur5 --mjcf arm.xml",
+    f"export {LONG} --arm ur5 --out arm.xml",
     f"twin {LONG}",
     f"train --compensate {LONG}",
     f"train --plant {LONG}",

@@ -132,6 +132,7 @@ def fit_geometry(
         "poses": len(data.joints),
         "data_fingerprint": data.fingerprint(),
         "kind": data.kind,
+        "joint_ranges": [data.joints.min(axis=0).tolist(), data.joints.max(axis=0).tolist()],
         "frames": "known" if aligned is None else "fitted",
         "rank": found.identifiability.rank,
         "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},

@@ -34,7 +34,6 @@ from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, Observations
 from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.pipeline.export import export
 from pickenv.calibration.pipeline.fitting import Fit
 from pickenv.calibration.pipeline.held_out import (
     AS_CHOSEN,
@@ -246,9 +245,11 @@ class Result:
         """Write the calibration, with its verdict, as one file (.npz)."""
         return self.calibration.save(path)
 
-    def export(self, **files: str | Path) -> list[Path]:
-        """Write what other programs take: ``toml``, ``urdf`` or ``onnx``; see `pickenv.calibration.export`."""
-        return export(self.calibration, self.arm, **files)
+    def export(self, out: str | Path, *, kind: str | None = None, onto: str | Path | None = None) -> Path:
+        """Write what a robot, a controller or another program reads; see `pickenv.calibration.export`."""
+        from pickenv.calibration.delivery.export import export
+
+        return export(self.calibration, out, kind=kind, onto=onto, arm=self.arm).path
 
     def write_page(self, path: str | Path, seeds: Mapping[str, Any] | None = None) -> Path:
         """Write the report as one HTML page; ``seeds``: what its draws came from, by name."""

@@ -168,33 +168,54 @@ def apply(
 
 def export(
     calibration: Annotated[Path, CALIBRATION],
-    arm: Annotated[str, ARM],
-    toml: Annotated[Path | None, typer.Option(help="Write the corrected arm as an arm file (.toml).")] = None,
-    urdf: Annotated[Path | None, typer.Option(help="Write the corrected arm as URDF.")] = None,
-    onnx: Annotated[Path | None, typer.Option(help="Write the learnt network as ONNX.")] = None,
-    mjcf: Annotated[Path | None, typer.Option(help="Write the corrected arm for MuJoCo, and …_nominal.")] = None,
+    out: Annotated[Path, typer.Option(help="File to write.", show_default=False)],
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            "--as",
+            help="toml, urdf, mjcf, onnx, kinematics-yaml, table, offsets, ros2-control, lerobot or transforms; told "
+            "by the file's name if left out.",
+            show_default=False,
+        ),
+    ] = None,
+    onto: Annotated[
+        str | None,
+        typer.Option(
+            help="The robot's own file (URDF, kinematics YAML, LeRobot JSON, …), corrected in place and written to "
+            "--out; robot.urdf#link names the tip.",
+            show_default=False,
+        ),
+    ] = None,
+    arm: Annotated[
+        str | None, typer.Option(help="Arm name or arm file, if no shipped one.", show_default=False)
+    ] = None,
+    counts_per_turn: Annotated[
+        int | None, typer.Option(help="Encoder counts per turn, for --as offsets.", show_default=False, min=1)
+    ] = None,
     sample: Annotated[
-        int, typer.Option(help="With --mjcf: so many arms that the data allow, …_1 and on.", min=0, max=10_000)
+        int, typer.Option(help="With --as mjcf: so many arms that the data allow, …_1 and on.", min=0, max=10_000)
     ] = 0,
     seed: Annotated[int, typer.Option(help="Seed of --sample.", min=0)] = 0,
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
-    """Write the corrected arm as TOML, URDF or MJCF, and its learnt residual as ONNX, for other programs."""
+    """Hand the calibration over to the robot's own files, its controller, or other programs."""
     from pickenv.arm import load_arm
+    from pickenv.calibration.delivery.arm_mjcf import mjcf_files
+    from pickenv.calibration.delivery.export import export as exported
     from pickenv.calibration.pipeline.calibration import Calibration
-    from pickenv.calibration.pipeline.export import export as exported
-    from pickenv.calibration.pipeline.mjcf_export import export_mjcf, mjcf_files
 
-    separate(
-        {"CALIBRATION": calibration, "--arm": arm},
-        {"--toml": toml, "--urdf": urdf, "--onnx": onnx, "--mjcf": None if mjcf is None else mjcf_files(mjcf, sample)},
+    files = (
+        mjcf_files(out, sample) if onto is None and (kind == "mjcf" or (out.suffix == ".xml" and kind is None)) else out
     )
-    chosen = load_arm(arm)
+    separate({"CALIBRATION": calibration, "--arm": arm, "--onto": onto}, {"--out": files})
+    chosen = None if arm is None else load_arm(arm)
     loaded = Calibration.load(calibration, chosen, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
-    written = [] if mjcf is None else export_mjcf(loaded, chosen, mjcf, sample=sample, seed=seed)
-    if mjcf is None or any((toml, urdf, onnx)):
-        written += exported(loaded, chosen, toml=toml, urdf=urdf, onnx=onnx)
-    for path in written:
+    done = exported(
+        loaded, out, kind=kind, onto=onto, arm=chosen, counts_per_turn=counts_per_turn, sample=sample, seed=seed
+    )
+    for note in done.notes:
+        print(note)
+    for path in (done.path, *done.beside):
         print(f"wrote {path}")

@@ -156,9 +156,17 @@ ROOMS = {
     ),
     "pipeline": room(
         "calibration/pipeline",
-        "apply uncertainty result assess fitting stages calibration export",
+        "apply uncertainty result assess fitting stages calibration",
         "tests/calibration/pipeline",
-        "command_figures apply verification export stage_choices stages calibration_file",
+        "command_figures apply verification stage_choices stages calibration_file",
+    ),
+    "delivery": room(
+        "calibration/delivery",
+        "corrected_chain same_chain patched joint_offsets offset_files lerobot_file dh_tables static_transforms "
+        "xml_edit onto_urdf onto_mjcf onto_kinematics_yaml",
+        "tests/calibration/delivery",
+        "joint_offsets tables_and_transforms same_chain onto_mjcf kinematics_yaml onto_urdf",
+        most=SECOND,
     ),
     "stations": room(
         "calibration",

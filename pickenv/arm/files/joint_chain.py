@@ -10,7 +10,7 @@ what every link that it moves allows. Metres and radians.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +44,8 @@ class ChainJoint:
         origin: Its pose in the frame of the joint before, or of the world.
         axis: Unit vector (3,), in its own frame.
         allowed: Smallest and largest displacement and speed, where they narrow what the driver may do.
+        body: Name of the body that it moves, where the file places bodies and not joints.
+        within: Its place in that body (3,).
     """
 
     name: str
@@ -54,6 +56,34 @@ class ChainJoint:
     origin: Pose
     axis: Array
     allowed: tuple[float, float, float] | None = None
+    body: str = ""
+    within: Array = field(default_factory=lambda: np.zeros(3))
+
+
+class JointRow(NamedTuple):
+    """The joints of a file from its root to a tip, as its reader found them.
+
+    Attributes:
+        name: What the file calls the robot.
+        root: Name of the first link.
+        tip: Name of the last link.
+        joints: Those that move, or may; what is fixed between them is part of their origins.
+        tool: Pose of the tip in the frame of the last joint.
+        drives: The drivers by name.
+        mount: Name of the fixed joint, or of the site, that holds the tip; None where a moving joint does.
+    """
+
+    name: str
+    root: str
+    tip: str
+    joints: tuple[ChainJoint, ...]
+    tool: Pose
+    drives: Mapping[str, Drive]
+    mount: str | None = None
+
+    def geometry(self) -> tuple[Geometry, Array]:
+        """The arm that the row makes, and the largest speeds of its drives; raises as `chain_geometry` does."""
+        return chain_geometry(self.joints, self.tool, self.drives)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +118,9 @@ def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | No
 
 
 def behind(pose: Pose, after: Pose) -> Pose:
-    """The pose ``after``, which is told in the frame ``pose``, in the frame that ``pose`` is told in."""
-    return Pose(pose.position + pose.rotation @ after.position, pose.rotation @ after.rotation)
+    """The pose ``after``, which is told in the frame ``pose``, in the frame that ``pose`` is told in; or batches."""
+    step = np.einsum("...ij,...j->...i", pose.rotation, after.position)
+    return Pose(pose.position + step, pose.rotation @ after.rotation)
 
 
 def chain_geometry(joints: Sequence[ChainJoint], tool: Pose, drives: Mapping[str, Drive]) -> tuple[Geometry, Array]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
 from pickenv.arm.files.flange import Carried, flange
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, behind, chain_geometry, driver_of
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, behind, driver_of
 from pickenv.arm.files.mjcf_values import Attributes, MjcfValues, truth
 from pickenv.arm.files.xml_values import xml_root
 from pickenv.arm.kinematics.geometry import Pose, identity_pose
@@ -61,6 +61,21 @@ def load_mjcf(path: str | Path, tip: str | None = None) -> Arm:
         InputError: If the file, a body or a joint is unusable; the message names it.
     """
     path = Path(path)
+    row = mjcf_row(path, tip)
+    try:
+        geometry, speed = row.geometry()
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    chosen = "" if tip else " by default its flange,"
+    return Arm(row.name, f"MJCF {path.name},{chosen} tip {row.tip}", geometry, None, speed)
+
+
+def mjcf_row(path: Path, tip: str | None = None) -> JointRow:
+    """The joints that `load_mjcf` makes an arm of.
+
+    Raises:
+        InputError: If the file, a body or a joint is unusable; the message names it.
+    """
     root = xml_root(path, "MJCF (.xml)")
     if root.tag != "mujoco":
         advice = "name it .urdf" if root.tag == "robot" else "give a MuJoCo model"
@@ -72,12 +87,11 @@ def load_mjcf(path: str | Path, tip: str | None = None) -> Arm:
         last = _end(bodies, tip)
         chain = _above(bodies, last)[::-1]
         joints, tool, drives = _joints(chain, bodies, root, values)
-        geometry, speed = chain_geometry(joints, tool, drives)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    chosen = "" if tip else " by default its flange,"
+    mount = None if bodies[last].joints else last
     name = shortened(root.get("model", path.stem))
-    return Arm(name, f"MJCF {path.name},{chosen} tip {bodies[last].name}", geometry, None, speed)
+    return JointRow(name, WORLD, bodies[last].name, tuple(joints), tool, drives, mount)
 
 
 def _follow_includes(root: Element, main: Path) -> None:
@@ -190,7 +204,8 @@ def _joints(
             allowed = (lower - ref, upper - ref, math.inf) if ratio and limited and driver != joint.name else None
             moved = joint.within.rotation @ axis
             origin = behind(before, Pose(placed.position, np.eye(3)))
-            found.append(ChainJoint(joint.name, driver, ratio, offset, slides, origin, moved, allowed))
+            row = ChainJoint(joint.name, driver, ratio, offset, slides, origin, moved, allowed, key, placed.position)
+            found.append(row)
             before = Pose(-placed.position, np.eye(3))
     return found, before, drives
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.arm_file import ARMS, read_arm
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, chain_geometry
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow
 from pickenv.arm.files.xml_values import xml_number
 from pickenv.arm.kinematics.geometry import Pose, identity_pose
 from pickenv.errors import InputError
@@ -36,6 +36,18 @@ def load_ur_yaml(path: str | Path) -> Arm:
         InputError: If it is none, or a joint or a number is missing; the message names it.
     """
     path = Path(path)
+    row, mark = ur_row(path)
+    geometry, speed = row.geometry()
+    source = f"UR kinematics {path.name}{mark}; limits and speeds are those of {LIMITS_OF}, which the file has not"
+    return Arm(path.stem, source, geometry, None, speed)
+
+
+def ur_row(path: Path) -> tuple[JointRow, str]:
+    """The joints that `load_ur_yaml` makes an arm of, and the file's mark of the robot.
+
+    Raises:
+        InputError: If it is none, or a joint or a number is missing; the message names it.
+    """
     content = yaml_content(read_text(path, "a UR kinematics file (.yaml)"), path)
     links = content.get("kinematics") if isinstance(content, Mapping) else None
     if not isinstance(links, Mapping):
@@ -56,7 +68,5 @@ def load_ur_yaml(path: str | Path) -> Arm:
         joints.append(ChainJoint(name, name, 1.0, 0.0, False, origin, np.array([0.0, 0.0, 1.0])))
         limits = (like.nominal.lower[i], like.nominal.upper[i], like.speed[i])
         drives[name] = Drive(False, *map(float, limits))
-    geometry, speed = chain_geometry(joints, identity_pose(), drives)
     mark = f", {shortened(links['hash'])}" if "hash" in links else ""
-    source = f"UR kinematics {path.name}{mark}; limits and speeds are those of {LIMITS_OF}, which the file has not"
-    return Arm(path.stem, source, geometry, None, speed)
+    return JointRow(path.stem, "base", "tool0", tuple(joints), identity_pose(), drives), mark

@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
 from pickenv.arm.files.flange import Carried, flange
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, behind, chain_geometry, driver_of
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, behind, driver_of
 from pickenv.arm.files.xml_values import xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.axes import PARALLEL
-from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, identity_pose
+from pickenv.arm.kinematics.geometry import Array, Pose, identity_pose
 from pickenv.errors import InputError
 from pickenv.texts import shortened
 from pickenv.toml_tables import M_PER_S, RAD, RAD_PER_S, M
@@ -42,20 +42,37 @@ def load_urdf(path: str | Path, tip: str | None = None, base: str | None = None)
         InputError: If the file, a link or a joint is unusable; the message names it.
     """
     path = Path(path)
-    root = xml_root(path, ".urdf")
+    row = urdf_row(path, tip, base)
     try:
-        joints = [joint for joint in root.iter("joint") if joint.find("child") is not None]
-        named = _unique(joints)
-        chain, last = _chain(joints, tip, base)
-        geometry, speed = _geometry(chain, named)
+        geometry, speed = row.geometry()
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     chosen = "" if tip else " by default its flange,"
-    return Arm(shortened(root.get("name", path.stem)), f"URDF {path.name},{chosen} tip {last}", geometry, None, speed)
+    return Arm(row.name, f"URDF {path.name},{chosen} tip {row.tip}", geometry, None, speed)
 
 
-def _geometry(chain: list[Element], named: Mapping[str, Element]) -> tuple[Geometry, Array]:
-    """The arm that a row of joints makes, and the largest speeds of its joints."""
+def urdf_row(path: Path, tip: str | None = None, base: str | None = None) -> JointRow:
+    """The joints that `load_urdf` makes an arm of.
+
+    Raises:
+        InputError: If the file, a link or a joint is unusable; the message names it.
+    """
+    root = xml_root(path, ".urdf")
+    try:
+        elements = [joint for joint in root.iter("joint") if joint.find("child") is not None]
+        named = _unique(elements)
+        chain, last = _chain(elements, tip, base)
+        joints, tool, drives = _joints(chain, named)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    mount = str(chain[-1].get("name")) if chain[-1].get("type") == "fixed" else None
+    return JointRow(
+        shortened(root.get("name", path.stem)), _link(chain[0], "parent"), last, tuple(joints), tool, drives, mount
+    )
+
+
+def _joints(chain: list[Element], named: Mapping[str, Element]) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
+    """The joints of a row of elements, the tip in the last one's frame, and what drives them."""
     joints: list[ChainJoint] = []
     drives: dict[str, Drive] = {}
     before = identity_pose()  # from the last joint that moves
@@ -84,7 +101,7 @@ def _geometry(chain: list[Element], named: Mapping[str, Element]) -> tuple[Geome
         shown = str(joint.get("name"))
         joints.append(ChainJoint(shown, name, ratio, offset, MOVING[kind], before, direction / length, allowed))
         before = identity_pose()
-    return chain_geometry(joints, before, drives)
+    return joints, before, drives
 
 
 def _unique(joints: list[Element]) -> dict[str, Element]:

@@ -5,14 +5,12 @@ Lengths in metres and angles in radians, as URDF has them; rpy is rotation about
 
 from __future__ import annotations
 
-import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.link_origins import link_origins
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, identity_pose
@@ -20,6 +18,9 @@ from pickenv.files import write_text
 
 ROD_RADIUS, SHORTEST_ROD = 0.015, 0.02
 """m; of the rods that viewers draw for the links. Kinematics do not look at them."""
+
+MASS, INERTIA, EFFORT = 0.1, 1e-4, 100.0
+"""Of every moving link and joint, since simulators load nothing that weighs or lifts nothing; no arm's own."""
 
 Element = ElementTree.Element
 
@@ -42,7 +43,7 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
     for i, (owner, ratio, slides, origin) in enumerate(links):
         link = f"link{i + 1}"
         _rod(body, origin.position)
-        body = ElementTree.SubElement(robot, "link", name=link)
+        body = _moving_link(robot, link)
         ends = sorted((ratio * float(geometry.lower[owner]), ratio * float(geometry.upper[owner])))
         if slides:
             _rod(body, np.array([0.0, 0.0, -ends[1]]))
@@ -56,7 +57,7 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
     for owner, leader in enumerate(leaders):
         if leader is None:  # what is commanded moves no link as it moves itself: a drive of its own, beside the chain
             drive = f"drive{owner + 1}"
-            ElementTree.SubElement(robot, "link", name=drive)
+            _moving_link(robot, drive)
             most = (geometry.lower[owner], geometry.upper[owner], speeds[owner])
             _joint(robot, titles[owner], geometry.prismatic[owner], "base", drive, identity_pose(), most)
     _rod(body, geometry.tool.position)
@@ -79,6 +80,17 @@ def _printable(name: str) -> str:
     return "".join(c if c.isprintable() else " " for c in name)
 
 
+def _moving_link(robot: Element, name: str) -> Element:
+    link = ElementTree.SubElement(robot, "link", name=name)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "mass", value=repr(MASS))
+    moments = {
+        axes: repr(INERTIA if axes[1] == axes[2] else 0.0) for axes in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    }
+    ElementTree.SubElement(inertial, "inertia", moments)
+    return link
+
+
 def _joint(
     robot: Element, name: str, slides: bool | None, parent: str, child: str, origin: Pose, limits: Sequence[float] = ()
 ) -> Element:
@@ -87,15 +99,23 @@ def _joint(
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
-    with warnings.catch_warnings():  # at pitch 90 deg roll is set to zero, which is as good an answer as any
-        warnings.filterwarnings("ignore", message="Gimbal lock")
-        rpy = Rotation.from_matrix(origin.rotation).as_euler("xyz")
+    rpy = roll_pitch_yaw(origin.rotation)
     ElementTree.SubElement(joint, "origin", xyz=_text(origin.position), rpy=_text(rpy))
     if slides is not None:
         ElementTree.SubElement(joint, "axis", xyz="0 0 1")
         ends = dict(zip(("lower", "upper", "velocity"), map(_text, limits), strict=True))
-        ElementTree.SubElement(joint, "limit", {**ends, "effort": "0"})
+        ElementTree.SubElement(joint, "limit", {**ends, "effort": repr(EFFORT)})
     return joint
+
+
+def roll_pitch_yaw(rotation: Array) -> Array:
+    """Angles (3,), rad, about fixed x, y, z of a rotation R = Rz(yaw) Ry(pitch) Rx(roll); exact at any pitch."""
+    roll = np.arctan2(rotation[2, 1], rotation[2, 2])
+    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
+    sine, cosine = np.sin(roll), np.cos(roll)
+    # With the roll taken off what remains is Rz Ry, whose second column is (-sin yaw, cos yaw, 0).
+    yaw = np.arctan2(sine * rotation[0, 2] - cosine * rotation[0, 1], cosine * rotation[1, 1] - sine * rotation[1, 2])
+    return np.array([roll, pitch, yaw])
 
 
 def _text(numbers: ArrayLike) -> str:

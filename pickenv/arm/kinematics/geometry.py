@@ -38,6 +38,12 @@ def identity_pose() -> Pose:
     return Pose(np.zeros(3), np.eye(3))
 
 
+def inverse_pose(pose: Pose) -> Pose:
+    """The frame that a pose ``(...)`` is told in, told in the pose."""
+    back = np.swapaxes(pose.rotation, -1, -2)
+    return Pose(-np.einsum("...ij,...j->...i", back, pose.position), back)
+
+
 @dataclass(frozen=True)
 class Coupling:
     """Which joint moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].

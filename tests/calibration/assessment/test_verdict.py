@@ -79,7 +79,7 @@ def test_the_verdict_is_obeyed_unless_overridden_by_name(refused, noisy, tmp_pat
     exported = tmp_path / "arm.toml"
     commands = (
         ("apply", out, targets, "--arm", "qiao2026", "--out", tmp_path / "c.csv"),
-        ("export", out, "--arm", "qiao2026", "--toml", exported),
+        ("export", out, "--out", exported),
     )
     for words in commands:
         with pytest.raises(InputError, match=r"do not use \(.*\); measure again; allow 'do-not-use' by name"):
@@ -263,7 +263,7 @@ def test_units_are_kept_and_asked_for(dynamic, tmp_path):
     data = simulated_tracker(dynamic, random_joints(dynamic.geometry, 60, rng), rng)
     file, out = data.write_csv(tmp_path / "m.csv"), tmp_path / "c.npz"
     assert call("calibrate", file, *PLAIN, "--unit", "SN 17", "--out", out).exit_code == 0
-    words = ("export", out, "--arm", "qiao2026", "--toml", tmp_path / "a.toml", "--unit")
+    words = ("export", out, "--out", tmp_path / "a.toml", "--unit")
     assert call(*words, "SN 17").exit_code == 0
     with pytest.raises(InputError, match="belongs to unit 'SN 17', but unit 'SN 18'"):
         call(*words, "SN 18")

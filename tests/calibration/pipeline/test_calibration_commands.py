@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.arm import load_arm
-from pickenv.calibration import BpnnSettings, fit, random_joints, simulated_tracker
+from pickenv.arm import forward, load_arm
+from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.cli import app
 from pickenv.errors import InputError
@@ -70,15 +70,39 @@ def test_what_cannot_be_reached_has_no_command_and_its_own_exit_code(folder):
 
 
 def test_the_corrected_arm_is_exported(folder):
-    words = ("--toml", folder / "a.toml", "--urdf", folder / "a.urdf")
-    assert call("export", folder / "arm.npz", "--arm", "qiao2026", *words).count("wrote") == 2
+    for name in ("a.toml", "a.urdf"):
+        said = call("export", folder / "arm.npz", "--out", folder / name)
+        assert "not in the file, because no geometry can hold it: learnt residual 'bpnn'" in said and "wrote" in said
     assert load_arm(folder / "a.toml").name == "qiao2026_calibrated"
-    with pytest.raises(InputError, match="nothing to write"):
-        call("export", folder / "arm.npz", "--arm", "qiao2026")
+    with pytest.raises(InputError, match="does not tell what to write; give --as"):
+        call("export", folder / "arm.npz", "--out", folder / "a.dat")
     with pytest.raises(InputError, match="belongs to arm"):
-        call("export", folder / "arm.npz", "--arm", "ur5", "--toml", folder / "b.toml")
+        call("export", folder / "arm.npz", "--arm", "ur5", "--out", folder / "b.toml")
+
+
+def test_models_that_the_data_allow_are_written_side_by_side(folder):
+    said = call("export", folder / "arm.npz", "--out", folder / "m.xml", "--sample", 2)
+    names = ["m.xml", "m_nominal.xml", "m_1.xml", "m_2.xml"]
+    assert [line.rpartition("/")[2] for line in said.splitlines() if line.startswith("wrote")] == names
+    calibration = Calibration.load(folder / "arm.npz")
+    found, joints = (
+        load_arm(folder / "m.xml#tool").nominal,
+        random_joints(calibration.identified, 20, np.random.default_rng(0)),
+    )
+    np.testing.assert_allclose(
+        forward(found, joints).position, forward(calibration.identified, joints).position, atol=1e-8
+    )
+    with pytest.raises(InputError, match=r"--out would write over .*m_1\.xml, which --arm reads"):
+        call("export", folder / "arm.npz", "--arm", folder / "m_1.xml", "--out", folder / "m.xml", "--sample", 2)
+
+
+def test_the_robots_own_file_is_never_written_over(folder):
+    own = folder / "own.urdf"
+    call("export", folder / "arm.npz", "--out", own)
+    with pytest.raises(InputError, match=r"--out would write over .*own\.urdf, which --onto reads"):
+        call("export", folder / "arm.npz", "--onto", f"{own}#tool", "--out", own)
 
 
 def test_the_network_is_exported(folder):
     pytest.importorskip("onnx")
-    assert "wrote" in call("export", folder / "arm.npz", "--arm", "qiao2026", "--onnx", folder / "a.onnx")
+    assert "wrote" in call("export", folder / "arm.npz", "--out", folder / "a.onnx")

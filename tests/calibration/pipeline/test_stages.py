@@ -10,6 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 import pickenv
+from pickenv.arm import forward
+from pickenv.arm.files.urdf_text import write_urdf
 from pickenv.calibration import Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.pipeline.calibration import Calibration
@@ -88,11 +90,16 @@ def test_a_result_is_used_saved_exported_and_shown(dynamic, result, tmp_path):
     joints = random_joints(dynamic.geometry, 1, np.random.default_rng(1))[0]
     saved = Calibration.load(result.save(tmp_path / "arm"), dynamic.arm, "17")
     np.testing.assert_array_equal(result.compensator()(joints), saved.compensator()(joints))
-    (written,) = result.export(toml=tmp_path / "arm.toml")
+    written = result.export(tmp_path / "arm.toml")
     assert pickenv.load_arm(written).nominal.joints == dynamic.geometry.joints
+    urdf = result.export(tmp_path / "arm.urdf")
+    own = write_urdf(dynamic.arm.nominal, tmp_path / "own.urdf")
+    patched = result.export(tmp_path / "patched.urdf", onto=f"{own}#tool")
+    poses = [forward(pickenv.load_arm(f"{path}#tool").nominal, joints) for path in (urdf, patched)]
+    np.testing.assert_allclose(poses[0].position, poses[1].position, atol=1e-9)
     assert f"{result.best.mean:#.4g}" in result.write_page(tmp_path / "page.html").read_text(encoding="utf-8")
-    with pytest.raises(InputError, match="nothing to write"):
-        result.export()
+    with pytest.raises(InputError, match="does not tell what to write"):
+        result.export(tmp_path / "arm")
 
 
 def test_wires_take_the_same_way_and_have_a_page(qiao, tmp_path):

@@ -11,10 +11,13 @@ from pickenv.arm import forward, load_arm, rotation_matrix
 from pickenv.arm.files.arm_file import ARMS
 from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
+from pickenv.calibration.delivery.arm_toml import arm_toml, write_arm_toml
+from pickenv.calibration.delivery.arm_urdf import write_arm_urdf
+from pickenv.calibration.delivery.onnx_network import write_onnx
+from pickenv.calibration.delivery.origin_lines import provenance
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.terms import ThermalTerm
 from pickenv.calibration.pipeline.calibration import Remainder
-from pickenv.calibration.pipeline.export import arm_toml, provenance, write_arm_toml, write_arm_urdf, write_onnx
 from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.errors import InputError
 
@@ -43,15 +46,15 @@ def test_any_corrected_arm_is_read_back_from_toml_and_urdf(tmp_path_factory, cal
         tool=Pose(rng.normal(size=3) * 0.1, rotation_matrix(rng.normal(size=3))),
     )
     odd = {**calibration.record, "source": 'C:\\data\\"odd" -- name\n.csv'}
-    moved = replace(calibration, model=ArmModel.of(geometry), learnt=None, record=odd)
+    moved = replace(calibration, arm=chosen.nominal, model=ArmModel.of(geometry), learnt=None, record=odd)
     again = load_arm(write_arm_toml(moved, chosen, folder / "arm.toml"))
     joints = random_joints(geometry, 20, rng)
     same_kinematics(again.nominal, geometry, joints, 1e-12)
     np.testing.assert_allclose(again.nominal.lower, geometry.lower, atol=1e-12)
     np.testing.assert_allclose(again.speed, chosen.speed, atol=1e-12)
-    same_kinematics(
-        load_arm(f"{write_arm_urdf(moved, chosen, folder / 'arm.urdf')}#tool").nominal, geometry, joints, 1e-9
-    )
+    standing = replace(geometry, base=chosen.nominal.base)  # a robot stands on its own base, not on the instrument's
+    urdf = write_arm_urdf(moved, chosen, folder / "arm.urdf")
+    same_kinematics(load_arm(f"{urdf}#tool").nominal, standing, joints, 1e-9)
 
 
 def test_hayatis_beta_survives_the_files(calibration, dynamic, tmp_path):
@@ -80,6 +83,24 @@ def test_where_it_comes_from_stands_in_every_file(calibration, dynamic, tmp_path
     urdf = write_arm_urdf(calibration, dynamic.arm, tmp_path / "arm.urdf").read_text()
     assert urdf.startswith("<?xml") and calibration.record["data_fingerprint"] in urdf
     assert "a2" in provenance(calibration)[3]
+
+
+@pytest.mark.parametrize("name", ["ur5", "qiao2026", "panda"])
+def test_mujoco_loads_a_skeleton_as_it_is(made, name, tmp_path):
+    """From the robot's own base, with weights and efforts that a simulator takes; the instrument's frames stay out."""
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo is the referee: pip install mujoco")
+    arm, rng = load_arm(name), np.random.default_rng(70)
+    calibration = made(arm, rng, "fitted")
+    path = write_arm_urdf(calibration, arm, tmp_path / "arm.urdf")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    assert (model.body_mass[1:] > 0).all() and (model.body_inertia[1:] > 0).all()
+    own = replace(calibration.identified, base=arm.nominal.base, tool=Pose(np.zeros(3), np.eye(3)))
+    for row in random_joints(arm.nominal, 50, rng):
+        for joint, value in zip(arm.nominal.joint_names, row, strict=True):
+            data.joint(joint).qpos = value
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(data.body(f"link{own.links}").xpos, forward(own, row).position, atol=1e-8)
 
 
 def onnx_residual(path, feeds):

@@ -1,0 +1,73 @@
+"""One arm told in two ways is found to be one arm; another arm is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pickenv.arm import forward, load_arm, rotation_matrix
+from pickenv.arm.files.joint_chain import behind
+from pickenv.arm.kinematics.geometry import Pose
+from pickenv.calibration.delivery.same_chain import link_frames, same_chain
+from pickenv.errors import InputError
+
+ARMS = ("ur5", "ur10e", "panda", "so101", "wam", "qiao2026", "positioner")
+
+
+@given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(ARMS))
+@settings(max_examples=60)
+def test_other_roots_zeros_and_signs_are_found(told_otherwise, seed, name):
+    """Whatever signs and zeros are found (a wrist has two ways), the tool is where the file has it."""
+    rng, arm = np.random.default_rng(seed), load_arm(name).nominal
+    file = told_otherwise(arm, rng, any(arm.prismatic))
+    same = same_chain(arm, file, "robot.urdf", name)
+    assert same.apart[0] < 1e-8 and same.apart[1] < 1e-8
+    joints = rng.uniform(-2.0, 2.0, (50, arm.joints))
+    told, last = forward(file, joints), link_frames(arm, joints * same.sign + same.zero)[-1]
+    place = same.root.position + last.position @ same.root.rotation.T
+    hand = np.einsum("nji,nj->ni", same.root.rotation @ last.rotation, told.position - place)
+    turn = np.swapaxes(same.root.rotation @ last.rotation, 1, 2) @ told.rotation
+    np.testing.assert_allclose(hand, np.broadcast_to(hand[0], hand.shape), atol=1e-9)  # bolted to the last link
+    np.testing.assert_allclose(turn, np.broadcast_to(turn[0], turn.shape), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_an_arm_told_alike_reads_alike(name):
+    arm = load_arm(name).nominal
+    same = same_chain(arm, arm, "robot.urdf", name)
+    assert same.plain()
+    np.testing.assert_array_equal(same.root.rotation, np.eye(3))
+    np.testing.assert_array_equal(same.root.position, np.zeros(3))
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_an_arm_a_millimetre_off_is_another(told_otherwise, seed):
+    rng, arm = np.random.default_rng(seed), load_arm("ur5").nominal
+    file = told_otherwise(arm, rng, False)
+    length = rng.choice([1, 2])
+    other = arm.a.copy()
+    other[length + 1] += 1e-3
+    with pytest.raises(InputError, match=r"is of another arm than 'ur5': .* lies .* mm and .* deg"):
+        same_chain(replace(arm, a=other), file, "robot.urdf", "ur5")
+
+
+@given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(["tiago", "qiao2026", "li2016_slave", "ur5"]))
+@settings(max_examples=20)
+def test_a_root_elsewhere_is_found_where_joints_read_alike(seed, name):
+    """Also of an arm that begins with a slide, such as TIAGo's lift, whose maker's root lies on the floor."""
+    rng, arm = np.random.default_rng(seed), load_arm(name).nominal
+    root = Pose(rng.normal(size=3), rotation_matrix(rng.normal(size=3)))
+    same = same_chain(arm, replace(arm, base=behind(root, arm.base)), "robot.urdf", name)
+    assert same.plain() and same.apart[0] < 1e-9
+    if name in ("tiago", "ur5"):  # of the others a slide lies along the first axis, so that a height is any height
+        np.testing.assert_allclose(same.root.position, root.position, atol=1e-9)
+        np.testing.assert_allclose(same.root.rotation, root.rotation, atol=1e-9)
+
+
+@pytest.mark.parametrize(("one", "other"), [("ur5", "ur10"), ("ur5", "qiao2026"), ("ur5", "wam"), ("ur5e", "ur5")])
+def test_another_arm_is_refused(one, other):
+    with pytest.raises(InputError, match=f"'{one}'"):
+        same_chain(load_arm(one).nominal, load_arm(other).nominal, "robot.urdf", one)
