@@ -30,6 +30,11 @@ PAGE = (Path(__file__).parents[2] / "docs/so101.md").read_text(encoding="utf-8")
 BLOCK = re.compile(r"^```(\w+)(?: +(\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINES = [line for kind, _, text in BLOCK.findall(PAGE) if kind == "sh" for line in text.splitlines()]
 VIEWS = 60
+MOTORS = {
+    name: {"id": i + 1, "drive_mode": 0, "homing_offset": 10 * i, "range_min": 900, "range_max": 3200}
+    for i, name in enumerate((*load_arm("so101").nominal.joint_names, "gripper"))
+}
+"""What LeRobot keeps of the owner's arm."""
 
 
 def owned(seed: int) -> Plant:
@@ -84,6 +89,7 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plant, Pose,
     """The page's commands, run in order in a folder with the owner's pictures; the study is run elsewhere."""
     pytest.importorskip("cv2")
     folder, plant = tmp_path_factory.mktemp("owner"), owned(0)
+    (folder / "follower.json").write_text(json.dumps(MOTORS), encoding="utf-8")
     eye, board = photographed(plant, folder, np.random.default_rng(1))
     said = ""
     with pytest.MonkeyPatch.context() as patch:
@@ -141,6 +147,13 @@ def test_commands_and_the_corrected_arm_say_the_same(walked: tuple[Path, Plant, 
         rows = list(csv.DictReader(stream))
     assert all(float(row["predicted_error_mm"]) < 0.1 * float(row["uncorrected_error_mm"]) for row in rows)
     assert load_arm(folder / "my_so101.toml").nominal.joint_names == load_arm("so101").nominal.joint_names
+    with (folder / "offsets.csv").open(encoding="utf-8") as stream:
+        counts = [float(row["counts"]) for row in csv.DictReader(line for line in stream if line[0] != "#")]
+    kept = json.loads((folder / "corrected.json").read_text(encoding="utf-8"))
+    moved = {name: kept[name]["homing_offset"] - motor["homing_offset"] for name, motor in MOTORS.items()}
+    assert moved.pop("gripper") == 0
+    assert list(moved.values()) == pytest.approx([-each for each in counts], abs=1.0)
+    assert max(map(abs, counts)) > 1.0
 
 
 @pytest.mark.slow
