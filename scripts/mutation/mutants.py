@@ -169,10 +169,10 @@ def nearest_first(path: str, tests: tuple[str, ...]) -> list[str]:
     return sorted(tests, key=lambda test: Path(path).stem not in test)
 
 
-def of_todays_files(known: dict[str, dict[str, Any]]) -> set[str]:
-    """Keys of those verdicts whose file is the same: of survivors too, whatever has become of the tests."""
+def of_todays_files(known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Those verdicts whose file is the same: of survivors too, whatever has become of the tests."""
     files = {path: fingerprint([ROOT / path]) for room in ROOMS.values() for path in room.sources}
-    return {key for key, told in known.items() if told["file"] == files.get(key.split(":")[0])}
+    return {key: told for key, told in known.items() if told["file"] == files.get(key.split(":")[0])}
 
 
 def still_true(known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -223,9 +223,7 @@ def main(
     seed: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
     json_file: Annotated[Path, typer.Option("--json", help="Where verdicts are kept.")] = Path("runs/mutants.json"),
     also: Annotated[list[Path] | None, typer.Option(help="Verdicts of other runs, used where they still hold.")] = None,
-    known_only: Annotated[
-        bool, typer.Option("--known", help="What was tried; survivors once more.")
-    ] = False,
+    known_only: Annotated[bool, typer.Option("--known", help="Try nothing: what is known of today's files.")] = False,
     first: Annotated[list[Path] | None, typer.Option(help="Results of a fresh sample's first try.")] = None,
     page: Annotated[Path, typer.Option(help="The page; written when every room is tried.")] = Path("docs/mutants.md"),
 ) -> None:
@@ -236,10 +234,9 @@ def main(
     if unknown := set(names) - set(ROOMS):
         raise SystemExit(f"unknown room '{min(unknown)}'; give one of {', '.join(ROOMS)}")
     known: dict[str, dict[str, Any]] = {}
-    before: set[str] = set()
     for path in (*(also or ()), *([json_file] if json_file.exists() else [])):
         told = json.loads(path.read_text(encoding="utf-8"))["mutants"]
-        known, before = known | still_true(told), before | of_todays_files(told)
+        known |= of_todays_files(told) if known_only else still_true(told)
     equivalents = read_equivalents()
     mutants = {name: shuffled(name, seed, equivalents) for name in names}
     json_file.parent.mkdir(parents=True, exist_ok=True)
@@ -259,7 +256,7 @@ def main(
             verdicts: list[str] = []
             drawn = mutants[name][: ROOMS[name].most if sample is None else sample or None]
             if known_only:
-                drawn = [mutant for mutant in mutants[name] if mutant.key in before]
+                drawn = [mutant for mutant in mutants[name] if mutant.key in known]
             for mutant in try_room(name, drawn, known, copy):
                 verdicts.append(known[mutant.key]["verdict"])
                 if verdicts[-1] == "passed":

@@ -57,7 +57,7 @@ class Sample:
     Attributes:
         seed: Of the draw.
         most: Of each room; None for the rooms' own numbers, 0 for all.
-        known: Whether nothing new was tried: what counts is what any sample drew, in files that are the same.
+        known: Whether nothing was tried: what counts is what any sample drew, in files that are the same.
     """
 
     seed: int
@@ -127,7 +127,8 @@ def page_of(
             f"**First try** is such a sample, drawn with seed {seed}, scored before any of its survivors was seen: the",
             "honest score of the tests as they were then. Since then tests were written, and code that makes no",
             f"difference was taken out. **Now** counts the changes {sample}:",
-            "among them are those that tests were written for, so that its interval says too much.",
+            "among them are those that tests were written for, so that its interval says too much. What survived",
+            "counts as surviving until it is tried again.",
         ]
     else:
         lines += [f"**Now** counts the changes {sample}. Where survivors were killed since, another seed scores lower."]
