@@ -169,6 +169,12 @@ def nearest_first(path: str, tests: tuple[str, ...]) -> list[str]:
     return sorted(tests, key=lambda test: Path(path).stem not in test)
 
 
+def of_todays_files(known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Those verdicts whose file is the same: of survivors too, whatever has become of the tests."""
+    files = {path: fingerprint([ROOT / path]) for room in ROOMS.values() for path in room.sources}
+    return {key: told for key, told in known.items() if told["file"] == files.get(key.split(":")[0])}
+
+
 def still_true(known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Those verdicts that a new trial would repeat: the file is the same and, of a survivor, the room's tests."""
     tests = {name: fingerprint(ROOT / test for test in room.tests) for name, room in ROOMS.items()}
@@ -217,7 +223,7 @@ def main(
     seed: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
     json_file: Annotated[Path, typer.Option("--json", help="Where verdicts are kept.")] = Path("runs/mutants.json"),
     also: Annotated[list[Path] | None, typer.Option(help="Verdicts of other runs, used where they still hold.")] = None,
-    known_only: Annotated[bool, typer.Option("--known", help="Try nothing; count every verdict that holds.")] = False,
+    known_only: Annotated[bool, typer.Option("--known", help="Try nothing: what is known of today's files.")] = False,
     first: Annotated[list[Path] | None, typer.Option(help="Results of a fresh sample's first try.")] = None,
     page: Annotated[Path, typer.Option(help="The page; written when every room is tried.")] = Path("docs/mutants.md"),
 ) -> None:
@@ -229,7 +235,8 @@ def main(
         raise SystemExit(f"unknown room '{min(unknown)}'; give one of {', '.join(ROOMS)}")
     known: dict[str, dict[str, Any]] = {}
     for path in (*(also or ()), *([json_file] if json_file.exists() else [])):
-        known |= still_true(json.loads(path.read_text(encoding="utf-8"))["mutants"])
+        told = json.loads(path.read_text(encoding="utf-8"))["mutants"]
+        known |= of_todays_files(told) if known_only else still_true(told)
     equivalents = read_equivalents()
     mutants = {name: shuffled(name, seed, equivalents) for name in names}
     json_file.parent.mkdir(parents=True, exist_ok=True)

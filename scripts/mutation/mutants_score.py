@@ -57,7 +57,7 @@ class Sample:
     Attributes:
         seed: Of the draw.
         most: Of each room; None for the rooms' own numbers, 0 for all.
-        known: Whether nothing was tried, and all counts whose verdict still holds, whichever draw it is from.
+        known: Whether nothing was tried: what counts is what any sample drew, in files that are the same.
     """
 
     seed: int
@@ -73,7 +73,7 @@ class Sample:
 
     def __str__(self) -> str:
         if self.known:
-            return "whichever sample drew them, and whose verdict still holds"
+            return "tried in any sample, in files that are the same since"
         own = "as many of each room as the table says" if self.most is None else f"{self.most or 'all'} of each room"
         return own if self.most == 0 else f"{own}, drawn with seed {self.seed}"
 
@@ -90,10 +90,8 @@ def first_try(files: Iterable[Path]) -> tuple[int | None, dict[str, dict[str, An
     return next(iter(seeds), None), {name: row for result in found for name, row in result["rooms"].items()}
 
 
-def score_of(row: dict[str, Any] | None) -> str:
+def score_of(row: dict[str, Any]) -> str:
     """A score with its interval."""
-    if row is None:
-        return "not tried"
     low, high = (f"{100.0 * end:.0f}" for end in row["interval"])
     return f"{100.0 * row['score']:.1f} % ({low} to {high})"
 
@@ -128,8 +126,9 @@ def page_of(
         lines += [
             f"**First try** is such a sample, drawn with seed {seed}, scored before any of its survivors was seen: the",
             "honest score of the tests as they were then. Since then tests were written, and code that makes no",
-            f"difference was taken out. **Now** counts the changes {sample}: among them are",
-            "those that tests were written for, so that its interval says too much.",
+            f"difference was taken out. **Now** counts the changes {sample}:",
+            "among them are those that tests were written for, so that its interval says too much. What survived",
+            "counts as surviving until it is tried again.",
         ]
     else:
         lines += [f"**Now** counts the changes {sample}. Where survivors were killed since, another seed scores lower."]
@@ -144,7 +143,8 @@ def page_of(
         counts = [str(then[key]) if then else "–" for key in ("tried", "killed")]
         latest = [str(now[key]) if now else "–" for key in ("tried", "killed", "late")]
         mutants = (now or before[name])["mutants"]
-        lines.append("| " + " | ".join([name, str(mutants), *counts, score_of(then), *latest, score_of(now)]) + " |")
+        scores = score_of(then) if then else "–", score_of(now) if now else "not tried since"
+        lines.append("| " + " | ".join([name, str(mutants), *counts, scores[0], *latest, scores[1]]) + " |")
     lines += ["", f"## What survives now: {len(survivors)}", ""]
     lines += [f"- `{key}`" for key in survivors]
     lines += ["", "## Changes that make no difference", "", "They are left out of the score.", ""]

@@ -95,6 +95,7 @@ def test_verdicts_hold_while_the_file_does_and_those_of_survivors_while_the_test
         "gone.py:5 a -> b": told,
     }
     assert [key.split(":")[1][0] for key in script.still_true(verdicts)] == ["1", "2"]
+    assert [key.split(":")[1][0] for key in script.of_todays_files(verdicts)] == ["1", "2", "4"]
 
 
 def test_the_page_gives_each_rooms_rate_with_its_interval_and_what_was_left_out(script, tmp_path):
@@ -102,7 +103,7 @@ def test_the_page_gives_each_rooms_rate_with_its_interval_and_what_was_left_out(
     assert (row["tried"], row["killed"], row["late"], row["score"]) == (20, 18, 1, 0.9)
     equivalents = {("a.py", "x = y | z", "1 -> 2"): "the second is never read"}
     page = script.page_of({"plant": row}, script.Sample(3, 20), ["a.py:4 1 -> 2"], equivalents)
-    assert "| plant | 120 | – | – | not tried | 20 | 18 | 1 | 90.0 % (70 to 97) |" in page  # Wilson 1927
+    assert "| plant | 120 | – | – | – | 20 | 18 | 1 | 90.0 % (70 to 97) |" in page  # Wilson 1927
     assert 'make mutants ARGS="--sample 20 --seed 3"' in page and "- `a.py:4 1 -> 2`" in page
     assert "| a.py | `x = y \\| z` | `1 -> 2` | the second is never read |" in page and "First try" not in page
     assert 'make mutants ARGS="--seed 4"' in script.page_of({"plant": row}, script.Sample(4), [], {})
@@ -122,7 +123,7 @@ def test_beside_what_stands_now_the_page_gives_the_first_try_of_a_fresh_sample(s
     assert 'make mutants ARGS="--known --also FILE --first FILE"' in page
     assert "drawn with seed 77, scored before any of its survivors was seen: the" in page
     assert "| plant | 110 | 2 | 1 | 50.0 % (9 to 91) | 3 | 3 | 0 | 100.0 % (44 to 100) |" in page
-    assert "| gate | 30 | 4 | 4 | 100.0 % (51 to 100) | – | – | – | not tried |" in page
+    assert "| gate | 30 | 4 | 4 | 100.0 % (51 to 100) | – | – | – | not tried since |" in page
     files[1].write_text(json.dumps({"seed": 78, "rooms": {}}))
     with pytest.raises(SystemExit, match="seeds 77, 78"):
         script.first_try(files)
