@@ -62,11 +62,12 @@ def print_table(
         width: Characters of a line, where they go elsewhere than to a terminal.
     """
     from rich.console import Console
+    from rich.markup import escape  # else a unit in brackets is taken for a style, and swallowed
     from rich.table import Table
 
-    table = Table(title=title, caption=caption or None)
+    table = Table(title=escape(title), caption=escape(caption) or None)
     for head in heads:
-        table.add_column(head, justify="left" if head in words else "right")
+        table.add_column(escape(head), justify="left" if head in words else "right")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(escape, row))
     Console(width=None if sys.stdout.isatty() else width).print(table)
