@@ -139,9 +139,10 @@ def sections(result: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[
 
 def headline(result: Mapping[str, Any]) -> str:
     """How many of tables, equations and figures came out again."""
-    each = [part["verdict"] for kind in ("tables", "equations", "figures") for part in result[kind].values()]
+    kinds = [kind for kind in ("tables", "equations", "figures", "experiments") if kind in result]
+    each = [part["verdict"] for kind in kinds for part in result[kind].values()]
     return (
-        f"Of {len(each)} tables, equations and figures {each.count('reproduced')} are reproduced, "
+        f"Of {len(each)} {', '.join(kinds[:-1])} and {kinds[-1]} {each.count('reproduced')} are reproduced, "
         f"{each.count('fitted')} fitted, {each.count('not reproduced')} not reproduced"
     )
 

@@ -20,6 +20,7 @@ from typing import Annotated, Any
 import li2016_verdicts as verdicts
 import numpy as np
 import typer
+from li2016_page import write_li_page
 from li2016_trace import trace_of
 from rich.console import Console
 from rich.table import Table
@@ -282,6 +283,7 @@ def main(
             console.print(f"figure {path}")
         console.print(f"recording {inspect_harvest(machine, dense, out / 'zone.rrd')}")
         console.print(f"report {write_text(out / 'report.html', page(run))}")
+        console.print(f"page {write_li_page(judged, drawings(run), command, out / 'reproduction.html')}")
     if json_file is not None:
         found = {**judged, **report(study, plans, throughput, trees)}
         write_text(json_file, json.dumps(found, indent=2) + "\n")

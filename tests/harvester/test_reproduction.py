@@ -1,5 +1,6 @@
 """The reproduction script runs from end to end and gives the numbers it promises."""
 
+import html
 import json
 import subprocess
 import sys
@@ -47,6 +48,11 @@ def test_the_script_gives_tables_figures_recording_and_json(tmp_path):
     assert found["figures"]["9"]["verdict"] == "reproduced"
     for row in found["figures"]["9"]["rows"]:
         assert row["ours"] == pytest.approx(row["paper"], rel=2e-3)
+    shown = (tmp_path / "reproduction.html").read_text(encoding="utf-8")
+    for kind in ("tables", "equations", "figures", "experiments"):
+        for part in found[kind].values():
+            assert f"{part['verdict'].upper()}. {part['reason'][:30]}" in html.unescape(shown)
+    assert shown.count("<figure>") == 2 and "46, 56" in shown
     figures = {path.stem for path in (tmp_path / "figures").glob("*.png")}
     assert figures == {"gantt", "pick_map", "funnel", "throughput", "workspace", "joint_curves"}
     assert (tmp_path / "zone.rrd").stat().st_size > 10_000
