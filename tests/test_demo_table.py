@@ -5,6 +5,7 @@ import pytest
 
 from pickenv.calibration import error_statistics
 from pickenv.cli import _print_demo
+from pickenv.commands.showing import print_table
 from pickenv.intervals import share_interval
 
 
@@ -58,3 +59,10 @@ def test_every_cell_is_the_summarys(capsys, reaches):
     words = " ".join(text.split())
     assert "all of this one calibration: intervals are over fruit" in words and "within 1 mm and 10 deg" in words
     assert ("means have none with fewer than 20" in words) == (reaches < 20)
+
+
+def test_units_in_brackets_stand_in_heads_cells_title_and_caption(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table("errors [mm]", ("arm", "mean [mm]"), [("a[0]", "[bold]1.5")], words=("arm",), caption="p95 [deg]")
+    said = capsys.readouterr().out
+    for words in ("errors [mm]", "mean [mm]", "a[0]", "[bold]1.5", "p95 [deg]"):
+        assert words in said

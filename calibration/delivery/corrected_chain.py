@@ -17,8 +17,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Geometry
-from pickenv.arm.files.joint_chain import ChainJoint, behind
-from pickenv.arm.kinematics.geometry import Array, Pose, identity_pose, inverse_pose
+from pickenv.arm.files.joint_chain import ChainJoint
+from pickenv.arm.kinematics.geometry import Array, Pose, behind, identity_pose, inverse_pose
 from pickenv.calibration.delivery.same_chain import SameChain, link_frames
 
 Z = np.array([0.0, 0.0, 1.0])

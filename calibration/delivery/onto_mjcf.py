@@ -11,11 +11,10 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm.files.joint_chain import behind
 from pickenv.arm.files.mjcf import mjcf_row
 from pickenv.arm.files.mjcf_values import ORIENTATIONS, MjcfValues, truth
 from pickenv.arm.files.xml_values import xml_root
-from pickenv.arm.kinematics.geometry import Pose, inverse_pose
+from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration.delivery.origin_lines import Document
 from pickenv.calibration.delivery.patched import correction, is_moved, own_origin, refuse_lost_files
 from pickenv.calibration.delivery.xml_edit import (

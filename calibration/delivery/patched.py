@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from pickenv.arm import forward
-from pickenv.arm.files.joint_chain import JointRow, behind
-from pickenv.arm.kinematics.geometry import Pose, inverse_pose
+from pickenv.arm.files.joint_chain import JointRow
+from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration.delivery.corrected_chain import CorrectedChain, corrected_chain, moved_by
 from pickenv.calibration.delivery.origin_lines import left_out
 from pickenv.calibration.delivery.same_chain import NEAR, TURNED, SameChain, same_chain

@@ -18,9 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Geometry
-from pickenv.arm.files.joint_chain import behind
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
-from pickenv.arm.kinematics.geometry import Array, Pose, identity_pose, inverse_pose
+from pickenv.arm.kinematics.geometry import Array, Pose, behind, identity_pose, inverse_pose
 from pickenv.errors import InputError
 
 NEAR, TURNED = 1e-4, 2e-4

@@ -12,8 +12,7 @@ import re
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm.files.joint_chain import behind
-from pickenv.arm.kinematics.geometry import Pose, inverse_pose
+from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration.delivery.origin_lines import Document, one_line, provenance
 from pickenv.calibration.delivery.patched import Correction
 from pickenv.calibration.pipeline.calibration import Calibration

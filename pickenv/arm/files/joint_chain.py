@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.kinematics.axes import PARALLEL, geometry_from_axes
-from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, identity_pose
+from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, behind, identity_pose
 from pickenv.errors import InputError
 from pickenv.texts import shortened
 
@@ -115,12 +115,6 @@ def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | No
         seen.add(passed)
         ratio, offset = ratio * factor, offset + ratio * shift
     return passed, ratio, offset
-
-
-def behind(pose: Pose, after: Pose) -> Pose:
-    """The pose ``after``, which is told in the frame ``pose``, in the frame that ``pose`` is told in; or batches."""
-    step = np.einsum("...ij,...j->...i", pose.rotation, after.position)
-    return Pose(pose.position + step, pose.rotation @ after.rotation)
 
 
 def chain_geometry(joints: Sequence[ChainJoint], tool: Pose, drives: Mapping[str, Drive]) -> tuple[Geometry, Array]:

@@ -19,10 +19,10 @@ import numpy as np
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
 from pickenv.arm.files.flange import Carried, flange
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, behind, driver_of
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, driver_of
 from pickenv.arm.files.mjcf_values import Attributes, MjcfValues, truth
 from pickenv.arm.files.xml_values import xml_root
-from pickenv.arm.kinematics.geometry import Pose, identity_pose
+from pickenv.arm.kinematics.geometry import Pose, behind, identity_pose
 from pickenv.errors import InputError
 from pickenv.texts import is_file, listed, shortened
 from pickenv.toml_tables import M

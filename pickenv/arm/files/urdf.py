@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
 from pickenv.arm.files.flange import Carried, flange
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, behind, driver_of
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, driver_of
 from pickenv.arm.files.xml_values import xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.axes import PARALLEL
-from pickenv.arm.kinematics.geometry import Array, Pose, identity_pose
+from pickenv.arm.kinematics.geometry import Array, Pose, behind, identity_pose
 from pickenv.errors import InputError
 from pickenv.texts import shortened
 from pickenv.toml_tables import M_PER_S, RAD, RAD_PER_S, M

@@ -44,6 +44,12 @@ def inverse_pose(pose: Pose) -> Pose:
     return Pose(-np.einsum("...ij,...j->...i", back, pose.position), back)
 
 
+def behind(pose: Pose, after: Pose) -> Pose:
+    """The pose ``after``, which is told in the frame ``pose``, in the frame that ``pose`` is told in; or batches."""
+    step = np.einsum("...ij,...j->...i", pose.rotation, after.position)
+    return Pose(pose.position + step, pose.rotation @ after.rotation)
+
+
 @dataclass(frozen=True)
 class Coupling:
     """Which joint moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].

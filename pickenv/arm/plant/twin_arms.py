@@ -17,7 +17,7 @@ from pickenv.arm.effects.gravity_yield import GravityYield
 from pickenv.arm.effects.residual_field import ResidualField
 from pickenv.arm.effects.structure import BoomBending, Harmonic, TransmissionError
 from pickenv.arm.files.arm import Arm
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose, behind, inverse_pose
 from pickenv.arm.plant.plant import MeasurementNoise, Plant
 from pickenv.arm.plant.posterior import Posterior
 from pickenv.toml_tables import GRAVITY
@@ -75,9 +75,9 @@ def _carried(arm: Arm, known: Posterior, found: Sequence[Geometry]) -> Geometry:
     """Geometries in the arm's own frame: one as it is, several as one whose numbers are arrays."""
     base, tool = known.aligned
     own = arm.nominal
-    before, behind = _product(own.base, _inverse(base)), _product(_inverse(tool), own.tool)
-    bases = [_product(before, each.base) for each in found]
-    tools = [_product(each.tool, behind) for each in found]
+    first, last = behind(own.base, inverse_pose(base)), behind(inverse_pose(tool), own.tool)
+    bases = [behind(first, each.base) for each in found]
+    tools = [behind(each.tool, last) for each in found]
     if len(found) == 1 and found[0] is known.identified:
         return replace(own, **{name: getattr(found[0], name) for name in LINK_PARAMETERS}, base=bases[0], tool=tools[0])
     links: dict[str, Any] = {name: np.stack([getattr(each, name) for each in found]) for name in LINK_PARAMETERS}
@@ -89,14 +89,6 @@ def _together(poses: Sequence[Pose]) -> Pose:
     position, rotation = (np.stack(parts) for parts in zip(*poses, strict=True))
     alike = np.ptp(position, axis=0).max() == 0.0 and np.ptp(rotation, axis=0).max() == 0.0
     return poses[0] if alike else Pose(position, rotation)
-
-
-def _product(one: Pose, other: Pose) -> Pose:
-    return Pose(one.position + one.rotation @ other.position, one.rotation @ other.rotation)
-
-
-def _inverse(pose: Pose) -> Pose:
-    return Pose(-(pose.rotation.T @ pose.position), pose.rotation.T)
 
 
 def _effects(arm: Arm, known: Posterior, coefficients: Array) -> dict[str, Any]:

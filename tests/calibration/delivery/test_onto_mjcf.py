@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
-from pickenv.arm.files.joint_chain import behind
-from pickenv.arm.kinematics.geometry import Pose, inverse_pose
+from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration import export, random_joints
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.errors import InputError

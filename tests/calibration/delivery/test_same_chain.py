@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.arm import forward, load_arm, rotation_matrix
-from pickenv.arm.files.joint_chain import behind
-from pickenv.arm.kinematics.geometry import Pose
+from pickenv.arm.kinematics.geometry import Pose, behind
 from pickenv.calibration.delivery.same_chain import link_frames, same_chain
 from pickenv.errors import InputError
 

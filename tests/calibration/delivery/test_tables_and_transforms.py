@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import forward, from_standard_dh, load_arm, rotation_matrix
-from pickenv.arm.files.joint_chain import behind
-from pickenv.arm.kinematics.geometry import Pose, inverse_pose
+from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration import export, random_joints
 from pickenv.errors import InputError
 
