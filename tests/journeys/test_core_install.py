@@ -28,7 +28,7 @@ STEPS: dict[str, tuple[str, ...]] = {
     "camera": ("board", "charuco_a4", "--out", "board.svg"),
     "study": (*STUDY, "--no-report", "--out", "study"),
     "rl": ("train", "--steps", "512", "--out", "policy"),
-    "export": ("export", "n.npz", "--arm", "qiao2026", "--onnx", "n.onnx"),
+    "export": ("export", "n.npz", "--out", "n.onnx"),
 }
 """What is typed for the sake of each extra, in the order in which they are installed."""
 
