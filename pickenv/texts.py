@@ -119,13 +119,18 @@ def decimal_number(text: str) -> float | None:
         return None
 
 
+def one_line(text: str) -> str:
+    """A text without line ends and other characters that names and comments cannot hold."""
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
 def shortened(value: object, length: int = 60) -> str:
     """``value`` as a message quotes it: on one line, and no longer than ``length``."""
     try:
         text = str(value) if not isinstance(value, str) else value
     except ValueError:  # an integer of more than 4300 digits
         return "a number of thousands of digits"
-    text = "".join(c if c.isprintable() else " " for c in text[: 4 * length])
+    text = one_line(text[: 4 * length])
     return text if len(text) <= length else f"{text[: length - 2].rstrip()} …"
 
 

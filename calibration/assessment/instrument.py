@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification, identify
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.kinds.distances import DistanceObservations
@@ -42,13 +41,6 @@ def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObserva
                 yield name + station.suffix, part, replace(data, stations=stations)
 
 
-def _pixels(data: PixelObservations, fit: Identification) -> Array:
-    """Corners found minus predicted, px, with the lens of the fit where it has one."""
-    values = np.array(list(fit.unknowns.values()))
-    free = data if not len(values) else with_lens(data, "free")
-    return free.pixel_errors(fit.arm_model, values)
-
-
 def said_of_instruments(
     model: ErrorModel, found: Identification, data: Observations
 ) -> Iterator[tuple[Literal["fail", "caution"], str]]:
@@ -74,8 +66,12 @@ def said_of_instruments(
                 '"fitted" in [wire]',
             )
     if isinstance(data, PixelObservations) and not data.lens_std.any():
-        freed = identify(model, found.arm_model, [with_lens(data, "free")])
-        given, fitted = (np.sqrt(np.mean(_pixels(data, fit) ** 2)) for fit in (found, freed))
+        other = with_lens(data, "free")
+        freed = identify(model, found.arm_model, [other])
+        given, fitted = (
+            np.sqrt(np.mean(views.pixel_errors(fit.arm_model, np.array(list(fit.unknowns.values()))) ** 2))
+            for views, fit in ((data, found), (other, freed))
+        )
         if freed.converged and fitted < (1.0 - LENS_MATTERS) * given:
             yield (
                 "caution",

@@ -13,10 +13,11 @@ import numpy as np
 
 from pickenv.arm import Arm, Geometry, rotation_vector
 from pickenv.arm.files.urdf_text import leading_links
-from pickenv.calibration.delivery.origin_lines import one_line, provenance
+from pickenv.calibration.delivery.origin_lines import provenance
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
 from pickenv.files import write_text
+from pickenv.texts import one_line
 
 
 def arm_toml(calibration: Calibration, arm: Arm) -> str:
@@ -30,12 +31,11 @@ def arm_toml(calibration: Calibration, arm: Arm) -> str:
     """
     geometry = calibration.identified
     leaders = _leading_tables(geometry)
-    owners = range(geometry.links) if geometry.coupling is None else geometry.coupling.joint
     lines = [f"# {one_line(line)}" for line in provenance(calibration)]
     lines += _entries({"name": f"{arm.name}_calibrated", "source": f"pickenv calibration of {arm.name}; {arm.source}"})
     lines += ['convention = "modified" # Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d)']
     lines += _entries({"joint_count": geometry.links})
-    for i, owner in enumerate(owners):
+    for i, owner in enumerate(geometry.owners):
         slides, leader, ratio = geometry.slides[i], leaders[owner], dict(geometry.links_of(owner))[i]
         unit, scale = ("mm", 1e3) if slides else ("deg", float(np.degrees(1.0)))
         joint: dict[str, Any] = {

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from pickenv.arm import Arm
 from pickenv.arm.files.urdf_text import urdf_text
-from pickenv.calibration.delivery.origin_lines import one_line, provenance
+from pickenv.calibration.delivery.origin_lines import provenance
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.files import write_text
+from pickenv.texts import one_line
 
 
 def write_arm_urdf(calibration: Calibration, arm: Arm, path: str | Path) -> Path:

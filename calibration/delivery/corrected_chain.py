@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Geometry
 from pickenv.arm.files.joint_chain import ChainJoint
-from pickenv.arm.kinematics.geometry import Array, Pose, behind, identity_pose, inverse_pose
+from pickenv.arm.kinematics.geometry import Pose, behind, identity_pose, inverse_pose
 from pickenv.calibration.delivery.same_chain import SameChain, link_frames
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -69,13 +69,13 @@ def corrected_chain(
         if link is not None:
             laid = behind(inverse_pose(before[link]), old)
             if links.count(link) == 1:
-                laid = _laid_upon(laid, joint, float(same.sign[_owner(nominal, link)]))
+                laid = _laid_upon(laid, joint, float(same.sign[nominal.owners[link]]))
             drawn, stood = stood, behind(after[link], laid)
             if _slips(before, link, joint):
                 axis = stood.rotation @ joint.axis
                 stood = Pose(stood.position + axis * (axis @ (drawn.position - stood.position)), stood.rotation)
         origins.append(behind(inverse_pose(new), stood))
-        moved = _displacement(joint, joint.offset)
+        moved = joint.motion(joint.offset)
         old, new = behind(old, moved), behind(stood, moved)
     hand = behind(after[-1], found.tool)
     tip = behind(new, tool)
@@ -106,26 +106,9 @@ def links_moved(joints: Sequence[ChainJoint]) -> list[int | None]:
     return found
 
 
-def _owner(geometry: Geometry, link: int) -> int:
-    return link if geometry.coupling is None else geometry.coupling.joint[link]
-
-
 def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
     """The pose of a file's joint in its link's frame, with the axis exactly on z; digits that the file cut go here."""
     axis = laid.rotation @ joint.axis
     turn = Rotation.align_vectors(sign * Z[None], axis[None])[0].as_matrix()
     position = laid.position if joint.slides else Z * laid.position[2]
     return Pose(position, turn @ laid.rotation)
-
-
-def _displacement(joint: ChainJoint, value: float) -> Pose:
-    """The motion of a joint in its own frame."""
-    if joint.slides:
-        return Pose(value * joint.axis, np.eye(3))
-    return Pose(np.zeros(3), Rotation.from_rotvec(value * joint.axis).as_matrix())
-
-
-def moved_by(old: Pose, new: Pose) -> Array:
-    """How far a pose is from another: m and rad (2,)."""
-    turn = Rotation.from_matrix(new.rotation @ old.rotation.T).magnitude()
-    return np.array([np.linalg.norm(new.position - old.position), turn])

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from pickenv.calibration.delivery.joint_offsets import JointOffsets
-from pickenv.calibration.delivery.origin_lines import Document, one_line, provenance
+from pickenv.calibration.delivery.origin_lines import Document, provenance
 from pickenv.calibration.delivery.xml_edit import Edit, StartTag, edited, inserted_first, start_tags
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
-from pickenv.texts import decimal_number, parsed, read_text, shortened
+from pickenv.texts import decimal_number, one_line, parsed, read_text, shortened
 
 TABLE_FORMAT = "pickenv joint offsets 1"
 

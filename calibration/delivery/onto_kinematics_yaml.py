@@ -20,13 +20,13 @@ from pickenv.arm.files.ur_yaml import UR_KEYS, UR_LINKS, ur_row
 from pickenv.arm.files.urdf_text import roll_pitch_yaw
 from pickenv.arm.kinematics.geometry import identity_pose
 from pickenv.calibration.delivery.corrected_chain import Z, corrected_chain
-from pickenv.calibration.delivery.origin_lines import Document, one_line, provenance
+from pickenv.calibration.delivery.origin_lines import Document, provenance
 from pickenv.calibration.delivery.patched import correction, is_moved
 from pickenv.calibration.delivery.same_chain import SameChain
 from pickenv.calibration.delivery.xml_edit import Edit, edited
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
-from pickenv.texts import shortened
+from pickenv.texts import one_line, shortened
 
 LENGTHS = ("x", "y", "z")
 UR_TWISTS = (0.0, math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.mjcf import mjcf_row
 from pickenv.arm.files.mjcf_values import ORIENTATIONS, MjcfValues, truth
-from pickenv.arm.files.xml_values import xml_root
+from pickenv.arm.files.xml_values import numbers_text, xml_root
 from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration.delivery.origin_lines import Document
 from pickenv.calibration.delivery.patched import correction, is_moved, own_origin, refuse_lost_files
@@ -23,7 +23,6 @@ from pickenv.calibration.delivery.xml_edit import (
     attribute_edits,
     attribute_spans,
     edited,
-    numbers_text,
     start_tags,
 )
 from pickenv.calibration.pipeline.calibration import Calibration

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.urdf import urdf_row
 from pickenv.arm.files.urdf_text import roll_pitch_yaw
-from pickenv.arm.files.xml_values import xml_numbers
+from pickenv.arm.files.xml_values import numbers_text, xml_numbers
 from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration.delivery.origin_lines import Document
 from pickenv.calibration.delivery.patched import (
@@ -29,7 +29,6 @@ from pickenv.calibration.delivery.xml_edit import (
     attribute_edits,
     edited,
     inserted_first,
-    numbers_text,
     start_tags,
 )
 from pickenv.calibration.pipeline.calibration import Calibration

@@ -48,8 +48,3 @@ def left_out(calibration: Calibration) -> list[str]:
     if calibration.learnt is not None:
         found.append(f"learnt residual '{calibration.learnt.kind}'")
     return found
-
-
-def one_line(text: str) -> str:
-    """A text without line ends and other characters that a comment cannot hold."""
-    return "".join(c if c.isprintable() else " " for c in text)

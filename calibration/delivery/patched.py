@@ -17,9 +17,10 @@ import numpy as np
 from pickenv.arm import forward
 from pickenv.arm.files.joint_chain import JointRow
 from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
-from pickenv.calibration.delivery.corrected_chain import CorrectedChain, corrected_chain, moved_by
+from pickenv.calibration.delivery.corrected_chain import CorrectedChain, corrected_chain
 from pickenv.calibration.delivery.origin_lines import left_out
 from pickenv.calibration.delivery.same_chain import NEAR, TURNED, SameChain, same_chain
+from pickenv.calibration.identification.alignment import apart
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
 from pickenv.texts import shortened
@@ -63,10 +64,11 @@ def correction(calibration: Calibration, own: JointRow, path: Path) -> Correctio
     same = same_chain(calibration.arm, geometry, path.name, calibration.arm_name)
     chain = corrected_chain(calibration.arm, calibration.identified, own.joints, own.tool, same)
     known = calibration.record.get("frames") != "fitted"
-    retooled = moved_by(calibration.arm.tool, calibration.identified.tool)
+    retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
     tool, tip = behind(same.root, forward(calibration.arm, same.zero)), forward(geometry, np.zeros(geometry.joints))
-    at_tip = (moved_by(tool, tip) <= [NEAR, TURNED]).all()
-    mount = chain.mount if known and at_tip and own.mount is not None and (retooled > NOTHING).any() else None
+    near, turned = apart(tool, tip)
+    at_tip = near <= NEAR and turned <= TURNED
+    mount = chain.mount if known and at_tip and own.mount is not None and retooled else None
     return Correction(chain, same, mount, tuple(_notes(calibration, own, chain, same, mount)))
 
 
@@ -83,22 +85,22 @@ def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
 
 def is_moved(old: Pose, new: Pose) -> tuple[bool, bool]:
     """Whether position and rotation differ by more than their last digits."""
-    position, turn = moved_by(old, new) > NOTHING
-    return bool(position), bool(turn)
+    position, turn = apart(old, new)
+    return position > NOTHING, turn > NOTHING
 
 
 def _notes(
     calibration: Calibration, own: JointRow, chain: CorrectedChain, same: SameChain, mount: Pose | None
 ) -> list[str]:
     moves = {
-        joint.name: moved_by(joint.origin, new)
+        joint.name: apart(joint.origin, new)
         for joint, new in zip(own.joints, chain.origins, strict=True)
         if any(is_moved(joint.origin, new))
     }
     notes = []
     if moves:
-        far = max(moves, key=lambda name: float(moves[name][0]))
-        turned = max(moves, key=lambda name: float(moves[name][1]))
+        far = max(moves, key=lambda name: moves[name][0])
+        turned = max(moves, key=lambda name: moves[name][1])
         notes.append(
             f"{len(moves)} of {len(own.joints)} joint origins corrected: by up to {moves[far][0] * 1e3:.3g} mm ({far}) "
             f"and {math.degrees(moves[turned][1]):.3g} deg ({turned}); everything else is as it was"
@@ -121,11 +123,10 @@ def _notes(
         )
     elif mount is not None:
         notes.append(f"the tool's correction is in the fixed joint '{own.mount}' before the tip")
-    elif (moved_by(calibration.arm.tool, calibration.identified.tool) > NOTHING).any():
-        far, turn = moved_by(calibration.arm.tool, calibration.identified.tool)
+    elif max(retooled := apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING:
         notes.append(
-            f"the tool's correction ({far * 1e3:.3g} mm, {math.degrees(turn):.3g} deg) is left out: the file's tip is "
-            "not the calibrated tool on a fixed joint; --as transforms writes it"
+            f"the tool's correction ({retooled[0] * 1e3:.3g} mm, {math.degrees(retooled[1]):.3g} deg) is left out: the "
+            "file's tip is not the calibrated tool on a fixed joint; --as transforms writes it"
         )
     left = left_out(calibration)
     if left:

@@ -13,10 +13,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
-from pickenv.calibration.delivery.origin_lines import Document, one_line, provenance
+from pickenv.calibration.delivery.origin_lines import Document, provenance
 from pickenv.calibration.delivery.patched import Correction
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.errors import InputError
+from pickenv.texts import one_line
 
 
 def static_transforms(

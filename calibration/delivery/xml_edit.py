@@ -10,9 +10,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from xml.parsers import expat
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 ATTRIBUTE = re.compile(rb"""\s+([^\s=/>]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
@@ -101,11 +98,6 @@ def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
     """What puts an element right behind a start tag, on a line as the next one has it."""
     space = re.compile(rb"\s*").match(data, tag.end)
     return Edit(tag.end, tag.end, (space[0] if space else b"") + element.encode())
-
-
-def numbers_text(numbers: ArrayLike) -> str:
-    """Numbers as an attribute lists them, with all their digits."""
-    return " ".join(repr(float(number)) for number in np.atleast_1d(numbers))
 
 
 def edited(data: bytes, edits: Iterable[Edit]) -> bytes:

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.axes import PARALLEL, geometry_from_axes
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, behind, identity_pose
 from pickenv.errors import InputError
@@ -59,6 +61,12 @@ class ChainJoint:
     body: str = ""
     within: Array = field(default_factory=lambda: np.zeros(3))
 
+    def motion(self, value: float) -> Pose:
+        """The pose, in the joint's own frame, of what it carries once displaced by ``value``, rad or m."""
+        if self.slides:
+            return Pose(value * self.axis, np.eye(3))
+        return Pose(np.zeros(3), Rotation.from_rotvec(value * self.axis).as_matrix())
+
 
 class JointRow(NamedTuple):
     """The joints of a file from its root to a tip, as its reader found them.
@@ -84,6 +92,24 @@ class JointRow(NamedTuple):
     def geometry(self) -> tuple[Geometry, Array]:
         """The arm that the row makes, and the largest speeds of its drives; raises as `chain_geometry` does."""
         return chain_geometry(self.joints, self.tool, self.drives)
+
+    def arm(self, path: Path, form: str, by_name: bool) -> Arm:
+        """The arm of a file.
+
+        Args:
+            path: The file.
+            form: Its format.
+            by_name: Whether the tip was named; else the arm's source says which link was taken.
+
+        Raises:
+            InputError: As `geometry` does; the message names the file.
+        """
+        try:
+            geometry, speed = self.geometry()
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        chosen = "" if by_name else " by default its flange,"
+        return Arm(self.name, f"{form} {path.name},{chosen} tip {self.tip}", geometry, None, speed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +163,7 @@ def chain_geometry(joints: Sequence[ChainJoint], tool: Pose, drives: Mapping[str
         if joint.ratio:
             found[joint.driver] = _within(found.get(joint.driver, drives[joint.driver]), joint)
             links.append(_Link(joint.driver, joint.ratio, joint.slides, here.position, direction))
-        if joint.slides:
-            here = Pose(here.position + direction * joint.offset, here.rotation)
-        else:
-            here = Pose(here.position, Rotation.from_rotvec(direction * joint.offset).as_matrix() @ here.rotation)
+        here = behind(here, joint.motion(joint.offset))
     links = _one_slide_each(links)
     if not links:
         raise InputError("the chain to the tip has no moving joint; name a link that an arm moves")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm.kinematics.geometry import Geometry, Pose
+from pickenv.arm.kinematics.geometry import Geometry, Pose, behind, identity_pose
 
 
 def link_origins(geometry: Geometry) -> list[Pose]:
@@ -18,6 +18,6 @@ def link_origins(geometry: Geometry) -> list[Pose]:
         twist = Rotation.from_euler("x", geometry.alpha[i])
         turn = twist * Rotation.from_euler("y", geometry.beta[i]) * Rotation.from_euler("z", geometry.theta[i])
         local = np.array([geometry.a[i], 0.0, 0.0]) + turn.as_matrix() @ np.array([0.0, 0.0, geometry.d[i]])
-        found.append(Pose(pending.position + pending.rotation @ local, pending.rotation @ turn.as_matrix()))
-        pending = Pose(np.zeros(3), np.eye(3))
+        found.append(behind(pending, Pose(local, turn.as_matrix())))
+        pending = identity_pose()
     return found

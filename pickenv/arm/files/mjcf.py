@@ -61,13 +61,7 @@ def load_mjcf(path: str | Path, tip: str | None = None) -> Arm:
         InputError: If the file, a body or a joint is unusable; the message names it.
     """
     path = Path(path)
-    row = mjcf_row(path, tip)
-    try:
-        geometry, speed = row.geometry()
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    chosen = "" if tip else " by default its flange,"
-    return Arm(row.name, f"MJCF {path.name},{chosen} tip {row.tip}", geometry, None, speed)
+    return mjcf_row(path, tip).arm(path, "MJCF", bool(tip))
 
 
 def mjcf_row(path: Path, tip: str | None = None) -> JointRow:

@@ -10,14 +10,15 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.link_origins import link_origins
 from pickenv.arm.files.urdf_text import ROD_RADIUS, leading_links
+from pickenv.arm.files.xml_values import numbers_text
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.errors import InputError
 from pickenv.files import write_text
+from pickenv.texts import one_line
 
 DENSITY, LEAST_MASS = 3.0, 0.2
 """kg/m of a link, and the lightest one's mass in kg."""
@@ -43,30 +44,28 @@ def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
     if None in leaders:
         title = geometry.joint_names[leaders.index(None)]
         raise InputError(f"joint '{title}' moves no link as it moves itself; write URDF instead")
-    root = Element("mujoco", model=_clean(name))
+    root = Element("mujoco", model=one_line(name))
     if comment:
-        root.append(ElementTree.Comment(_clean(comment.replace("--", "- -"))))
+        root.append(ElementTree.Comment(one_line(comment.replace("--", "- -"))))
     ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
     body = ElementTree.SubElement(root, "worldbody")
     drives, couplings = Element("actuator"), Element("equality")
-    owners = range(geometry.links) if geometry.coupling is None else geometry.coupling.joint
-    ratios = (1.0,) * geometry.links if geometry.coupling is None else geometry.coupling.ratio
     origins = link_origins(geometry)
     ends = [*(origin.position for origin in origins[1:]), geometry.tool.position]
-    links = zip(owners, ratios, geometry.slides, origins, ends, strict=True)
+    links = zip(geometry.owners, geometry.ratios, geometry.slides, origins, ends, strict=True)
     for i, (owner, ratio, slides, origin, end) in enumerate(links):
         body = ElementTree.SubElement(body, "body", {"name": f"link{i + 1}", **_placed(origin)})
         _weigh(body, end)
-        leads, title = leaders[owner] == i, _clean(geometry.joint_names[owner])
+        leads, title = leaders[owner] == i, one_line(geometry.joint_names[owner])
         limits = sorted((ratio * float(geometry.lower[owner]), ratio * float(geometry.upper[owner])))
         joint = title if leads else f"{title} (follows, link {i + 1})"
         kind = "slide" if slides else "hinge"
-        ElementTree.SubElement(body, "joint", name=joint, type=kind, axis="0 0 1", range=_words(limits))
+        ElementTree.SubElement(body, "joint", name=joint, type=kind, axis="0 0 1", range=numbers_text(limits))
         if leads:
-            settings = {"kp": repr(STIFFNESS), "kv": repr(DAMPING), "ctrlrange": _words(limits)}
+            settings = {"kp": repr(STIFFNESS), "kv": repr(DAMPING), "ctrlrange": numbers_text(limits)}
             ElementTree.SubElement(drives, "position", {"name": title, "joint": joint, **settings})
         else:
-            law = _words([0.0, ratio, 0.0, 0.0, 0.0])
+            law = numbers_text([0.0, ratio, 0.0, 0.0, 0.0])
             ElementTree.SubElement(couplings, "joint", joint1=joint, joint2=title, polycoef=law)
     ElementTree.SubElement(body, "site", {"name": TOOL_SITE, "size": "0.01", **_placed(geometry.tool)})
     root.append(drives)
@@ -88,21 +87,13 @@ def _weigh(body: Element, end: Array) -> None:
     inertia = mass * (
         length**2 / 12.0 + ROD_RADIUS**2 / 2.0
     )  # across the rod; along it no less, so that it is never singular
-    inertial = {"pos": _words(end / 2.0), "mass": repr(mass), "diaginertia": _words([inertia] * 3)}
+    inertial = {"pos": numbers_text(end / 2.0), "mass": repr(mass), "diaginertia": numbers_text([inertia] * 3)}
     ElementTree.SubElement(body, "inertial", inertial)
     if length > ROD_RADIUS:
-        shape = {"type": "capsule", "fromto": _words([0.0, 0.0, 0.0, *end]), "size": repr(ROD_RADIUS)}
+        shape = {"type": "capsule", "fromto": numbers_text([0.0, 0.0, 0.0, *end]), "size": repr(ROD_RADIUS)}
         ElementTree.SubElement(body, "geom", {**shape, "contype": "0", "conaffinity": "0"})
 
 
 def _placed(pose: Pose) -> dict[str, str]:
     x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat()
-    return {"pos": _words(pose.position), "quat": _words([w, x, y, z])}
-
-
-def _words(numbers: ArrayLike) -> str:
-    return " ".join(repr(float(number)) for number in np.atleast_1d(numbers))
-
-
-def _clean(text: str) -> str:
-    return "".join(c if c.isprintable() or c == "\n" else " " for c in text)
+    return {"pos": numbers_text(pose.position), "quat": numbers_text([w, x, y, z])}

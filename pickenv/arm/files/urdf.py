@@ -42,13 +42,7 @@ def load_urdf(path: str | Path, tip: str | None = None, base: str | None = None)
         InputError: If the file, a link or a joint is unusable; the message names it.
     """
     path = Path(path)
-    row = urdf_row(path, tip, base)
-    try:
-        geometry, speed = row.geometry()
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    chosen = "" if tip else " by default its flange,"
-    return Arm(row.name, f"URDF {path.name},{chosen} tip {row.tip}", geometry, None, speed)
+    return urdf_row(path, tip, base).arm(path, "URDF", bool(tip))
 
 
 def urdf_row(path: Path, tip: str | None = None, base: str | None = None) -> JointRow:

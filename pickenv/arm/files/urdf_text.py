@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pickenv.arm.files.link_origins import link_origins
+from pickenv.arm.files.xml_values import numbers_text
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, identity_pose
 from pickenv.files import write_text
+from pickenv.texts import one_line
 
 ROD_RADIUS, SHORTEST_ROD = 0.015, 0.02
 """m; of the rods that viewers draw for the links. Kinematics do not look at them."""
@@ -32,14 +33,12 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
     several links, those after its own mimic it; where it moves none as it moves itself, it stands beside the chain.
     Characters that XML cannot hold are left out of names.
     """
-    robot = Element("robot", name=_printable(name))
+    robot = Element("robot", name=one_line(name))
     body = ElementTree.SubElement(robot, "link", name="base")
     parent = "base"
     speeds = np.ones(geometry.joints) if speed is None else speed
-    leaders, titles = leading_links(geometry), [_printable(title) for title in geometry.joint_names]
-    owners = range(geometry.links) if geometry.coupling is None else geometry.coupling.joint
-    ratios = (1.0,) * geometry.links if geometry.coupling is None else geometry.coupling.ratio
-    links = zip(owners, ratios, geometry.slides, link_origins(geometry), strict=True)
+    leaders, titles = leading_links(geometry), [one_line(title) for title in geometry.joint_names]
+    links = zip(geometry.owners, geometry.ratios, geometry.slides, link_origins(geometry), strict=True)
     for i, (owner, ratio, slides, origin) in enumerate(links):
         link = f"link{i + 1}"
         _rod(body, origin.position)
@@ -47,7 +46,7 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
         ends = sorted((ratio * float(geometry.lower[owner]), ratio * float(geometry.upper[owner])))
         if slides:
             _rod(body, np.array([0.0, 0.0, -ends[1]]))
-        title = titles[owner] if leaders[owner] == i else _printable(geometry.link_names[i])
+        title = titles[owner] if leaders[owner] == i else one_line(geometry.link_names[i])
         if leaders[owner] != i and title == titles[owner]:
             title += " (follows)"
         joint = _joint(robot, title, slides, parent, link, origin, (*ends, abs(ratio) * speeds[owner]))
@@ -76,10 +75,6 @@ def leading_links(geometry: Geometry) -> list[int | None]:
     return found
 
 
-def _printable(name: str) -> str:
-    return "".join(c if c.isprintable() else " " for c in name)
-
-
 def _moving_link(robot: Element, name: str) -> Element:
     link = ElementTree.SubElement(robot, "link", name=name)
     inertial = ElementTree.SubElement(link, "inertial")
@@ -100,10 +95,10 @@ def _joint(
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
     rpy = roll_pitch_yaw(origin.rotation)
-    ElementTree.SubElement(joint, "origin", xyz=_text(origin.position), rpy=_text(rpy))
+    ElementTree.SubElement(joint, "origin", xyz=numbers_text(origin.position), rpy=numbers_text(rpy))
     if slides is not None:
         ElementTree.SubElement(joint, "axis", xyz="0 0 1")
-        ends = dict(zip(("lower", "upper", "velocity"), map(_text, limits), strict=True))
+        ends = dict(zip(("lower", "upper", "velocity"), map(numbers_text, limits), strict=True))
         ElementTree.SubElement(joint, "limit", {**ends, "effort": repr(EFFORT)})
     return joint
 
@@ -118,10 +113,6 @@ def roll_pitch_yaw(rotation: Array) -> Array:
     return np.array([roll, pitch, yaw])
 
 
-def _text(numbers: ArrayLike) -> str:
-    return " ".join(repr(float(number)) for number in np.atleast_1d(numbers))
-
-
 def _rod(link: Element, end: Array) -> None:
     """Draw a link as a rod from its origin to ``end``, m."""
     length = float(np.linalg.norm(end))
@@ -129,7 +120,7 @@ def _rod(link: Element, end: Array) -> None:
         return
     tilt = np.arccos(end[2] / length), np.arctan2(end[1], end[0])
     visual = ElementTree.SubElement(link, "visual")
-    ElementTree.SubElement(visual, "origin", xyz=_text(end / 2.0), rpy=f"0 {_text(tilt)}")
+    ElementTree.SubElement(visual, "origin", xyz=numbers_text(end / 2.0), rpy=f"0 {numbers_text(tilt)}")
     shape = ElementTree.SubElement(visual, "geometry")
     ElementTree.SubElement(shape, "cylinder", length=repr(length), radius=repr(ROD_RADIUS))
 

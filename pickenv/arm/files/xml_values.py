@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
@@ -63,3 +64,8 @@ def xml_number(text: str, owner: str, most: float) -> float:
     if abs(value) > most:
         raise InputError(f"the {owner} is {value:g}; no arm has more than {most:g} there")
     return value
+
+
+def numbers_text(numbers: ArrayLike) -> str:
+    """Numbers as an attribute lists them, with all their digits."""
+    return " ".join(repr(float(number)) for number in np.atleast_1d(numbers))

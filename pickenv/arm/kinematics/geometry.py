@@ -126,11 +126,21 @@ class Geometry:
         return self.prismatic if self.coupling is None else self.coupling.slides
 
     @property
+    def owners(self) -> tuple[int, ...]:
+        """For each link, the joint that moves it, shape (L,)."""
+        return tuple(range(self.joints)) if self.coupling is None else self.coupling.joint
+
+    @property
+    def ratios(self) -> tuple[float, ...]:
+        """For each link, its displacement per displacement of that joint, shape (L,)."""
+        return (1.0,) * self.joints if self.coupling is None else self.coupling.ratio
+
+    @property
     def link_names(self) -> tuple[str, ...]:
         """One name per link, shape (L,): its joint's, with a number where the joint moves several links."""
         if self.coupling is None:
             return self.joint_names
-        owners, names = self.coupling.joint, []
+        owners, names = self.owners, []
         for i, joint in enumerate(owners):
             place = f" ({owners[: i + 1].count(joint)} of {owners.count(joint)})" if owners.count(joint) > 1 else ""
             names.append(self.joint_names[joint] + place)
