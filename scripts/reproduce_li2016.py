@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import li2016_verdicts as verdicts
 import numpy as np
 import typer
-from li2016_page import write_li_page
-from li2016_trace import trace_of
+from papers import li2016_verdicts as verdicts
+from papers.li2016_page import write_li_page
+from papers.li2016_trace import trace_of
 from rich.console import Console
 from rich.table import Table
 

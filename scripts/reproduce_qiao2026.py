@@ -51,7 +51,7 @@ from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.files import write_text
 from pickenv.intervals import LEAST_RUNS, mean_interval
 
-PAPER = tomllib.loads((Path(__file__).parent / "qiao2026_paper.toml").read_text(encoding="utf-8"))
+PAPER = tomllib.loads((Path(__file__).parent / "papers/qiao2026_paper.toml").read_text(encoding="utf-8"))
 REMOVED_BY_PAPER = ("a2", "a3", "a5", "d3", "d4", "theta2", "d6")
 SEED = 0
 METHODS = ("raw", "EKF", "LS", "RBF", "BPNN", "EKF+RBF", "EKF+BPNN", "LS+BPNN")
@@ -297,8 +297,8 @@ def main(
     ] = False,
 ) -> None:
     """Run the reproduction and print it."""
-    import qiao2026_verdicts as verdicts
-    from qiao2026_page import print_tables, write_page
+    from papers import qiao2026_verdicts as verdicts
+    from papers.qiao2026_page import print_tables, write_page
     from rich.progress import track
 
     settings = BpnnSettings(epochs=100) if quick else BpnnSettings()

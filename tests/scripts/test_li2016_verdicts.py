@@ -8,7 +8,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 
-import li2016_verdicts as verdicts
+from papers import li2016_verdicts as verdicts
 from reproduce_li2016 import TABLE2, table2
 
 

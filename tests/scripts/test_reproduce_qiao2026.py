@@ -16,7 +16,7 @@ from pickenv.calibration import random_joints
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 sys.path.insert(0, str(SCRIPTS))
 
-import qiao2026_verdicts as verdicts  # noqa: E402
+from papers import qiao2026_verdicts as verdicts  # noqa: E402
 from reproduce_qiao2026 import PAPER, paired, paper_phi  # noqa: E402
 
 VERDICTS = {"reproduced", "not reproduced", "fitted"}

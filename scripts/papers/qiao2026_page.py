@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from papers.verdicts import headline, said
 from rich.console import Console
 from rich.table import Table
 
@@ -38,11 +39,6 @@ def _cells(row: list[float]) -> list[str]:
 
 def _interval(ends: list[float] | None, result: Mapping[str, Any], sign: str = "") -> str:
     return result["no_interval"] if ends is None else between(ends[0], ends[1], 3, sign)
-
-
-def said(name: str, table: Mapping[str, Any]) -> str:
-    """A title with its verdict."""
-    return f"{name}: {table['verdict'].upper()}. {table['reason']}"
 
 
 def _number(value: float | None) -> str:
@@ -135,16 +131,6 @@ def sections(result: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[
     rows = [[name.replace("_", " "), f"{value:.4g}"] for name, value in fifteen["rows"][0].items()]
     tables.append((said("Equation (15), the literal inverse of J_a", fifteen), ["figure", "value"], rows))
     return tables
-
-
-def headline(result: Mapping[str, Any]) -> str:
-    """How many of tables, equations and figures came out again."""
-    kinds = [kind for kind in ("tables", "equations", "figures", "experiments") if kind in result]
-    each = [part["verdict"] for kind in kinds for part in result[kind].values()]
-    return (
-        f"Of {len(each)} {', '.join(kinds[:-1])} and {kinds[-1]} {each.count('reproduced')} are reproduced, "
-        f"{each.count('fitted')} fitted, {each.count('not reproduced')} not reproduced"
-    )
 
 
 def print_tables(result: Mapping[str, Any]) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from qiao2026_page import headline, said
+from papers.verdicts import headline, said
 
 from pickenv.files import write_text
 from pickenv.inspect.figures.run_drawings import Drawing

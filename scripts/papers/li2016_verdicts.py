@@ -1,6 +1,6 @@
 """What of Li et al. 2016 comes out again: a verdict for each table, equation and figure, by the numbers beside it.
 
-``reproduced``, ``fitted`` (a constant of ours was chosen so) or ``not reproduced``, each with its reason.
+What the verdicts are called stands in `papers.verdicts`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from qiao2026_verdicts import FITTED, NOT, REPRODUCED, judged
+from papers.verdicts import FITTED, NOT, REPRODUCED, judged
 
 from pickenv.arm.kinematics.geometry import Array
 

@@ -1,7 +1,6 @@
 """What of Qiao 2026 comes out again: a verdict for each table, equation and figure, decided by the numbers beside it.
 
-``reproduced``: what the paper states comes out of our run; ``fitted``: a constant of ours was chosen so that it does;
-``not reproduced``: it does not, or nobody could say. A reason with figures stands beside each.
+What the verdicts are called stands in `papers.verdicts`.
 """
 
 from __future__ import annotations
@@ -10,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from papers.verdicts import FITTED, NOT, REPRODUCED, judged
 from scipy.stats import spearmanr
 
 from pickenv.arm.kinematics.geometry import Array
 
-REPRODUCED, NOT, FITTED = "reproduced", "not reproduced", "fitted"
 SAME = 0.02
 """Parameters of Table 2 agree within this, deg or mm: a digit of misprint is more."""
 MOST = 2 / 3
@@ -24,11 +23,6 @@ ALIKE = 0.8
 POINTS = 5.0
 """Reductions agree within so many percentage points."""
 PARTS = ("alpha_deg", "a_mm", "d_mm", "theta_deg")
-
-
-def judged(verdict: str, reason: str, rows: Sequence[Mapping[str, Any]], **more: Any) -> dict[str, Any]:
-    """A table with its verdict, as it goes into JSON."""
-    return {"verdict": verdict, "reason": reason, "rows": list(rows), **more}
 
 
 def column(table: Mapping[str, Any]) -> Array:
