@@ -196,6 +196,9 @@ def export(
         int, typer.Option(help="With --as mjcf: so many arms that the data allow, …_1 and on.", min=0, max=10_000)
     ] = 0,
     seed: Annotated[int, typer.Option(help="Seed of --sample.", min=0)] = 0,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write what was said of the file to this one.", show_default=False)
+    ] = None,
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
@@ -208,14 +211,14 @@ def export(
     files = (
         mjcf_files(out, sample) if onto is None and (kind == "mjcf" or (out.suffix == ".xml" and kind is None)) else out
     )
-    separate({"CALIBRATION": calibration, "--arm": arm, "--onto": onto}, {"--out": files})
+    separate({"CALIBRATION": calibration, "--arm": arm, "--onto": onto}, {"--out": files, "--json": json_file})
     chosen = None if arm is None else load_arm(arm)
     loaded = Calibration.load(calibration, chosen, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
     done = exported(
         loaded, out, kind=kind, onto=onto, arm=chosen, counts_per_turn=counts_per_turn, sample=sample, seed=seed
     )
-    for note in done.notes:
-        print(note)
-    for path in (done.path, *done.beside):
-        print(f"wrote {path}")
+    told = {"files": [str(path) for path in (done.path, *done.beside)], "notes": list(done.notes)}
+    for line in (*done.notes, *(f"wrote {path}" for path in (done.path, *done.beside))):
+        print(line)
+    deliver([(json_file, lambda path: write_json(path, told))], lambda: None)

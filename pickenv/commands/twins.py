@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from pickenv.commands.corrections import ALLOW, CALIBRATION, UNIT
-from pickenv.files import separate
+from pickenv.commands.handing_over import deliver
+from pickenv.files import separate, write_json
 from pickenv.reservations import DO_NOT_USE, obey
 
 
@@ -26,6 +27,9 @@ def twin(
     ] = None,
     columns: Annotated[str | None, typer.Option(help="Column description of --rows; ours if left out.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the residual's waves.", min=0)] = 0,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write what was said of the plant to this file.", show_default=False)
+    ] = None,
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
@@ -43,7 +47,7 @@ def twin(
     if columns is not None and rows is None:
         raise InputError("--columns describes the files of --rows; give those too")
     path = out if out.suffix == ".npz" else out.with_name(f"{out.name}.npz")
-    separate({"CALIBRATION": calibration, "--arm": arm, "--rows": rows or []}, {"--out": path})
+    separate({"CALIBRATION": calibration, "--arm": arm, "--rows": rows or []}, {"--out": path, "--json": json_file})
     loaded = Calibration.load(calibration, None, unit)
     chosen = load_arm(arm or loaded.arm_name)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
@@ -51,13 +55,21 @@ def twin(
     if data is not None and not isinstance(data, Measurements):
         raise InputError(f"--rows holds {data.kind}, not poses or positions; leave it out")
     plant = made(loaded, chosen, data, name=path.stem, seed=seed)
-    written = write_twin(plant, path)
     assert plant.posterior is not None
     known = plant.posterior
-    print(
-        f"{plant.name}: {known.factor.shape[1]} parameters of arm '{chosen.name}' as found, "
-        f"{len(known.unseen)} that were not identified"
+    told = {
+        "name": plant.name,
+        "arm": chosen.name,
+        "parameters": known.factor.shape[1],
+        "not_identified": len(known.unseen),
+        "notes": list(known.notes),
+    }
+    lines = [
+        f"{plant.name}: {told['parameters']} parameters of arm '{chosen.name}' as found, {told['not_identified']} that "
+        "were not identified",
+        *(f"  {note}" for note in known.notes),
+    ]
+    deliver(
+        [(path, lambda file: write_twin(plant, file)), (json_file, lambda file: write_json(file, told))],
+        lambda: print(*lines, sep="\n"),
     )
-    for note in known.notes:
-        print(f"  {note}")
-    print(f"wrote {written}")

@@ -72,8 +72,8 @@ def _joints(chain: list[Element], named: Mapping[str, Element]) -> tuple[list[Ch
     before = identity_pose()  # from the last joint that moves
     for joint in chain:
         origin = joint.find("origin")
-        turn = Rotation.from_euler("xyz", _numbers(origin, "rpy")).as_matrix()
-        before = behind(before, Pose(_numbers(origin, "xyz"), turn))
+        turn = Rotation.from_euler("xyz", _numbers(origin, "rpy", joint)).as_matrix()
+        before = behind(before, Pose(_numbers(origin, "xyz", joint), turn))
         kind = str(joint.get("type"))
         if kind == "fixed":
             continue
@@ -83,7 +83,7 @@ def _joints(chain: list[Element], named: Mapping[str, Element]) -> tuple[list[Ch
             )
         driver, ratio, offset = _driver(joint, named)
         axis = joint.find("axis")
-        direction = np.array([1.0, 0.0, 0.0]) if axis is None else _numbers(axis, "xyz")
+        direction = np.array([1.0, 0.0, 0.0]) if axis is None else _numbers(axis, "xyz", joint)
         length = float(np.linalg.norm(direction))
         if length < PARALLEL:
             raise InputError(f"joint {_name(joint)} has an axis without direction; give a unit vector")
@@ -216,6 +216,6 @@ def _name(joint: Element) -> str:
     return f"'{shortened(joint.get('name'))}'"
 
 
-def _numbers(element: Element | None, key: str) -> Array:
+def _numbers(element: Element | None, key: str, joint: Element) -> Array:
     text = "0 0 0" if element is None else element.get(key, "0 0 0")
-    return xml_numbers(text, key, (RAD if key == "rpy" else M).most)
+    return xml_numbers(text, f"{key} of joint {_name(joint)}", (RAD if key == "rpy" else M).most)

@@ -143,8 +143,8 @@ def _split(name: str | Path) -> tuple[str, str]:
         return kind, rest or FIRST_ARM
     if colon and not is_file(str(name)) and (rest in (*shipped_arms(), *shipped_plants())):
         raise InputError(
-            f"unknown tolerance class '{shortened(kind)}'; give one of {[IDEAL, *shipped_tolerances()]}, or a path to "
-            "its file (.toml), before the colon"
+            f"unknown tolerance class '{shortened(kind)}'; give one of {', '.join((IDEAL, *shipped_tolerances()))}, or "
+            "a path to its file (.toml), before the colon"
         )
     return "", rest
 

@@ -154,7 +154,10 @@ BAD = {
     "not XML": ("<robot", r"is not valid XML"),
     "no such link": (FOREIGN, r"no chain of joints leads from link 'root' to link 'nowhere'"),
     "a ball joint": (FOREIGN.replace('"continuous"', '"floating"'), r"joint 'turn' has type 'floating'"),
-    "a word": (FOREIGN.replace("0.1 -0.2 0.7", "0.1 up 0.7"), r"'0.1 up 0.7' is not three numbers"),
+    "a word": (
+        FOREIGN.replace("0.1 -0.2 0.7", "0.1 up 0.7"),
+        r"'0.1 up 0.7' is not three numbers \(xyz of joint '\w+'\)",
+    ),
     "a limit in words": (FOREIGN.replace('lower="-0.1"', 'lower="low"'), r"the lower limit of joint 'lift' is 'low'"),
     "an axis of length zero": (FOREIGN.replace("0.6 0 0.8", "0 0 0"), r"'roll' has an axis without direction"),
     "no moving joint": (FOREIGN, r"has no moving joint"),

@@ -96,6 +96,23 @@ def test_models_that_the_data_allow_are_written_side_by_side(folder):
         call("export", folder / "arm.npz", "--arm", folder / "m_1.xml", "--out", folder / "m.xml", "--sample", 2)
 
 
+def test_what_is_said_of_a_file_or_a_plant_is_written_down_too(folder):
+    said = call("export", folder / "arm.npz", "--out", folder / "t.urdf", "--json", folder / "t.json")
+    told = json.loads((folder / "t.json").read_text(encoding="utf-8"))
+    assert told["files"] == [str(folder / "t.urdf")] and len(told["notes"]) == 2
+    assert said.startswith("\n".join(told["notes"]))
+    with pytest.raises(InputError, match="does not know how sure it is; give the rows"):
+        call("twin", folder / "arm.npz", "--out", folder / "w.npz")
+    calibration = Calibration.load(folder / "arm.npz").without_residual()
+    bare = calibration.save(folder / "bare.npz")
+    said = call("twin", bare, "--out", folder / "w", "--json", folder / "w.json")
+    told = json.loads((folder / "w.json").read_text(encoding="utf-8"))
+    assert (told["name"], told["arm"]) == ("w", "qiao2026")
+    assert told["not_identified"] == len(calibration.record["dropped"])
+    assert all(note in said for note in told["notes"]) and f"{told['parameters']} parameters of arm" in said
+    assert (folder / "w.npz").is_file()
+
+
 def test_the_robots_own_file_is_never_written_over(folder):
     own = folder / "own.urdf"
     call("export", folder / "arm.npz", "--out", own)
