@@ -35,7 +35,7 @@ ROOT = Path(__file__).parents[2]
 SEED = 20260
 PROTOCOLS = ("grid", "random")
 SETS = 2
-ROWS, STEP = 800, 0.075
+ROWS, STEP = 400, 0.093
 """Rows of a set, and the distance of the grid's points in m, which makes more than so many."""
 APART = 4
 """Blocks held out lie so many tenths apart."""
