@@ -90,9 +90,7 @@ def spectrum(sets: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         shares["gravity"].append(gravity)
         shares["rest"].append(rest)
         shares["waves"].append(max(1.0 - gravity - rest, 0.0))
-    waves = [
-        (name, wave) for name, found in sets.items() for wave in found["waves"] if wave["order"] >= LOWEST
-    ]
+    waves = [(name, wave) for name, found in sets.items() for wave in found["waves"] if wave["order"] >= LOWEST]
     first = [(name, wave) for name, wave in waves if wave["joint"] <= FIRST]
     # log amplitude = a constant of the set - decay * log order
     order = np.log([wave["order"] for _, wave in first])

@@ -22,25 +22,20 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from pickenv.agents.evaluation.blocked_gain import ROWS, blocks_apart, grid_joints
 from pickenv.arm import Array, Plant, draw_plants, load_plant, load_tolerances, plant_at
-from pickenv.arm.kinematics.geometry import Geometry
 from pickenv.calibration import BpnnSettings, Choices, Measurements, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.model.splits import BLOCKS
 from pickenv.calibration.pipeline.fitting import fit_remainder
 from pickenv.files import write_json
-from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.intervals import mean_interval
 
 ROOT = Path(__file__).parents[2]
 SEED = 20260
 PROTOCOLS = ("grid", "random")
 SETS = 2
-ROWS, STEP = 400, 0.093
-"""Rows of a set, and the distance of the grid's points in m, which makes more than so many."""
 APART = 4
 """Blocks held out lie so many tenths apart."""
-WRIST = 0.3
-"""At each point of the grid, joints that turn are moved by up to this, rad, and slides stay."""
 TERMS = {"gravity": "gravity", "harmonics": "periodic", "terms": "auto"}
 LEARNT = {"BPNN": "bpnn", "GP": "gp", "trees": "trees"}
 MODELS = (*TERMS, *LEARNT)
@@ -48,19 +43,10 @@ MEASURED = {"gravity": "2 to 28", "harmonics": "44 to 74", "BPNN": "-5 to 20", "
 """Means of UR5, UR10 and WAM, blocks held out: `scripts/studies/remainder.py`, and a study of the same sets by hand."""
 
 
-def grid_joints(nominal: Geometry, rng: np.random.Generator) -> Array:
-    """Joints ``(ROWS, n)`` of a grid of tool positions in the order of a measuring run, each with its own attitude."""
-    joints = field_grid(nominal, STEP, SEED).joints
-    first = (len(joints) - ROWS) // 2
-    joints = joints[max(first, 0) :][:ROWS]
-    turned = rng.uniform(-WRIST, WRIST, joints.shape) * ~np.array(nominal.prismatic)
-    return np.clip(joints + turned, nominal.lower, nominal.upper)
-
-
 def measured_set(plant: Plant, protocol: str, rng: np.random.Generator) -> Measurements:
     """One calibration set of an arm."""
     nominal = plant.arm.nominal
-    joints = grid_joints(nominal, rng) if protocol == "grid" else random_joints(nominal, ROWS, rng)
+    joints = grid_joints(nominal, ROWS, rng) if protocol == "grid" else random_joints(nominal, ROWS, rng)
     return simulated_tracker(plant, joints, rng)
 
 
@@ -71,9 +57,7 @@ def rms(errors: Array) -> float:
 
 def left(plant: Plant, rows: Measurements, pair: tuple[int, int], rng: np.random.Generator, epochs: int) -> Any:
     """What each model leaves of two blocks that it did not see, mm RMS."""
-    tenth = np.arange(len(rows)) * BLOCKS // len(rows)
-    held = np.isin(tenth, pair)
-    train, test = rows.select(np.flatnonzero(~held)), rows.select(np.flatnonzero(held))
+    train, test = blocks_apart(rows, pair)
     found: dict[str, float] = {}
     for name, terms in TERMS.items():
         choices = Choices(terms=terms, residual="none", robust=False, frames="fitted")
@@ -92,11 +76,20 @@ def gains(sets: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in ("LS", *MODELS):
         values = [
-            np.mean([one[name] if name == "LS" else 1.0 - one[name] / one["LS"] for key, one in sets.items()
-                     if int(key.split("/")[0]) == arm])
+            np.mean(
+                [
+                    one[name] if name == "LS" else 1.0 - one[name] / one["LS"]
+                    for key, one in sets.items()
+                    if int(key.split("/")[0]) == arm
+                ]
+            )
             for arm in arms
         ]
-        found[name] = {"mean": float(np.mean(values)), "ci95": mean_interval(values), "each": [float(v) for v in values]}
+        found[name] = {
+            "mean": float(np.mean(values)),
+            "ci95": mean_interval(values),
+            "each": [float(v) for v in values],
+        }
     return found
 
 

@@ -1,4 +1,4 @@
-"""What yields where an arm slides: the boom under the couple that hangs beside it, its twist, carriages in their guides.
+"""What yields where an arm slides: the boom under a couple beside its tip, its twist, carriages in their guides.
 
 All three follow the masses that hang behind a link, wherever they are: gravity's force and moment there come from
 `pickenv.arm.effects.structure.weights_behind`, of the straight arm, and deflections are taken to first order. Units: m,
@@ -79,9 +79,7 @@ class SlideCompliance:
     bearings: tuple[Bearing, ...]
 
 
-def couple_flexure(
-    m: ModuleType, couple: BoomCouple, weights: Sequence[Weight], q: Sequence[Scalar]
-) -> Flexure:
+def couple_flexure(m: ModuleType, couple: BoomCouple, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
     """A `Flexure` that bends the boom under the part across it of the moment about its tip."""
     length = q[couple.joint] + couple.length
     turn = length / couple.flexural_rigidity
@@ -98,9 +96,7 @@ def couple_flexure(
     return bend
 
 
-def torsion_flexure(
-    m: ModuleType, torsion: BoomTorsion, weights: Sequence[Weight], q: Sequence[Scalar]
-) -> Flexure:
+def torsion_flexure(m: ModuleType, torsion: BoomTorsion, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
     """A `Flexure` that twists the boom under the part along it of the moment about its tip."""
     turn = (q[torsion.joint] + torsion.length) / torsion.torsional_rigidity
 
@@ -115,9 +111,7 @@ def torsion_flexure(
     return twist
 
 
-def slide_flexure(
-    m: ModuleType, slides: SlideCompliance, weights: Sequence[Weight], q: Sequence[Scalar]
-) -> Flexure:
+def slide_flexure(m: ModuleType, slides: SlideCompliance, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
     """A `Flexure` that moves and turns each slide in its bearings, under all that hangs on it."""
     by_joint = {bearing.joint: bearing for bearing in slides.bearings}
 

@@ -19,14 +19,13 @@ from scipy.special import ndtri
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.effects.structure import Harmonic
 from pickenv.arm.files.joint_keys import ByJoint, arm_in
-from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.toml_tables import ARCMIN, DEG, MM, NUMBER, WHOLE, Then, toml_table
 
 SEED = WHOLE.not_negative
 
 
-def normal(even: Array) -> Array:
+def standard_normal_of(even: Array) -> Array:
     """Standard normal numbers of even ones."""
     return np.asarray(ndtri(np.clip(even, 1e-12, 1.0 - 1e-12)))
 
@@ -100,7 +99,7 @@ def drawn_harmonics(spread: Sequence[WaveSpread], even: Array) -> DriveHarmonics
         first, last = 1.0 / wave.longest, 1.0 / wave.shortest
         per = first + (last - first) * order[..., k]
         std = wave.std * (first / per) ** wave.decay
-        a, b = std * normal(sine[..., k]), std * normal(cosine[..., k])
+        a, b = std * standard_normal_of(sine[..., k]), std * standard_normal_of(cosine[..., k])
         sizes = (np.hypot(a, b), 1.0 / per, np.arctan2(b, a))
         harmonics.append(Harmonic(wave.joint, *(size if size.ndim else float(size) for size in sizes)))
     return DriveHarmonics(tuple(spread), tuple(harmonics))
@@ -114,8 +113,6 @@ def drive_harmonics_of(table: WavesTable, _context: Any) -> DriveHarmonics:
         for _ in range(entry.waves)
     )
     return drawn_harmonics(spread, np.random.default_rng(table.seed).random(3 * len(spread)))
-
-
 
 
 @toml_table
@@ -161,7 +158,7 @@ def drawn_structure(structure: LocalStructure, even: Array) -> LocalStructure:
         even: Even random numbers ``(..., weights)``.
     """
     features = structure.field.features
-    weight = structure.std * normal(even).reshape(*even.shape[:-1], features.outputs, 2, features.count)
+    weight = structure.std * standard_normal_of(even).reshape(*even.shape[:-1], features.outputs, 2, features.count)
     return replace(structure, field=replace(structure.field, weight=weight.astype(np.float32)))
 
 

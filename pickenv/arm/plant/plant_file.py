@@ -90,7 +90,7 @@ def read_plant(name: str | Path) -> Plant:
             limit = plant.arm.nominal.upper[bearing.joint]
             if bearing.overhang is not None and bearing.span <= limit:
                 raise InputError(
-                    f"{path}: span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}; give "
-                    f"more than the {limit * 1e3:g} mm that it runs out"
+                    f"{path}: span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}; "
+                    f"give more than the {limit * 1e3:g} mm that it runs out"
                 )
     return plant

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from pickenv import toml_tables
-from pickenv.arm.effects.own_waves import drawn_harmonics, drawn_structure, normal
+from pickenv.arm.effects.own_waves import drawn_harmonics, drawn_structure, standard_normal_of
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.twin_arms import twin_arms
@@ -207,7 +207,7 @@ class _Draws:
 
     def factors(self, key: str, spread: str | None = None) -> Array:
         """Factors about 1, (N, size)."""
-        return np.asarray(np.exp(getattr(self.tolerances.spread, spread or key) * normal(self.even[key])))
+        return np.asarray(np.exp(getattr(self.tolerances.spread, spread or key) * standard_normal_of(self.even[key])))
 
     def scaled(
         self, values: tuple[float, ...], key: str, first: int = 0, spread: str | None = None
@@ -219,7 +219,7 @@ class _Draws:
 
 def _deviation(tolerances: Tolerances, even: Array) -> Array:
     """Numbers in the tolerance zone from -1 to 1."""
-    return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else normal(even) / 3.0
+    return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else standard_normal_of(even) / 3.0
 
 
 def _length_zone(tolerances: Tolerances, length: Array) -> Array:
@@ -289,7 +289,9 @@ def _drawn(draws: _Draws, effect: str) -> Any:
     elif effect == "settling":
         found["damping"] = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in found["damping"])
     elif effect == "slide_compliance":
-        sizes = draws.scaled(tuple(each.stiffness for each in own.bearings), "bearing_stiffness", spread="joint_stiffness")
+        sizes = draws.scaled(
+            tuple(each.stiffness for each in own.bearings), "bearing_stiffness", spread="joint_stiffness"
+        )
         pairs = zip(own.bearings, sizes, strict=True)
         found["bearings"] = tuple(replace(bearing, stiffness=size) for bearing, size in pairs)
     elif effect == "transmission_error":  # amplitudes and leads spread, phases are anything: no two gears are alike

@@ -1,4 +1,4 @@
-"""What yields where an arm slides: a finite-element beam and MuJoCo's equilibrium referee couple, twist and bearings."""
+"""What yields where an arm slides: finite elements and MuJoCo's equilibrium referee couple, twist and bearings."""
 
 import math
 from dataclasses import replace
@@ -14,8 +14,11 @@ from pickenv.arm.effects.structure import GRAVITY, BoomBending, Load
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
 
 BARE = load_plant("geometry_only")
-LOAD = Load((4.0, 3.0, 2.4, 0.9, 0.6, 0.5), ((0.06, 0, 0), (0, 0, -0.08), (0, 0, -0.35), (0.02, 0.03, -0.03),
-            (0, 0, -0.04), (0.05, 0, -0.06)), 0.3)
+LOAD = Load(
+    (4.0, 3.0, 2.4, 0.9, 0.6, 0.5),
+    ((0.06, 0, 0), (0, 0, -0.08), (0, 0, -0.35), (0.02, 0.03, -0.03), (0, 0, -0.04), (0.05, 0, -0.06)),
+    0.3,
+)
 EI, GJ, OUT, DENSITY = 2.56e4, 1.44e4, 0.4, 1.8
 BENT = {
     "boom_bending": BoomBending(2, OUT, EI, 2.0, DENSITY),
@@ -52,8 +55,18 @@ def beam(length, force, moment, weight, elements=60):
     h = length / elements
     size = 6 * (elements + 1)  # ux, uy, uz, rx, ry, rz of each node
     k, f = np.zeros((size, size)), np.zeros(size)
-    plane = EI / h**3 * np.array([[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2],
-                                  [-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]])
+    plane = (
+        EI
+        / h**3
+        * np.array(
+            [
+                [12, 6 * h, -12, 6 * h],
+                [6 * h, 4 * h**2, -6 * h, 2 * h**2],
+                [-12, -6 * h, 12, -6 * h],
+                [6 * h, 2 * h**2, -6 * h, 4 * h**2],
+            ]
+        )
+    )
     own = h * np.array([0.5, h / 12, 0.5, -h / 12])
     for e in range(elements):
         for u, r, sign in ((0, 4, 1.0), (1, 3, -1.0)):  # x bends about y, y about minus x
@@ -123,6 +136,7 @@ def equilibrium(q, slides):
     model = spec.compile()
     data = mujoco.MjData(model)
     for _ in range(50):  # Newton on spring forces against gravity, slopes by differences
+
         def unbalanced(x):
             data.qpos[:] = x
             data.qvel[:] = 0
@@ -195,8 +209,12 @@ def test_arms_have_bearings_of_their_own_and_one_tube_each():
     plant = arm(**BENT, slide_compliance=SLIDES)
     medium = load_tolerances("medium")
     arms = draw_plants(plant, medium, 400, np.random.default_rng(3))
-    logs = np.log([each.stiffness / own.stiffness for each, own in
-                   zip(arms.slide_compliance.bearings, SLIDES.bearings, strict=True)])
+    logs = np.log(
+        [
+            each.stiffness / own.stiffness
+            for each, own in zip(arms.slide_compliance.bearings, SLIDES.bearings, strict=True)
+        ]
+    )
     np.testing.assert_allclose(logs.std(axis=1), medium.spread.joint_stiffness, rtol=0.12)
     assert np.abs(np.corrcoef(logs)[np.triu_indices(3, 1)]).max() < 0.2
     one = plant_at(arms, 7)

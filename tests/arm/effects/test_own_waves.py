@@ -1,4 +1,4 @@
-"""Waves that an arm has for itself: as spread as the plant file says, other ones in every arm, the same on each executor."""
+"""Waves that an arm has for itself: spread as the plant file says, others in every arm, alike on all executors."""
 
 import math
 
@@ -33,7 +33,7 @@ def test_orders_lie_evenly_between_their_bounds_and_coefficients_fall_with_them(
     spread = arms.drive_harmonics.spread
     for wave, harmonic in zip(spread, arms.drive_harmonics.harmonics, strict=True):
         place = (1 / harmonic.period - 1 / wave.longest) / (1 / wave.shortest - 1 / wave.longest)
-        assert 0 <= place.min() and place.max() <= 1
+        assert place.min() >= 0 and place.max() <= 1
         assert place.mean() == pytest.approx(0.5, abs=0.07) and place.std() == pytest.approx(12**-0.5, abs=0.04)
         std = wave.std * (harmonic.period / wave.longest) ** wave.decay
         # two normal coefficients: the square of their length over the variance has mean 2 and variance 4
