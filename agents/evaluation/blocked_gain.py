@@ -14,7 +14,7 @@ import numpy as np
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.calibration import BpnnSettings, Measurements, simulated_tracker
-from pickenv.calibration.model.splits import BLOCKS
+from pickenv.calibration.model.splits import BLOCKS, Rows
 from pickenv.calibration.pipeline.fitting import fit
 from pickenv.errors import InputError
 from pickenv.inspect.runs.field_grid import field_grid
@@ -93,7 +93,7 @@ def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array
         raise InputError(f"the grid has {len(joints)} points that the arm reaches; ask for no more than that")
     joints = joints[first : first + rows]
     turned = rng.uniform(-WRIST, WRIST, joints.shape) * ~np.array(nominal.prismatic)
-    return np.clip(joints + turned, nominal.lower, nominal.upper)
+    return np.asarray(np.clip(joints + turned, nominal.lower, nominal.upper))
 
 
 def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurements, Measurements]:
@@ -128,6 +128,6 @@ def _removed(squares: Array) -> float:
     return float(1.0 - np.sqrt(network / ls))
 
 
-def _blocks(rows: int) -> Array:
+def _blocks(rows: int) -> Rows:
     """The block of each row."""
     return np.arange(rows) * BLOCKS // rows

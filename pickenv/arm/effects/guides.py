@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Annotated
+from typing import Annotated, Any
 
 from pickenv.arm.effects.structure import Weight
 from pickenv.arm.files.joint_keys import BOOM
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.toml_tables import GRAVITY, MM, WHOLE, Unit, toml_table
+from pickenv.toml_tables import GRAVITY, MM, WHOLE, Then, Unit, fault, toml_table
 
 
 @toml_table
@@ -68,6 +68,12 @@ class Bearing:
     overhang: Annotated[Scalar | None, MM.not_negative] = None
 
 
+def _once(bearings: Any, _context: Any) -> Any:
+    if len({bearing.joint for bearing in bearings}) < len(bearings):
+        raise fault("each joint once")
+    return bearings
+
+
 @toml_table
 class SlideCompliance:
     """Slides give way across their axis, and turn, in their bearings.
@@ -76,7 +82,7 @@ class SlideCompliance:
         bearings: One entry per slide that yields.
     """
 
-    bearings: tuple[Bearing, ...]
+    bearings: Annotated[tuple[Bearing, ...], Then(_once)]
 
 
 def couple_flexure(m: ModuleType, couple: BoomCouple, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:

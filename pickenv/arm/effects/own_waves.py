@@ -18,8 +18,9 @@ from scipy.special import ndtri
 
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.effects.structure import Harmonic
-from pickenv.arm.files.joint_keys import ByJoint, arm_in
+from pickenv.arm.files.joint_keys import ByJoint, number_per_joint
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.errors import InputError
 from pickenv.toml_tables import ARCMIN, DEG, MM, NUMBER, WHOLE, Then, toml_table
 
 SEED = WHOLE.not_negative
@@ -106,7 +107,17 @@ def drawn_harmonics(spread: Sequence[WaveSpread], even: Array) -> DriveHarmonics
 
 
 def drive_harmonics_of(table: WavesTable, _context: Any) -> DriveHarmonics:
-    """The effect of a plant file: the design's own draw."""
+    """The effect of a plant file: the design's own draw.
+
+    Raises:
+        InputError: If a shortest period is not below the longest.
+    """
+    for entry in table.joints:
+        if entry.shortest >= entry.longest:
+            raise InputError(
+                f"the shortest period of joint {entry.joint + 1} in [drive_harmonics] is not below its longest; give a "
+                "shorter one"
+            )
     spread = tuple(
         WaveSpread(entry.joint, entry.amplitude, entry.longest, entry.shortest, table.decay)
         for entry in table.joints
@@ -164,11 +175,9 @@ def drawn_structure(structure: LocalStructure, even: Array) -> LocalStructure:
 
 def local_structure_of(table: StructureTable, context: Any) -> LocalStructure:
     """The effect of a plant file: the design's own draw."""
-    arm = arm_in(context)
-    joints = 0 if arm is None else arm.nominal.joints
-    per_length = np.zeros(joints)
-    for entry in table.joints:
-        per_length[entry.joint] = 1.0 / entry.length
+    lengths = np.array(number_per_joint(table, "length", context))
+    joints = len(lengths)
+    per_length = np.divide(1.0, lengths, out=np.zeros(joints), where=lengths > 0)
     rng = np.random.default_rng(table.seed)
     frequency = (rng.standard_normal((joints, 3 * table.waves)) * per_length[:, None]).astype(np.float32)
     features = Features(frequency, (0.0,) * joints, (False,) * joints, 3)

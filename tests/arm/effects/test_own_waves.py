@@ -9,6 +9,8 @@ import torch
 from pickenv.arm import draw_plants, forward, load_plant, load_tolerances, plant_at
 from pickenv.arm.effects.own_waves import drawn_harmonics
 from pickenv.arm.plant.plant import EFFECTS
+from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.errors import InputError
 
 FIELD = load_plant("field")
 MEDIUM = load_tolerances("medium")
@@ -103,6 +105,28 @@ def test_without_an_effect_an_arm_keeps_its_own_waves(effect):
     if effect != "drive_harmonics":
         for a, b in zip(whole.drive_harmonics.harmonics, rest.drive_harmonics.harmonics, strict=True):
             np.testing.assert_array_equal(a.amplitude, b.amplitude)
+
+
+MISTAKES = {
+    "negative seed": ("seed = 2026", "seed = -1", ["seed", "[drive_harmonics]"]),
+    "rising with the order": ("decay = 0.31", "decay = -0.31", ["decay", "[drive_harmonics]"]),
+    "half a wave": ("waves = 5,", "waves = 2.5,", ["waves", "whole number"]),
+    "periods the wrong way round": ("shortest_deg = 12.0", "shortest_deg = 150.0", ["shortest period of joint 1"]),
+    "no structure": ("waves = 32", "waves = 0", ["waves", "[local_structure]"]),
+    "no length": ("length_mm = 42.0", "length_mm = 0.0", ["length_mm", "[local_structure.joints]"]),
+    "a length twice": ("joint = 2, length_mm = 42.0", "joint = 1, length_deg = 3.0", ["joint 1", "each joint once"]),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "named"), MISTAKES.values(), ids=MISTAKES)
+def test_a_mistake_is_named_with_file_and_key(tmp_path, old, new, named):
+    path, text = tmp_path / "plant.toml", (PLANTS / "field.toml").read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load_plant(path)
+    for word in (str(path), *named):
+        assert word in str(caught.value)
 
 
 def test_the_design_is_one_draw_and_always_the_same():

@@ -239,6 +239,11 @@ MISTAKES = {
     "counts of no size": ("resolution_um = 10.0", "resolution_um = 0.0", ["resolution_um", "above zero"]),
     "encoders not a list": (ENCODERS, "[encoder]\njoints = 3\n\n", ["joints", "give a list"]),
     "servo too fast": ("time_constant_ms = [20.0", "time_constant_ms = [0.0", ["time_constant_ms", "above zero"]),
+    "bearings too close": ("span_mm = 1200.0", "span_mm = 700.0", ["span_mm", "[slide_compliance]", "800"]),
+    "a bearing on a gear": ("joint = 3, stiffness_N", "joint = 4, stiffness_N", ["revolute", "slide_compliance"]),
+    "bearings named twice": ("joint = 5, stiffness_N", "joint = 3, stiffness_N", ["bearings", "each joint once"]),
+    "bearing without stiffness": ("stiffness_N_per_um = 20.0", "stiffness_N_per_um = 0.0", ["stiffness_N_per_um"]),
+    "no torsional rigidity": ("torsional_rigidity_N_m2 = 1.44e4", "torsional_rigidity_N_m2 = 0", ["[boom_torsion]"]),
     "effect misspelt": ("[servo]", "[servos]", ["'servos'", "servo"]),
     "load missing": (SOUND[SOUND.index("[load]") : SOUND.index("[roller_play]")], "", ["base_tilt", "[load]"]),
 }
