@@ -99,33 +99,18 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
 def _print_gains(blocked: dict[str, Any]) -> None:
     from pickenv.inspect.reports.report_words import between
 
-    def removed(share: float, ends: Any) -> str:
-        return f"{100 * share:.0f} %" + ("" if ends[0] is None else f" ({between(100 * ends[0], 100 * ends[1], 0)})")
-
-    rows = [
-        [
-            f"{row['plant']}, simulated",
-            f"{row['ls_mm']:.3f}",
-            f"{row['network_mm']:.3f}",
-            removed(row["removed"], row["removed_ci95"] or (None, None)),
-        ]
-        for row in blocked["simulated"]
-    ]
-    rows += [
-        [
-            f"{row['robot']}, measured",
-            f"{row['ls_mm']:.3f}",
-            f"{row['ls_mm'] * (1 - row['removed']):.3f}",
-            removed(row["removed"], (row["lowest"], row["highest"])),
-        ]
-        for row in blocked["measured"]
-    ]
+    rows = []
+    for kind in ("simulated", "measured"):
+        for row in blocked[kind]:
+            ends = (row["lowest"], row["highest"])
+            said = "" if ends[0] is None else f" ({between(100 * ends[0], 100 * ends[1], 0)})"
+            rows.append([f"{row['arm']}, {kind}", f"{row['ls_mm']:.2f}", f"{100 * row['removed']:.0f} %{said}"])
     caption = (
-        "rows of a grid, two tenths of it held out of all fitting; in brackets 95 % between blocks, of measured arms"
-        " the range over pairs of blocks. qiao2026 is smooth; field is made as measured arms are"
+        "rows in blocks held out of all fitting; in brackets the range over drawn arms, or over pairs of blocks of a"
+        " measured one. qiao2026 is smooth; what is left of field is made as that of measured arms is"
     )
-    heads = ("arm", "LS [mm RMS]", "LS+BPNN [mm RMS]", "removed by the network")
-    print_table("What the network removes where it was not taught", heads, rows, words=("arm",), caption=caption)
+    heads = ("arms", "LS leaves [mm RMS]", "the network removes of it")
+    print_table("What LS+BPNN gains on rows far from those it learnt", heads, rows, words=("arms",), caption=caption)
 
 
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {

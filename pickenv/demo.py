@@ -102,7 +102,7 @@ class DemoResult:
         test_errors: Per policy, true against wanted pose at the test poses ``(N, 6)``, m and rad.
         reaches: Per policy, the reaches.
         comparison: For recording and figures.
-        gains: What a network gains on blocks held out, of this plant and of the plant `field`.
+        gains: What a network gains on blocks held out, on arms drawn from this plant and from the plant `field`.
     """
 
     settings: DemoSettings
@@ -261,7 +261,7 @@ def summarise(result: DemoResult) -> dict[str, Any]:
             "condition": found.condition,
         },
         "blocked": {
-            "intervals": "between the ten blocks",
+            "ranges": "over drawn arms, or over pairs of blocks of a measured one",
             "simulated": [asdict(gain) for gain in result.gains],
             "measured": [asdict(arm) for arm in MEASURED],
         },
