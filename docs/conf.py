@@ -157,7 +157,7 @@ def short(
     texts = []
     for text in (signature, returned):
         plainer = re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text or "")
-        texts.append(re.sub(r"~?\bpickenv(?:\.\w+)*\.(\w+)", r"\1", plainer) or None)
+        texts.append(re.sub(r"~(?:\w+\.)*(\w+)|\bpickenv(?:\.\w+)*\.(\w+)", r"\1\2", plainer) or None)
     return texts[0], texts[1]
 
 
