@@ -50,7 +50,7 @@ def test_no_tracker_enters_where_none_errs(study_file, monkeypatch):
     protocol = prepared_study(load_study(study_file()))
     (setting,) = (s for s in protocol.settings if (s.method, s.poses, s.payload_kg, s.it_grade) == ("ls", 12, 0.0, 14))
     given = [protocol.circumstances(number) for number in range(6)]
-    perfect = [replace(one, noise=np.zeros_like(one.noise)) for one in given]
+    perfect = [one.perfect for one in given]
     arms = protocol.draw(setting, range(6))
     expected = judge_batch(protocol, setting, arms, perfect).position
     assert not np.allclose(judge_batch(protocol, setting, arms, given).position, expected, rtol=1e-6)

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Array, Frame, Geometry, Plant, PlantState, Pose, forward, inverse, pose_error
-from pickenv.arm.effects.hysteresis import one_stop
+from pickenv.arm import Array, Frame, Geometry, Plant, PlantState, Pose, forward, inverse, load_instrument, pose_error
+from pickenv.arm.effects.measurement_noise import read_frame
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import Cube, largest_cube
-from pickenv.arm.plant.motion import Pace, moved
+from pickenv.arm.plant.campaign import TRACKER, Instrument, switched_on
+from pickenv.arm.plant.motion import Pace, move_time, stopped
 from pickenv.errors import InputError
 from pickenv.intervals import Ends, statistic_interval
 
@@ -132,7 +133,7 @@ class Iso9283Result:
         plant: Name of the plant.
         cube: The cube that the poses lie in.
         settings: How the test was run.
-        instrument_mm: RP_l that the noise of the measuring instrument would show on an arm that repeats exactly.
+        instrument_mm: RP_l that the tracker's noise would show, at the mean range, on an arm that repeats exactly.
         raw: The arm as its controller believes it to be.
         calibrated: The same arm with compensated commands, or None.
     """
@@ -229,16 +230,23 @@ def iso9283(
     targets = _joints_for(plant, poses, None, cube.free)
     approaches = _approaches(plant, poses, targets, settings.approach, cube.free)
     wanted = forward(reference or plant.arm.nominal, targets)
+    instrument = load_instrument(TRACKER)
+    noise, ranges = instrument.noise_on(plant), np.linalg.norm(wanted.position - instrument.stand, axis=-1)
 
     def performance(change: Compensate) -> Performance:
-        commands, before = np.asarray(change(targets)).tolist(), np.asarray(change(approaches)).tolist()
-        return _Test(plant, settings, commands, before, wanted, np.random.default_rng(seed)).performance()
+        commands, before, same = (
+            np.asarray(change(targets)),
+            np.asarray(change(approaches)),
+            np.random.default_rng(seed),
+        )
+        mounting = same.spawn(1)[0].normal(size=3).tolist()
+        return _Test(plant, settings, instrument, commands, before, wanted, mounting, same).performance()
 
     return Iso9283Result(
         plant=plant.name,
         cube=cube,
         settings=settings,
-        instrument_mm=NORM_OF_NOISE * 1e3 * (plant.measurement_noise.position_std if plant.measurement_noise else 0.0),
+        instrument_mm=NORM_OF_NOISE * 1e3 * (0.0 if noise is None else float(noise.position_std_at(ranges).mean())),
         raw=performance(lambda joints: joints),
         calibrated=None if compensate is None else performance(compensate),
     )
@@ -279,9 +287,11 @@ class _Test:
 
     plant: Plant
     settings: Iso9283Settings
-    commands: list[list[float]]
-    approaches: list[list[list[float]]]
+    instrument: Instrument
+    commands: Array
+    approaches: Array
     wanted: Pose
+    mounting: list[float]
     rng: np.random.Generator
 
     def performance(self) -> Performance:
@@ -333,11 +343,11 @@ class _Test:
     def _drift(self) -> tuple[list[float], Array]:
         """Hours, and the mean error ``(T, 6)`` at P1, from switching the cold arm on."""
         away, home = self.commands[1], self.commands[0]
-        state, clock = self.plant.initial_state(math, home), 0.0
+        state, clock = switched_on(self.plant, math, home, 0.0), 0.0
         hours, means = [], []
         for k in range(round(self.settings.drift_time / self.settings.drift_interval) + 1):
             wait = max(k * self.settings.drift_interval - clock, 0.0)
-            state, _ = self.plant.advance(math, state, home, wait)
+            state, _ = self.plant.advance(math, state, home.tolist(), wait)
             clock += wait
             hours.append(clock / 3600.0)
             errors = []
@@ -345,27 +355,27 @@ class _Test:
                 state, _ = self._move(state, home, away)
                 state, frame = self._move(state, away, home)
                 errors.append(self._error(0, frame))
-            way = np.max(np.abs(np.subtract(home, away)) / self.plant.arm.speed) / self.settings.pace.speed
-            clock += 2.0 * self.settings.drift_cycles * (float(way) + self.settings.pace.dwell)
+            way = float(move_time(self.plant, home, away, self.settings.pace))
+            clock += 2.0 * self.settings.drift_cycles * (way + self.settings.pace.dwell)
             means.append(np.mean(errors, axis=0))
         return hours, np.array(means)
 
-    def _warm(self) -> tuple[PlantState, list[float]]:
-        start = self.commands[0]
-        state, _ = self.plant.advance(math, self.plant.initial_state(math, start), start, self.settings.warm_up)
-        return state, start
+    def _warm(self) -> tuple[PlantState, Array]:
+        return switched_on(self.plant, math, self.commands[0], self.settings.warm_up), self.commands[0]
 
-    def _move(self, state: PlantState, start: list[float], target: list[float]) -> tuple[PlantState, Frame]:
-        """A move whose friction is that of this one stop: without scatter, an arm would repeat exactly."""
-        plant, band = self.plant, self.plant.stick_band
-        if band is not None and band.scatter:
-            plant = replace(plant, stick_band=one_stop(band, self.rng))
-        return moved(plant, math, state, start, target, self.settings.pace)
+    def _move(self, state: PlantState, start: Array, target: Array) -> tuple[PlantState, Frame]:
+        """A move, and the stop at its end."""
+        return stopped(
+            self.plant, math, state, start, target, self.settings.pace, self.rng.normal(size=(2, len(target)))
+        )
 
     def _error(self, i: int, frame: Frame) -> Array:
         """Measured pose error (6,) against the commanded pose, m and rad."""
-        pose = self.plant.measured(pose_of(frame), self.rng)
-        return pose_error(Pose(self.wanted.position[i], self.wanted.rotation[i]), pose)
+        noise = self.instrument.noise_on(self.plant)
+        if noise is not None:
+            reading = self.rng.normal(size=6).tolist()
+            frame = read_frame(math, noise, self.instrument.stand, frame, reading, self.mounting)
+        return pose_error(Pose(self.wanted.position[i], self.wanted.rotation[i]), pose_of(frame))
 
 
 def _pose_performance(name: str, errors: Array) -> PosePerformance:

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ from pickenv.arm.effects import hysteresis, structure
 from pickenv.arm.effects.drives import Encoder, Servo, followed, quantised
 from pickenv.arm.effects.gravity_yield import GravityYield, weighed_down
 from pickenv.arm.effects.ground import BaseTilt, immediate_tilt, long_run, sunk, tilted_frame
+from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.effects.residual_field import ResidualField, strayed
 from pickenv.arm.effects.settling import Settling, Swing, at_rest, swung
 from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain, grown_joints, warmed
@@ -38,20 +39,10 @@ from pickenv.arm.kinematics.forward import (
     tool_frame,
 )
 from pickenv.arm.kinematics.geometry import Geometry, Pose
-from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant.dynamics import Components, PlantState
 from pickenv.arm.plant.posterior import Posterior
-from pickenv.toml_tables import DEG, MM, toml_table
 
 WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling", "servo")
-
-
-@toml_table
-class MeasurementNoise:
-    """Normal noise of the measuring instrument, per axis: position in m, attitude in rad."""
-
-    position_std: Annotated[float, MM.not_negative]
-    attitude_std: Annotated[float, DEG.not_negative]
 
 
 class Ready(NamedTuple):
@@ -73,7 +64,8 @@ class Plant:
         joint_compliance: Joint deflection under gravity, or None.
         boom_bending: Bending of the telescopic boom, or None.
         transmission_error: Errors of the drives, or None.
-        measurement_noise: Noise of the instrument that measures the tool, or None; it never moves the arm.
+        measurement_noise: Errors of the instrument that stands beside it, unless a campaign brings another
+            (`pickenv.arm.plant.campaign`), or None; they never move the arm.
         roller_play: Play in the boom's rollers, or None.
         backlash: Gaps in the joints' gears, or None.
         stick_band: Friction that stops joints short of their command, or None.
@@ -209,18 +201,6 @@ class Plant:
     def tool_pose(self, q: ArrayLike) -> Pose:
         """True tool pose, free of measurement noise, for joint commands ``(..., n)`` in rad and m."""
         return pose_of(self.tool_frame(np, split_joints(self.geometry.joints, q)))
-
-    def measured_pose(self, q: ArrayLike, rng: np.random.Generator) -> Pose:
-        """Tool pose as an instrument with this plant's measurement noise reports it."""
-        return self.measured(self.tool_pose(q), rng)
-
-    def measured(self, pose: Pose, rng: np.random.Generator) -> Pose:
-        """A pose, or a batch of them, as an instrument with this plant's measurement noise reports it."""
-        noise = self.measurement_noise
-        if noise is None:
-            return pose
-        scale = np.repeat([noise.position_std, noise.attitude_std], 3)
-        return displace_pose(pose, rng.normal(size=(*pose.position.shape[:-1], 6)) * scale)
 
 
 FOUND = ("gravity_yield", "residual")
