@@ -213,7 +213,7 @@ def simulated_tracker(
     """
     joints = np.asarray(joints, dtype=float)
     chosen = instrument if isinstance(instrument, Instrument) else load_instrument(instrument)
-    return tracked(plant, chosen, joints, normal_draws(joints.shape[-1], len(joints), rng))
+    return tracked(plant, chosen, joints, normal_draws(plant, len(joints), rng))
 
 
 def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDraws) -> Measurements:

@@ -19,7 +19,7 @@ from pickenv.arm.effects.measurement_noise import MeasurementNoise, read_frame
 from pickenv.arm.kinematics.forward import Frame, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.motion import Pace, Place, components_of, stopped
+from pickenv.arm.plant.motion import Pace, Place, columns_of, stopped
 from pickenv.arm.plant.plant import Plant, Ready
 from pickenv.toml_tables import HOURS, MILLISECONDS, MM, SECONDS, file_named, read, shipped_in, toml_table
 
@@ -63,7 +63,8 @@ class NormalDraws(NamedTuple):
     Attributes:
         reading: For each reading ``(P, 6)``.
         mounting: For the one mounting of the target ``(3,)``.
-        stops: For the friction of each stop: forward and backward of each joint ``(P, 2, n)``.
+        stops: For the friction of each stop: forward and backward of each joint ``(P, 2, n)``; zeros where it does
+            not scatter.
     """
 
     reading: Array
@@ -90,16 +91,22 @@ def load_instrument(name: str | Path) -> Instrument:
     return read(Instrument, file_named("instrument", name, INSTRUMENTS))
 
 
-def normal_draws(joints: int, poses: int, rng: np.random.Generator) -> NormalDraws:
+def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDraws:
     """Draw for one campaign; readings come from ``rng``, what the arm and its target do from a child of it."""
     (child,) = rng.spawn(1)
-    return NormalDraws(rng.normal(size=(poses, 6)), child.normal(size=3), child.normal(size=(poses, 2, joints)))
+    band, shape = plant.stick_band, (poses, 2, plant.geometry.joints)
+    scatters = band is not None and band.scatter
+    return NormalDraws(
+        reading=rng.normal(size=(poses, 6)),
+        mounting=child.normal(size=3),
+        stops=child.normal(size=shape) if scatters else np.broadcast_to(0.0, shape),
+    )
 
 
 def switched_on(plant: Plant, m: ModuleType, joints: Array, warm_up: float, place: Place | None = None) -> PlantState:
     """The state of an arm that has stood at the command ``joints`` ``(..., n)`` for ``warm_up`` seconds."""
-    q = components_of(m, joints, place)
-    return plant.advance(m, plant.initial_state(m, q), q, warm_up)[0]
+    q = columns_of(m, joints, place)
+    return plant.carried(m, plant.initial_state(m, q), q, warm_up)
 
 
 def visited(
@@ -119,7 +126,7 @@ def visited(
         Components ``(P,)`` or ``(P, N)``.
     """
     if instrument.dwell is None or not plant.has_state or not len(joints):
-        return plant.tool_frame(m, components_of(m, joints, place))
+        return plant.tool_frame(m, columns_of(m, joints, place))
     alone = joints.ndim == 2
     one = math if alone else m
     plant = replace(plant, ready=Ready(plant.geometry, plant.chain))  # each stop has its friction, and the same chain
@@ -132,7 +139,7 @@ def visited(
         frames.append(frame)
     if alone:
         return tuple(np.array(column) for column in zip(*frames, strict=True))
-    zero = components_of(m, here, place)[0] * 0.0  # of many arms a component may be the same number for all
+    zero = columns_of(m, here, place)[0] * 0.0  # of many arms a component may be the same number for all
     return tuple(m.stack([value + zero for value in column]) for column in zip(*frames, strict=True))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -226,21 +227,15 @@ def iso9283(
     settings = settings or Iso9283Settings()
     cube = cube or _cube_for(plant.arm.nominal)
     seed = int(rng.integers(2**63))
-    poses = cube.inclined_plane()
-    targets = _joints_for(plant, poses, None, cube.free)
-    approaches = _approaches(plant, poses, targets, settings.approach, cube.free)
+    targets = _joints_for(plant, cube.inclined_plane(), None, cube.free)
+    approaches = _approaches(plant, cube.inclined_plane(), targets, settings.approach, cube.free)
     wanted = forward(reference or plant.arm.nominal, targets)
     instrument = load_instrument(TRACKER)
     noise, ranges = instrument.noise_on(plant), np.linalg.norm(wanted.position - instrument.stand, axis=-1)
 
     def performance(change: Compensate) -> Performance:
-        commands, before, same = (
-            np.asarray(change(targets)),
-            np.asarray(change(approaches)),
-            np.random.default_rng(seed),
-        )
-        mounting = same.spawn(1)[0].normal(size=3).tolist()
-        return _Test(plant, settings, instrument, commands, before, wanted, mounting, same).performance()
+        same = np.random.default_rng(seed)
+        return _Test(plant, settings, instrument, change(targets), change(approaches), wanted, same).performance()
 
     return Iso9283Result(
         plant=plant.name,
@@ -291,16 +286,20 @@ class _Test:
     commands: Array
     approaches: Array
     wanted: Pose
-    mounting: list[float]
     rng: np.random.Generator
+
+    @cached_property
+    def mounting(self) -> list[float]:
+        """Standard normal numbers of the one mounting of the target."""
+        return list(self.rng.spawn(1)[0].normal(size=3).tolist())
 
     def performance(self) -> Performance:
         """All figures."""
         variation = [self._variation(k) for k in range(len(VARIATION_POSES))]
         names = [f"P{i + 1}" for i in VARIATION_POSES]
         hours, means = self._drift()
-        accuracy, turn = np.linalg.norm(means[:, :3], axis=-1), np.linalg.norm(means[:, 3:], axis=-1)
-        wander = np.linalg.norm(means[:, :3] - means[0, :3], axis=-1)
+        parts = means[:, :3], means[:, 3:], means[:, :3] - means[0, :3]
+        accuracy, turn, wander = (np.linalg.norm(part, axis=-1) for part in parts)
         return Performance(
             poses=self._poses(),
             variation_mm=dict(zip(names, (1e3 * v[0] for v in variation), strict=True)),
@@ -336,9 +335,9 @@ class _Test:
                 errors.append(self._error(pose, frame))
             means.append(np.mean(errors, axis=0))
         apart = [a - b for i, a in enumerate(means) for b in means[:i]]
-        distances = [float(np.linalg.norm(gap[:3])) for gap in apart]
-        angles = [float(np.linalg.norm(gap[3:])) for gap in apart]
-        return max(distances), max(angles)
+        return max(float(np.linalg.norm(gap[:3])) for gap in apart), max(
+            float(np.linalg.norm(gap[3:])) for gap in apart
+        )
 
     def _drift(self) -> tuple[list[float], Array]:
         """Hours, and the mean error ``(T, 6)`` at P1, from switching the cold arm on."""
@@ -347,8 +346,7 @@ class _Test:
         hours, means = [], []
         for k in range(round(self.settings.drift_time / self.settings.drift_interval) + 1):
             wait = max(k * self.settings.drift_interval - clock, 0.0)
-            state, _ = self.plant.advance(math, state, home.tolist(), wait)
-            clock += wait
+            state, clock = self.plant.carried(math, state, home.tolist(), wait), clock + wait
             hours.append(clock / 3600.0)
             errors = []
             for _ in range(self.settings.drift_cycles):
@@ -365,9 +363,8 @@ class _Test:
 
     def _move(self, state: PlantState, start: Array, target: Array) -> tuple[PlantState, Frame]:
         """A move, and the stop at its end."""
-        return stopped(
-            self.plant, math, state, start, target, self.settings.pace, self.rng.normal(size=(2, len(target)))
-        )
+        normal = self.rng.normal(size=(2, len(target)))
+        return stopped(self.plant, math, state, start, target, self.settings.pace, normal)
 
     def _error(self, i: int, frame: Frame) -> Array:
         """Measured pose error (6,) against the commanded pose, m and rad."""

@@ -63,11 +63,11 @@ def commands(plant: Plant, start: ArrayLike, target: ArrayLike, pace: Pace) -> I
         left = np.clip((steps - step) * pace.period / np.maximum(duration, pace.period), 0.0, 1.0)
         time = np.where(step <= steps, pace.period, 0.0)
         yield target + (start - target) * left[..., None], time if time.ndim else pace.period
-    if pace.dwell:
+    if pace.dwell or not steps.any():
         yield np.broadcast_to(target, np.broadcast_shapes(start.shape, target.shape)), pace.dwell
 
 
-def components_of(m: ModuleType, joints: Array, place: Place | None = None) -> list[Scalar]:
+def columns_of(m: ModuleType, joints: Array, place: Place | None = None) -> list[Scalar]:
     """Joints ``(..., n)`` as n components: floats for ``math``, else arrays, or what ``place`` makes of them."""
     if m is math:
         return list(joints.tolist())
@@ -95,14 +95,13 @@ def moved(
         pace: Speed, control period and waiting time.
         place: Makes components of arrays where ``m`` wants others.
     """
-    frame: Frame | None = None
-    for command, held in commands(plant, start, target, pace):
-        time = held if place is None or isinstance(held, float) else place(held)
-        state, frame = plant.advance(m, state, components_of(m, command, place), time)
-    if frame is None:
-        last = np.broadcast_to(np.asarray(target, dtype=float), np.broadcast_shapes(np.shape(start), np.shape(target)))
-        state, frame = plant.advance(m, state, components_of(m, last, place), 0.0)
-    return state, frame
+    *before, last = (
+        (columns_of(m, command, place), time if place is None or isinstance(time, float) else place(time))
+        for command, time in commands(plant, start, target, pace)
+    )
+    for q, time in before:
+        state = plant.carried(m, state, q, time)
+    return plant.advance(m, state, *last)
 
 
 def stopped(
@@ -129,6 +128,6 @@ def stopped(
     """
     band = plant.stick_band
     if band is not None and band.scatter:
-        rows = [components_of(m, np.moveaxis(row, 0, -1), place) for row in normal]
+        rows = [columns_of(m, np.moveaxis(row, 0, -1), place) for row in normal]
         plant = replace(plant, stick_band=one_stop(m, band, rows))
     return moved(plant, m, state, start, target, pace, place)

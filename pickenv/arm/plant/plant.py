@@ -170,6 +170,17 @@ class Plant:
         """
         if not self.has_state:
             return state, self.tool_frame(m, q)
+        new, (chain, motor, gear, swings) = self._moved_on(m, state, q, dt)
+        return new, _tool(self, m, chain, motor, gear, swings, new.rise, new.sinkage)
+
+    def carried(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> PlantState:
+        """The state of `advance`, where nobody asks for the tool."""
+        return self._moved_on(m, state, q, dt)[0] if self.has_state else state
+
+    def _moved_on(
+        self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar
+    ) -> tuple[PlantState, _Driven]:
+        """The new state, and what stands between motor and tool then."""
         motor = self._target(m, q)
         if self.servo is not None:
             motor = followed(m, self.servo, state.motor, motor, dt)
@@ -183,8 +194,7 @@ class Plant:
             chain = grown_chain(self.thermal_growth, chain, rise[0])
         if self.base_tilt is not None and gear[3] is not None:
             sinkage = sunk(m, self.base_tilt, sinkage, gear[3], dt)
-        new = _state(self, motor, gear, swings, rise, sinkage)
-        return new, _tool(self, m, chain, motor, gear, swings, rise, sinkage)
+        return _state(self, motor, gear, swings, rise, sinkage), (chain, motor, gear, swings)
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
         """What the motor encoders report after `advance` to ``state`` at the command ``q``, rad or m.
@@ -214,6 +224,9 @@ EFFECTS = tuple(part.name for part in fields(Plant) if part.name not in _OTHERS)
 
 _Gear: TypeAlias = tuple[Sequence[Scalar], Sequence[Scalar], list[Scalar] | None, tuple[Scalar, Scalar] | None]
 """Joint displacements behind friction and behind backlash, and the loads on them: torques, and the base's tilt."""
+
+_Driven: TypeAlias = tuple[Chain, Sequence[Scalar], _Gear, Sequence[Swing]]
+"""The chain at its temperature, the motors, what stands behind the gears, and the swing."""
 
 
 def _state(

@@ -114,7 +114,7 @@ class Protocol:
             number=arm,
             fruit=_upright_joints(self.nominal, self.config.fruit, self.stream(FRUIT, arm)),
             poses=spread_joints(self.nominal, count, self.stream(POSES, arm)),
-            tracker=normal_draws(self.nominal.joints, count, self.stream(TRACKER, arm)),
+            tracker=normal_draws(self.design, count, self.stream(TRACKER, arm)),
         )
 
     def instrument(self, setting: Setting) -> Instrument:

@@ -22,7 +22,7 @@ from torch import Tensor
 from pickenv.arm.kinematics.forward import Frame, chain_of, tool_frame
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import frame_error
-from pickenv.arm.plant.motion import Place, components_of
+from pickenv.arm.plant.motion import Place, columns_of
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plants_on
 from pickenv.arm.plant.tree import tree_map
@@ -37,6 +37,9 @@ from pickenv.threads import torch_on_one_thread
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
 """Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""
+
+IN_TIME = 8
+"""Times as many where the arms are measured in time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +93,9 @@ def check_device(device: str) -> None:
 
 
 def _block_size(protocol: Protocol, device: str) -> int:
-    """Arms worked on together."""
-    return max(1, BLOCKS[device] // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
+    """Arms worked on together; of arms measured in time more, as each step of each move then is for all of them."""
+    poses = BLOCKS[device] * (IN_TIME if protocol.design.has_state else 1)
+    return max(1, poses // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
 
 
 def _evaluate_block(protocol: Protocol, arms: range, place: Place) -> pa.Table:
@@ -108,7 +112,7 @@ def _outcomes(
 ) -> list[Outcomes]:
     """Outcomes of all arms of one population in each of its settings."""
     placed = plants_on(plants, place)
-    targets = components_of(torch, np.stack([one.fruit for one in given], axis=1), place)
+    targets = columns_of(torch, np.stack([one.fruit for one in given], axis=1), place)
     seen = visited_frames(protocol, placed, given, place)
     wanted = tool_frame(torch, chain_of(protocol.nominal), targets)
     known: dict[tuple[Any, ...], _Commands] = {}

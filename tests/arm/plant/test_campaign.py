@@ -7,8 +7,10 @@ import pytest
 import torch
 
 from pickenv.arm import (
+    Pose,
     draw_plants,
     forward,
+    inverse,
     load_instrument,
     load_plant,
     load_tolerances,
@@ -56,22 +58,24 @@ def scatter_mm(position):
     return 1e3 * np.sqrt(((position - position.mean(axis=0)) ** 2).sum(axis=1).mean())
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_fifty_visits_to_a_pose_scatter_as_the_arm_does(seed):
-    """And not as the instrument, 0.03 mm, which sees an arm at rest for ever."""
-    poses = anywhere(51, seed)
-    visits = between(poses[1:], poses[0])
-    real, ideal = (scatter_mm(seen(ORCHARD, visits, name).position[1::2]) for name in ("laser_tracker", "ideal"))
-    assert 0.1 < real < 0.25
-    assert ideal < 0.04
+def test_fifty_visits_to_a_pose_scatter_as_the_arm_does():
+    """And not as the instrument, 0.03 mm, which sees an arm at rest for ever; at one pose in eight by up to 0.4 mm."""
+    real, ideal = [], []
+    for seed in range(8):
+        poses = anywhere(51, seed)
+        visits = between(poses[1:], poses[0])
+        real.append(scatter_mm(seen(ORCHARD, visits, "laser_tracker").position[1::2]))
+        ideal.append(scatter_mm(seen(ORCHARD, visits, "ideal").position[1::2]))
+    assert 0.1 < np.median(real) < 0.25
+    assert 0.1 < min(real) < max(real) < 0.5
+    assert max(ideal) < 0.04
 
 
 def test_iso9283_and_calibration_data_agree_on_repeatability():
     cube, pace = largest_cube(NOMINAL, steps=12), Pace(period=0.1, dwell=2.0)
     settings = Iso9283Settings(pace=pace, drift_cycles=2, drift_interval=3600.0)
     found = iso9283(ORCHARD, rng=np.random.default_rng(0), settings=settings, cube=cube).raw
-    targets = np.stack([NOMINAL.lower] * 5)
-    targets[:] = joints_of(cube)
+    targets = inverse(NOMINAL, cube.inclined_plane()).joints
     same = replace(TRACKER, dwell=pace.dwell, period=pace.period, warm_up=settings.warm_up)
     rows = seen(ORCHARD, np.tile(targets[::-1], (31, 1)), same, seed=5).position.reshape(31, 5, 3)[1:, ::-1]
     away = np.linalg.norm(rows - rows.mean(axis=0), axis=-1)
@@ -79,12 +83,6 @@ def test_iso9283_and_calibration_data_agree_on_repeatability():
     by_standard = [pose.repeatability_mm for pose in found.poses]
     assert np.mean(own) == pytest.approx(np.mean(by_standard), rel=0.15)
     np.testing.assert_allclose(own, by_standard, rtol=0.5)
-
-
-def joints_of(cube):
-    from pickenv.arm import inverse
-
-    return inverse(NOMINAL, cube.inclined_plane()).joints
 
 
 def test_friction_stops_each_joint_short_on_the_side_that_it_came_from():
@@ -115,18 +113,26 @@ def test_the_ideal_instrument_sees_the_settled_pose():
 
 
 def test_a_cold_machine_is_measured_elsewhere_than_a_warm_one():
-    plant, joints = only("thermal_growth", "base_tilt"), anywhere(20)
-    settled = plant.tool_pose(joints).position
+    plant, joints = only("thermal_growth"), anywhere(20)
+    warm, thermal = plant.tool_pose(joints).position, plant.thermal_growth
 
     def away(hours):
-        return 1e3 * np.linalg.norm(seen(plant, joints, replace(EXACT, warm_up=3600.0 * hours)).position - settled, axis=1)
+        rows = seen(plant, joints, replace(EXACT, warm_up=3600.0 * hours))
+        return 1e3 * np.linalg.norm(rows.position - warm, axis=1)
 
-    cold, hour, day = (away(hours).mean() for hours in (0.0, 1.0, 24.0))
-    assert cold > 1.0
-    assert 0.2 * cold < hour < 0.8 * cold  # the hour's rule is not enough for time constants of 1.2 and 1.5 h
-    assert day < 0.03 * cold
-    first, last = (seen(plant, np.tile(joints[:1], (200, 1)), EXACT).position[k] for k in (0, -1))
-    assert np.linalg.norm(last - first) > 1e-4  # and the arm goes on warming while it is measured
+    cold, hour, day = away(0.0), away(1.0), away(24.0)
+    assert 0.3 < cold.mean() < 2.0
+    np.testing.assert_allclose(hour / cold, np.exp(-3600.0 / thermal.time_constant), rtol=1e-3)
+    assert day.max() < 1e-3
+
+
+@pytest.mark.parametrize("effect", ["thermal_growth", "base_tilt"])
+def test_the_arm_warms_up_and_sinks_while_it_is_measured(effect):
+    """What is left of the way to where it ends in the long run fades with the effect's own time constant."""
+    plant, joints = only(effect), np.tile(anywhere(1), (200, 1))
+    left = np.linalg.norm(seen(plant, joints, EXACT).position - plant.tool_pose(joints[0]).position, axis=1)
+    faded = np.exp(-EXACT.dwell * np.arange(200) / getattr(plant, effect).time_constant)
+    np.testing.assert_allclose(left / left[0], faded, rtol=1e-3)
 
 
 @pytest.mark.parametrize("distance", [1.0, 40.0, 100.0])
@@ -135,19 +141,13 @@ def test_noise_grows_with_the_range(distance):
     plant = load_plant("geometry_only")
     true = plant.tool_pose(pose)
     noise = MeasurementNoise(15e-6, 2e-4, range_std=0.7e-6)
-    instrument = Instrument("far", stand=tuple(true.position + [0.0, distance, 0.0]), noise=noise)
+    instrument = Instrument("far", stand=tuple(true.position + np.array([0.0, distance, 0.0])), noise=noise)
     rows = seen(plant, np.tile(pose, (20_000, 1)), instrument)
-    error = pose_error(true, rows_pose(rows))
+    error = pose_error(true, Pose(rows.position, rows.rotation))
     expected = [15e-6 + 0.7e-6 * distance] * 3 + [2e-4] * 3
     np.testing.assert_allclose(error.std(axis=0), expected, rtol=0.03)
     np.testing.assert_allclose(error.mean(axis=0) / error.std(axis=0), 0, rtol=0, atol=0.03)
     assert rows.position_std == pytest.approx(expected[0], rel=1e-3) and rows.attitude_std == 2e-4
-
-
-def rows_pose(rows):
-    from pickenv.arm import Pose
-
-    return Pose(rows.position, rows.rotation)
 
 
 def test_a_target_mounted_once_errs_alike_in_all_its_readings_in_the_tools_axes():
@@ -179,7 +179,7 @@ def test_one_seed_gives_one_campaign_and_its_readings_do_not_hang_on_the_arm():
     first, again, other = (seen(ORCHARD, joints, "laser_tracker", seed) for seed in (3, 3, 4))
     assert first.fingerprint() == again.fingerprint() != other.fingerprint()
     rng, alone = np.random.default_rng(3), np.random.default_rng(3)
-    drawn = normal_draws(6, 8, rng)
+    drawn = normal_draws(ORCHARD, 8, rng)
     np.testing.assert_array_equal(drawn.reading, alone.normal(size=(8, 6)))
     assert rng.random() == alone.random()  # what the arm draws takes nothing from who goes on drawing
 
@@ -202,17 +202,21 @@ def test_many_arms_at_once_stop_where_each_stops_alone(backend):
 
 
 def test_a_campaign_of_fewer_poses_is_the_beginning_of_a_longer_one():
-    joints, draws = anywhere(9), normal_draws(6, 9, np.random.default_rng(0))
+    joints, draws = anywhere(9), normal_draws(ORCHARD, 9, np.random.default_rng(0))
     whole = pose_of(visited(ORCHARD, np, joints, TRACKER, draws.stops))
     part = pose_of(visited(ORCHARD, np, joints[:4], TRACKER, draws.first(4).stops))
     np.testing.assert_array_equal(part.position, whole.position[:4])
 
 
 def test_shipped_instruments_load_under_their_own_names_and_others_are_refused(tmp_path):
-    assert [load_instrument(name).name for name in shipped_instruments()] == shipped_instruments() == [
-        "ideal",
-        "laser_tracker",
-    ]
+    assert (
+        [load_instrument(name).name for name in shipped_instruments()]
+        == shipped_instruments()
+        == [
+            "ideal",
+            "laser_tracker",
+        ]
+    )
     assert load_instrument("ideal").dwell is None
     with pytest.raises(InputError, match=r"unknown instrument 'ruler'.*ideal"):
         load_instrument("ruler")
