@@ -19,7 +19,7 @@ from pickenv.arm.effects.measurement_noise import MeasurementNoise, read_frame
 from pickenv.arm.kinematics.forward import Frame, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.motion import Pace, Place, columns_of, stopped
+from pickenv.arm.plant.motion import Pace, Place, in_components, stopped
 from pickenv.arm.plant.plant import Plant, Ready
 from pickenv.toml_tables import HOURS, MILLISECONDS, MM, SECONDS, file_named, read, shipped_in, toml_table
 
@@ -105,7 +105,7 @@ def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDr
 
 def switched_on(plant: Plant, m: ModuleType, joints: Array, warm_up: float, place: Place | None = None) -> PlantState:
     """The state of an arm that has stood at the command ``joints`` ``(..., n)`` for ``warm_up`` seconds."""
-    q = columns_of(m, joints, place)
+    q = in_components(m, joints, place)
     return plant.carried(m, plant.initial_state(m, q), q, warm_up)
 
 
@@ -126,7 +126,7 @@ def visited(
         Components ``(P,)`` or ``(P, N)``.
     """
     if instrument.dwell is None or not plant.has_state or not len(joints):
-        return plant.tool_frame(m, columns_of(m, joints, place))
+        return plant.tool_frame(m, in_components(m, joints, place))
     alone = joints.ndim == 2
     one = math if alone else m
     plant = replace(plant, ready=Ready(plant.geometry, plant.chain))  # each stop has its friction, and the same chain
@@ -139,7 +139,7 @@ def visited(
         frames.append(frame)
     if alone:
         return tuple(np.array(column) for column in zip(*frames, strict=True))
-    zero = columns_of(m, here, place)[0] * 0.0  # of many arms a component may be the same number for all
+    zero = in_components(m, here, place)[0] * 0.0  # of many arms a component may be the same number for all
     return tuple(m.stack([value + zero for value in column]) for column in zip(*frames, strict=True))
 
 

@@ -67,7 +67,7 @@ def commands(plant: Plant, start: ArrayLike, target: ArrayLike, pace: Pace) -> I
         yield np.broadcast_to(target, np.broadcast_shapes(start.shape, target.shape)), pace.dwell
 
 
-def columns_of(m: ModuleType, joints: Array, place: Place | None = None) -> list[Scalar]:
+def in_components(m: ModuleType, joints: Array, place: Place | None = None) -> list[Scalar]:
     """Joints ``(..., n)`` as n components: floats for ``math``, else arrays, or what ``place`` makes of them."""
     if m is math:
         return list(joints.tolist())
@@ -96,7 +96,7 @@ def moved(
         place: Makes components of arrays where ``m`` wants others.
     """
     *before, last = (
-        (columns_of(m, command, place), time if place is None or isinstance(time, float) else place(time))
+        (in_components(m, command, place), time if place is None or isinstance(time, float) else place(time))
         for command, time in commands(plant, start, target, pace)
     )
     for q, time in before:
@@ -128,6 +128,6 @@ def stopped(
     """
     band = plant.stick_band
     if band is not None and band.scatter:
-        rows = [columns_of(m, np.moveaxis(row, 0, -1), place) for row in normal]
+        rows = [in_components(m, np.moveaxis(row, 0, -1), place) for row in normal]
         plant = replace(plant, stick_band=one_stop(m, band, rows))
     return moved(plant, m, state, start, target, pace, place)

@@ -22,7 +22,7 @@ from torch import Tensor
 from pickenv.arm.kinematics.forward import Frame, chain_of, tool_frame
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import frame_error
-from pickenv.arm.plant.motion import Place, columns_of
+from pickenv.arm.plant.motion import Place, in_components
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plants_on
 from pickenv.arm.plant.tree import tree_map
@@ -112,7 +112,7 @@ def _outcomes(
 ) -> list[Outcomes]:
     """Outcomes of all arms of one population in each of its settings."""
     placed = plants_on(plants, place)
-    targets = columns_of(torch, np.stack([one.fruit for one in given], axis=1), place)
+    targets = in_components(torch, np.stack([one.fruit for one in given], axis=1), place)
     seen = visited_frames(protocol, placed, given, place)
     wanted = tool_frame(torch, chain_of(protocol.nominal), targets)
     known: dict[tuple[Any, ...], _Commands] = {}

@@ -21,7 +21,7 @@ from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.kinematics.jacobians import link_column
 from pickenv.arm.kinematics.pose_error import frame_error
 from pickenv.arm.plant.campaign import visited
-from pickenv.arm.plant.motion import Place, columns_of
+from pickenv.arm.plant.motion import Place, in_components
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import with_links
 from pickenv.arm.plant.tree import tree_map
@@ -91,10 +91,10 @@ def identify_batch(
     draws = [one.tracker.first(poses) for one in given]
     bare = Plant(design.name, design.arm, design.arm.nominal)  # for what the instrument says of itself: weights
     weights = place(measured(protocol, bare, setting, given[0]).row_weights)
-    joints = columns_of(torch, np.stack([one.poses[:poses] for one in given], axis=1), place)
+    joints = in_components(torch, np.stack([one.poses[:poses] for one in given], axis=1), place)
     whole = _Tracker(joints, weights, protocol.model)
-    reading = columns_of(torch, np.stack([one.reading for one in draws], axis=1), place)
-    mounting = columns_of(torch, np.stack([one.mounting for one in draws]), place)
+    reading = in_components(torch, np.stack([one.reading for one in draws], axis=1), place)
+    mounting = in_components(torch, np.stack([one.mounting for one in draws]), place)
     frame = tuple(value[:poses] for value in frames_seen)
     seen = read_frame(torch, instrument.noise, instrument.stand, frame, reading, mounting)
     links, tool = _links(chain_of(nominal), whole)
