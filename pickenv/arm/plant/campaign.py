@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, NamedTuple
@@ -81,7 +80,6 @@ def shipped_instruments() -> list[str]:
     return shipped_in(INSTRUMENTS)
 
 
-@cache
 def load_instrument(name: str | Path) -> Instrument:
     """Read an instrument by name or from a path to a TOML file.
 
