@@ -20,7 +20,7 @@ import typer
 from scipy.stats import t as student
 
 from pickenv.arm import Array, Plant, draw_plants, load_arm, load_tolerances, plant_at
-from pickenv.calibration import Choices, Measurements, Result, calibrate
+from pickenv.calibration import Choices, Measurements, Result, calibrate, simulated_tracker
 from pickenv.calibration.model.splits import Rows, contiguous_folds
 from pickenv.calibration.pipeline.fitting import fit_remainder
 from pickenv.calibration.reading.read import read_measurements
@@ -48,8 +48,8 @@ def calibrated(train: Measurements, test: Measurements, rng: np.random.Generator
 
 def simulated(plant: Plant, rows: Measurements, rng: np.random.Generator) -> Measurements:
     """What the instrument sees of an arm at the joints of these rows."""
-    pose = plant.measured_pose(rows.joints, rng)
-    return replace(rows, position=pose.position, rotation=None if rows.rotation is None else pose.rotation)
+    seen = simulated_tracker(plant, rows.joints, rng)
+    return replace(rows, position=seen.position, rotation=None if rows.rotation is None else seen.rotation)
 
 
 def folds_of(count: int, split: str) -> list[tuple[Rows, Rows]]:

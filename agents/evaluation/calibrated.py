@@ -13,6 +13,7 @@ import numpy as np
 
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.content import content_sha256
+from pickenv.arm.plant.campaign import TRACKER, load_instrument
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plant_count
 from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
@@ -41,12 +42,14 @@ class CalibrationPlan:
         residual_poses: Poses for the residual model (the paper: 200).
         epochs: Passes of the network's training (the paper: 500).
         seed: Seed of poses, noise and networks; every arm has its own stream.
+        instrument: What measures them; one of `pickenv.arm.shipped_instruments`, or a path.
     """
 
     identification_poses: int = 100
     residual_poses: int = 200
     epochs: int = 100
     seed: int = 0
+    instrument: str = TRACKER
 
 
 def calibrate_arm(plant: Plant, compensation: str, protocol: CalibrationPlan, number: int) -> Calibration:
@@ -59,7 +62,8 @@ def calibrate_arm(plant: Plant, compensation: str, protocol: CalibrationPlan, nu
     poses, learning = (np.random.default_rng(part) for part in stream(protocol.seed, "calibration", number).spawn(2))
     counts = (protocol.identification_poses, protocol.residual_poses)
     first, second = (
-        simulated_tracker(plant, random_joints(plant.arm.nominal, count, poses), poses) for count in counts
+        simulated_tracker(plant, random_joints(plant.arm.nominal, count, poses), poses, protocol.instrument)
+        for count in counts
     )
     residual = RESIDUALS.get(compensation)
     return fit(
@@ -154,7 +158,8 @@ def _kept(folder: Path, plant: Plant, compensation: str, protocol: CalibrationPl
 
     A file belongs to the arm's own numbers, to the protocol and to the code that fits; its record says so as well.
     """
-    origin = content_sha256(plant, compensation, protocol, number, code_fingerprint())
+    instrument = load_instrument(protocol.instrument)
+    origin = content_sha256(plant, compensation, protocol, instrument, number, code_fingerprint())
     path = folder / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', plant.name)}-{compensation}-{origin[:16]}.npz"
     if not path.is_file():
         calibration = calibrate_arm(plant, compensation, protocol, number)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from pickenv.agents.policies.policy import ObservationParts, camera_of, read_observation
 from pickenv.agents.policies.scripted import ScriptedReach
+from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import MeasurementNoise
 from pickenv.calibration import Compensator, link_model, random_joints
 from pickenv.calibration.identification import extended_kalman_filter
 

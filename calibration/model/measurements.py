@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Geometry, Plant, Pose, pose_error, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.campaign import TRACKER, Instrument, NormalDraws, load_instrument, measured_poses, normal_draws
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.observations import OneGroup, hash_of, selected
 from pickenv.calibration.model.origins import Origins
@@ -196,23 +197,40 @@ def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> A
     return rng.uniform(geometry.lower, geometry.upper, (count, geometry.joints))
 
 
-def simulated_tracker(plant: Plant, joints: ArrayLike, rng: np.random.Generator) -> Measurements:
-    """What a laser tracker with the plant's measurement noise, registered to base and tool, sees at ``joints``."""
+def simulated_tracker(
+    plant: Plant, joints: ArrayLike, rng: np.random.Generator, instrument: Instrument | str = TRACKER
+) -> Measurements:
+    """What an instrument, registered to base and tool, sees of the arm that visits ``joints`` one after another.
+
+    One call is one campaign: the machine is switched on, warms up, drives from pose to pose and waits before each
+    reading; the target is mounted once. "ideal" waits for ever at each pose.
+
+    Args:
+        plant: The arm.
+        joints: Joint commands ``(N, n)`` in their order, rad or m.
+        rng: Draws the readings' errors, and by a child the friction of each stop and the target's mounting.
+        instrument: One of `pickenv.arm.shipped_instruments`, a path to a file, or an `Instrument`.
+    """
     joints = np.asarray(joints, dtype=float)
-    return tracked(plant, joints, plant.measured_pose(joints, rng))
+    chosen = instrument if isinstance(instrument, Instrument) else load_instrument(instrument)
+    return tracked(plant, chosen, joints, normal_draws(plant, len(joints), rng))
 
 
-def tracked(plant: Plant, joints: Array, pose: Pose) -> Measurements:
-    """These poses as the readings of such a tracker at ``joints`` ``(N, n)``."""
-    noise = plant.measurement_noise
+def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDraws) -> Measurements:
+    """What an instrument sees of the arm that visits ``joints`` ``(N, n)``, with these draws."""
+    pose, noise = measured_poses(plant, joints, instrument, draws), instrument.noise_on(plant)
+    std = attitude_std = 0.0
+    if noise is not None:
+        ranges = np.linalg.norm(pose.position - instrument.stand, axis=-1)
+        std, attitude_std = noise.position_std_at(float(ranges.mean()) if len(joints) else 0.0), noise.attitude_std
     return Measurements(
         joints=joints,
         position=pose.position,
         rotation=pose.rotation,
         prismatic=plant.geometry.prismatic,
-        position_std=noise.position_std if noise and noise.position_std else POSITION_STD,
-        attitude_std=noise.attitude_std if noise and noise.attitude_std else ATTITUDE_STD,
-        source=f"simulated tracker on plant {plant.name}",
+        position_std=std or POSITION_STD,
+        attitude_std=attitude_std or ATTITUDE_STD,
+        source=f"simulated {instrument.name.replace('_', ' ')} on plant {plant.name}",
         frames="known",
         std_stated=noise is not None,
     )

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, Plant
+from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.arm.plant.plant import MeasurementNoise
 from pickenv.arm.plant.posterior import Layout, Posterior
 from pickenv.arm.plant.twin_arms import twin_plant
 from pickenv.calibration.model.arm_model import ArmModel, Term

@@ -22,6 +22,9 @@ from pickenv.arm.kinematics.pose_error import rotation_matrix as rotation_matrix
 from pickenv.arm.kinematics.pose_error import rotation_vector as rotation_vector
 from pickenv.arm.kinematics.task_space import noncompensable_error as noncompensable_error
 from pickenv.arm.kinematics.task_space import task_directions as task_directions
+from pickenv.arm.plant.campaign import Instrument as Instrument
+from pickenv.arm.plant.campaign import load_instrument as load_instrument
+from pickenv.arm.plant.campaign import shipped_instruments as shipped_instruments
 from pickenv.arm.plant.dynamics import PlantState as PlantState
 from pickenv.arm.plant.named_plants import load_plant as load_plant
 from pickenv.arm.plant.plant import Plant as Plant

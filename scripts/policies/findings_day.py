@@ -12,8 +12,9 @@ from pickenv.agents.evaluation.grid import GridSettings, population
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
 from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms
 from pickenv.arm import forward
+from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import MeasurementNoise, Plant
+from pickenv.arm.plant.plant import Plant
 from pickenv.calibration import Compensator, complete_model, random_joints
 from pickenv.calibration.identification.extended_kalman_filter import predict, random_walk, start_filter, update
 from pickenv.inspect.figures.style import WIDTH, new_figure

@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from pickenv.arm import load_plant
+from pickenv.arm import load_instrument, load_plant
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure, unit_of
@@ -94,12 +94,14 @@ def test_it_is_whole_and_needs_nothing_from_outside(page):
     assert "prefers-color-scheme: dark" in page and "@media print" in page and len(page) < 300_000
 
 
-def test_the_verdict_comes_first_and_in_words(page, evidence):
+def test_the_verdict_comes_first_and_in_words(page, evidence, plant, sets):
     text = Page(page).text
     mean = evidence.best.mean
     assert text.index("Good: the calibration can be used") < text.index("Errors on held-out rows")
     assert f"the tool stood {figure(mean)} mm" in text and "40 measured poses that the fit never saw" in text
-    assert "times the stated noise of 0.015 mm" in text
+    away = np.linalg.norm(sets[0].position - load_instrument("laser_tracker").stand, axis=1).mean()
+    stated = plant.measurement_noise.position_std + plant.measurement_noise.range_std * away
+    assert f"times the stated noise of {figure(1e3 * stated)} mm" in text
 
 
 def test_the_stated_noise_is_the_instruments_in_mm_and_of_poses_in_degrees(page, sets, plant):

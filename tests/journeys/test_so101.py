@@ -17,6 +17,7 @@ from typer.main import get_command
 
 from pickenv.arm import Geometry, Plant, Pose, forward, load_arm
 from pickenv.arm.kinematics.forward import pose_of
+from pickenv.arm.plant.campaign import switched_on
 from pickenv.arm.plant.motion import Pace, moved
 from pickenv.arm.plant.named_plants import draw_arms
 from pickenv.arm.plant.plant_batch import plant_at
@@ -45,8 +46,8 @@ def owned(seed: int) -> Plant:
 
 def reached(plant: Plant, joints: np.ndarray, before: np.ndarray) -> Pose:
     """Where the tool stands at joint commands, each driven to from others."""
-    start, target = (list(np.ascontiguousarray(rows.T)) for rows in (before, joints))
-    return pose_of(moved(plant, np, plant.initial_state(np, start), start, target, Pace(period=0.1, dwell=1.0))[1])
+    state = switched_on(plant, np, before, 0.0)
+    return pose_of(moved(plant, np, state, before, joints, Pace(period=0.1, dwell=1.0))[1])
 
 
 def same_side(joints: np.ndarray) -> np.ndarray:

@@ -78,8 +78,8 @@ def test_the_tool_is_upright_at_the_fruit_and_joints_keep_off_their_limits(confi
 def test_no_two_arms_share_fruit_poses_or_tracker(config):
     """Neither among arms, nor one thing with another: streams of their own."""
     protocol = prepared_study(config)
-    for name in ("fruit", "poses", "noise"):
-        values = np.stack([getattr(protocol.circumstances(arm), name) for arm in range(6)])
+    for of in (lambda one: one.fruit, lambda one: one.poses, lambda one: one.tracker.reading):
+        values = np.stack([of(protocol.circumstances(arm)) for arm in range(6)])
         assert len(np.unique(values)) == values.size
     assert protocol.circumstances(0).poses.shape == (max(config.poses), 6)
     again, other = prepared_study(config), prepared_study(replace(config, seed=config.seed + 1))

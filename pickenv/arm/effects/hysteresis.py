@@ -7,11 +7,10 @@ it cannot. Units: rad or m on the joint side, N*m or N.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
-
-import numpy as np
 
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar
@@ -47,12 +46,17 @@ class StickBand:
     scatter: Scalar = 0.0
 
 
-def one_stop(band: StickBand, rng: np.random.Generator) -> StickBand:
-    """The friction of a single stop: each joint's bands, normally scattered and never below zero."""
-    factors = np.maximum(1.0 + band.scatter * rng.normal(size=(2, len(band.forward))), 0.0).tolist()
+def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Sequence[Scalar]]) -> StickBand:
+    """The friction of a single stop: each joint's bands, normally scattered and never below zero.
+
+    Args:
+        m: ``math``, ``numpy`` or ``torch``.
+        band: The usual friction.
+        normal: Standard normal numbers of the joints, forward and backward.
+    """
     forward, backward = (
-        tuple(width * factor for width, factor in zip(widths, row, strict=True))
-        for widths, row in zip((band.forward, band.backward), factors, strict=True)
+        tuple(width * clipped(m, 1.0 + band.scatter * z, 0.0, math.inf) for width, z in zip(widths, row, strict=True))
+        for widths, row in zip((band.forward, band.backward), normal, strict=True)
     )
     return replace(band, forward=forward, backward=backward)
 

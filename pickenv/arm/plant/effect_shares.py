@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.forward import forward, split_joints
+from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.campaign import switched_on
 from pickenv.arm.plant.motion import Pace, moved
 from pickenv.arm.plant.plant import EFFECTS, FOUND, Plant
 
@@ -137,10 +138,8 @@ def effect_shares(
 
 def _reached(plant: Plant, joints: Array, running_time: float, pace: Pace) -> Array:
     """True tool positions ``(P, 3)`` after reaches from the joints before (the first from the last), m."""
-    target = split_joints(joints.shape[-1], joints)
-    start = [np.roll(value, 1) for value in target]
-    state, _ = plant.advance(np, plant.initial_state(np, start), start, running_time)
-    _, frame = moved(plant, np, state, start, target, pace)
+    start = np.roll(joints, 1, axis=0)
+    _, frame = moved(plant, np, switched_on(plant, np, start, running_time), start, joints, pace)
     return np.stack(np.broadcast_arrays(*frame[9:]), -1)
 
 

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Array, Frame, Geometry, Plant, PlantState, Pose, forward, inverse, pose_error
-from pickenv.arm.effects.hysteresis import one_stop
+from pickenv.arm import Array, Frame, Geometry, Plant, PlantState, Pose, forward, inverse, load_instrument, pose_error
+from pickenv.arm.effects.measurement_noise import read_frame
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import Cube, largest_cube
-from pickenv.arm.plant.motion import Pace, moved
+from pickenv.arm.plant.campaign import TRACKER, Instrument, switched_on
+from pickenv.arm.plant.motion import Pace, move_time, stopped
 from pickenv.errors import InputError
 from pickenv.intervals import Ends, statistic_interval
 
@@ -132,7 +134,7 @@ class Iso9283Result:
         plant: Name of the plant.
         cube: The cube that the poses lie in.
         settings: How the test was run.
-        instrument_mm: RP_l that the noise of the measuring instrument would show on an arm that repeats exactly.
+        instrument_mm: RP_l that the tracker's noise would show, at the mean range, on an arm that repeats exactly.
         raw: The arm as its controller believes it to be.
         calibrated: The same arm with compensated commands, or None.
     """
@@ -225,20 +227,21 @@ def iso9283(
     settings = settings or Iso9283Settings()
     cube = cube or _cube_for(plant.arm.nominal)
     seed = int(rng.integers(2**63))
-    poses = cube.inclined_plane()
-    targets = _joints_for(plant, poses, None, cube.free)
-    approaches = _approaches(plant, poses, targets, settings.approach, cube.free)
+    targets = _joints_for(plant, cube.inclined_plane(), None, cube.free)
+    approaches = _approaches(plant, cube.inclined_plane(), targets, settings.approach, cube.free)
     wanted = forward(reference or plant.arm.nominal, targets)
+    instrument = load_instrument(TRACKER)
+    noise, ranges = instrument.noise_on(plant), np.linalg.norm(wanted.position - instrument.stand, axis=-1)
 
     def performance(change: Compensate) -> Performance:
-        commands, before = np.asarray(change(targets)).tolist(), np.asarray(change(approaches)).tolist()
-        return _Test(plant, settings, commands, before, wanted, np.random.default_rng(seed)).performance()
+        same = np.random.default_rng(seed)
+        return _Test(plant, settings, instrument, change(targets), change(approaches), wanted, same).performance()
 
     return Iso9283Result(
         plant=plant.name,
         cube=cube,
         settings=settings,
-        instrument_mm=NORM_OF_NOISE * 1e3 * (plant.measurement_noise.position_std if plant.measurement_noise else 0.0),
+        instrument_mm=NORM_OF_NOISE * 1e3 * (0.0 if noise is None else float(noise.position_std_at(ranges).mean())),
         raw=performance(lambda joints: joints),
         calibrated=None if compensate is None else performance(compensate),
     )
@@ -279,18 +282,24 @@ class _Test:
 
     plant: Plant
     settings: Iso9283Settings
-    commands: list[list[float]]
-    approaches: list[list[list[float]]]
+    instrument: Instrument
+    commands: Array
+    approaches: Array
     wanted: Pose
     rng: np.random.Generator
+
+    @cached_property
+    def mounting(self) -> list[float]:
+        """Standard normal numbers of the one mounting of the target."""
+        return list(self.rng.spawn(1)[0].normal(size=3).tolist())
 
     def performance(self) -> Performance:
         """All figures."""
         variation = [self._variation(k) for k in range(len(VARIATION_POSES))]
         names = [f"P{i + 1}" for i in VARIATION_POSES]
         hours, means = self._drift()
-        accuracy, turn = np.linalg.norm(means[:, :3], axis=-1), np.linalg.norm(means[:, 3:], axis=-1)
-        wander = np.linalg.norm(means[:, :3] - means[0, :3], axis=-1)
+        parts = means[:, :3], means[:, 3:], means[:, :3] - means[0, :3]
+        accuracy, turn, wander = (np.linalg.norm(part, axis=-1) for part in parts)
         return Performance(
             poses=self._poses(),
             variation_mm=dict(zip(names, (1e3 * v[0] for v in variation), strict=True)),
@@ -326,46 +335,44 @@ class _Test:
                 errors.append(self._error(pose, frame))
             means.append(np.mean(errors, axis=0))
         apart = [a - b for i, a in enumerate(means) for b in means[:i]]
-        distances = [float(np.linalg.norm(gap[:3])) for gap in apart]
-        angles = [float(np.linalg.norm(gap[3:])) for gap in apart]
-        return max(distances), max(angles)
+        return max(float(np.linalg.norm(gap[:3])) for gap in apart), max(
+            float(np.linalg.norm(gap[3:])) for gap in apart
+        )
 
     def _drift(self) -> tuple[list[float], Array]:
         """Hours, and the mean error ``(T, 6)`` at P1, from switching the cold arm on."""
         away, home = self.commands[1], self.commands[0]
-        state, clock = self.plant.initial_state(math, home), 0.0
+        state, clock = switched_on(self.plant, math, home, 0.0), 0.0
         hours, means = [], []
         for k in range(round(self.settings.drift_time / self.settings.drift_interval) + 1):
             wait = max(k * self.settings.drift_interval - clock, 0.0)
-            state, _ = self.plant.advance(math, state, home, wait)
-            clock += wait
+            state, clock = self.plant.carried(math, state, home.tolist(), wait), clock + wait
             hours.append(clock / 3600.0)
             errors = []
             for _ in range(self.settings.drift_cycles):
                 state, _ = self._move(state, home, away)
                 state, frame = self._move(state, away, home)
                 errors.append(self._error(0, frame))
-            way = np.max(np.abs(np.subtract(home, away)) / self.plant.arm.speed) / self.settings.pace.speed
-            clock += 2.0 * self.settings.drift_cycles * (float(way) + self.settings.pace.dwell)
+            way = float(move_time(self.plant, home, away, self.settings.pace))
+            clock += 2.0 * self.settings.drift_cycles * (way + self.settings.pace.dwell)
             means.append(np.mean(errors, axis=0))
         return hours, np.array(means)
 
-    def _warm(self) -> tuple[PlantState, list[float]]:
-        start = self.commands[0]
-        state, _ = self.plant.advance(math, self.plant.initial_state(math, start), start, self.settings.warm_up)
-        return state, start
+    def _warm(self) -> tuple[PlantState, Array]:
+        return switched_on(self.plant, math, self.commands[0], self.settings.warm_up), self.commands[0]
 
-    def _move(self, state: PlantState, start: list[float], target: list[float]) -> tuple[PlantState, Frame]:
-        """A move whose friction is that of this one stop: without scatter, an arm would repeat exactly."""
-        plant, band = self.plant, self.plant.stick_band
-        if band is not None and band.scatter:
-            plant = replace(plant, stick_band=one_stop(band, self.rng))
-        return moved(plant, math, state, start, target, self.settings.pace)
+    def _move(self, state: PlantState, start: Array, target: Array) -> tuple[PlantState, Frame]:
+        """A move, and the stop at its end."""
+        normal = self.rng.normal(size=(2, len(target)))
+        return stopped(self.plant, math, state, start, target, self.settings.pace, normal)
 
     def _error(self, i: int, frame: Frame) -> Array:
         """Measured pose error (6,) against the commanded pose, m and rad."""
-        pose = self.plant.measured(pose_of(frame), self.rng)
-        return pose_error(Pose(self.wanted.position[i], self.wanted.rotation[i]), pose)
+        noise = self.instrument.noise_on(self.plant)
+        if noise is not None:
+            reading = self.rng.normal(size=6).tolist()
+            frame = read_frame(math, noise, self.instrument.stand, frame, reading, self.mounting)
+        return pose_error(Pose(self.wanted.position[i], self.wanted.rotation[i]), pose_of(frame))
 
 
 def _pose_performance(name: str, errors: Array) -> PosePerformance:

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, reduce
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from pickenv.arm.effects import guides, hysteresis, structure
 from pickenv.arm.effects.drives import Encoder, Servo, followed, quantised
 from pickenv.arm.effects.gravity_yield import GravityYield, weighed_down
 from pickenv.arm.effects.ground import BaseTilt, immediate_tilt, long_run, sunk, tilted_frame
+from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.effects.own_waves import DriveHarmonics, LocalStructure
 from pickenv.arm.effects.residual_field import ResidualField, strayed
 from pickenv.arm.effects.settling import Settling, Swing, at_rest, swung
@@ -40,10 +41,8 @@ from pickenv.arm.kinematics.forward import (
     tool_frame,
 )
 from pickenv.arm.kinematics.geometry import Geometry, Pose
-from pickenv.arm.kinematics.pose_error import displace_pose
 from pickenv.arm.plant.dynamics import Components, PlantState
 from pickenv.arm.plant.posterior import Posterior
-from pickenv.toml_tables import DEG, MM, toml_table
 
 WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling", "servo")
 
@@ -53,14 +52,6 @@ NEED_LOAD = ("joint_compliance", "boom_couple", "boom_torsion", "slide_complianc
 
 WITH_LOAD = (*NEED_LOAD, "backlash")
 """Effects that gravity's loads act on."""
-
-
-@toml_table
-class MeasurementNoise:
-    """Normal noise of the measuring instrument, per axis: position in m, attitude in rad."""
-
-    position_std: Annotated[float, MM.not_negative]
-    attitude_std: Annotated[float, DEG.not_negative]
 
 
 class Ready(NamedTuple):
@@ -84,7 +75,8 @@ class Plant:
         transmission_error: Errors of the drives, or None.
         drive_harmonics: Waves of the drives that the arm has for itself, or None.
         local_structure: Finer displacement of the tool that the arm has for itself, or None.
-        measurement_noise: Noise of the instrument that measures the tool, or None; it never moves the arm.
+        measurement_noise: Errors of the instrument that stands beside it, unless a campaign brings another
+            (`pickenv.arm.plant.campaign`), or None; they never move the arm.
         boom_couple: Bending of the boom by what hangs beside its tip, or None.
         boom_torsion: Its twist, or None.
         slide_compliance: Bearings of slides that yield, or None.
@@ -197,6 +189,17 @@ class Plant:
         """
         if not self.has_state:
             return state, self.tool_frame(m, q)
+        new, (chain, motor, gear, swings) = self._moved_on(m, state, q, dt)
+        return new, _tool(self, m, chain, motor, gear, swings, new.rise, new.sinkage)
+
+    def carried(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> PlantState:
+        """The state of `advance`, where nobody asks for the tool."""
+        return self._moved_on(m, state, q, dt)[0] if self.has_state else state
+
+    def _moved_on(
+        self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar
+    ) -> tuple[PlantState, _Driven]:
+        """The new state, and what stands between motor and tool then."""
         motor = self._target(m, q)
         if self.servo is not None:
             motor = followed(m, self.servo, state.motor, motor, dt)
@@ -210,8 +213,7 @@ class Plant:
             chain = grown_chain(self.thermal_growth, chain, rise[0])
         if self.base_tilt is not None and gear.tilt is not None:
             sinkage = sunk(m, self.base_tilt, sinkage, gear.tilt, dt)
-        new = _state(self, motor, gear, swings, rise, sinkage)
-        return new, _tool(self, m, chain, motor, gear, swings, rise, sinkage)
+        return _state(self, motor, gear, swings, rise, sinkage), (chain, motor, gear, swings)
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
         """What the motor encoders report after `advance` to ``state`` at the command ``q``, rad or m.
@@ -228,18 +230,6 @@ class Plant:
     def tool_pose(self, q: ArrayLike) -> Pose:
         """True tool pose, free of measurement noise, for joint commands ``(..., n)`` in rad and m."""
         return pose_of(self.tool_frame(np, split_joints(self.geometry.joints, q)))
-
-    def measured_pose(self, q: ArrayLike, rng: np.random.Generator) -> Pose:
-        """Tool pose as an instrument with this plant's measurement noise reports it."""
-        return self.measured(self.tool_pose(q), rng)
-
-    def measured(self, pose: Pose, rng: np.random.Generator) -> Pose:
-        """A pose, or a batch of them, as an instrument with this plant's measurement noise reports it."""
-        noise = self.measurement_noise
-        if noise is None:
-            return pose
-        scale = np.repeat([noise.position_std, noise.attitude_std], 3)
-        return displace_pose(pose, rng.normal(size=(*pose.position.shape[:-1], 6)) * scale)
 
 
 FOUND = ("gravity_yield", "residual")
@@ -267,6 +257,10 @@ class _Gear(NamedTuple):
     weights: list[structure.Weight] | None
     torques: list[Scalar] | None
     tilt: tuple[Scalar, Scalar] | None
+
+
+_Driven: TypeAlias = tuple[Chain, Sequence[Scalar], _Gear, Sequence[Swing]]
+"""The chain at its temperature, the motors, what stands behind the gears, and the swing."""
 
 
 def _state(

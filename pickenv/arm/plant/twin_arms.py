@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm.effects.gravity_yield import GravityYield
+from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.effects.residual_field import ResidualField
 from pickenv.arm.effects.structure import BoomBending, Harmonic, TransmissionError
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose, behind, inverse_pose
-from pickenv.arm.plant.plant import MeasurementNoise, Plant
+from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.posterior import Posterior
 from pickenv.toml_tables import GRAVITY
 

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
 from pickenv.arm.kinematics.geometry import Geometry, Pose
-from pickenv.arm.plant.plant import MeasurementNoise, Plant
+from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.posterior import Layout, Posterior
 from pickenv.arm.plant.twin_arms import twin_plant
 from pickenv.container import read_container, refusing_damage, write_container

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Geometry, Plant, forward, joint_jacobian, load_plant
+from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.forward import split_joints
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import MeasurementNoise
 from pickenv.calibration import Compensator, complete_model
 from pickenv.calibration.identification.extended_kalman_filter import (
     FilterState,

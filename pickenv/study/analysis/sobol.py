@@ -91,8 +91,7 @@ def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[st
 
     @cache
     def given(row: int) -> Circumstances:
-        found = protocol.circumstances(protocol.config.arms + row)
-        return replace(found, noise=np.zeros_like(found.noise))
+        return protocol.circumstances(protocol.config.arms + row).perfect
 
     def squared_error(even: Array, rows: NDArray[np.int64]) -> Array:
         whole = np.full((len(even), every), 0.5)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 from pickenv.arm.files.content import content_sha256
+from pickenv.arm.plant.campaign import TRACKER, Instrument, load_instrument
 from pickenv.arm.plant.named_plants import load_plant
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.tolerances import GRADE, Tolerances, load_tolerances
@@ -22,7 +23,7 @@ from pickenv.errors import InputError
 from pickenv.limits import LIMITS
 from pickenv.toml_tables import ONCE, SHARE, WHOLE, Check, Key, Unit, made, toml_of, toml_table
 
-VERSION = 2
+VERSION = 3
 """Raised whenever the same configuration gives other rows, so that old results are not mixed with new ones."""
 
 RAW, LS = "raw", "ls"
@@ -74,6 +75,7 @@ POSES = WHOLE.within(*LIMITS["poses"])
 METHOD = Check(METHODS.__contains__, f"one of {', '.join(METHODS)}")
 TRACKERS = Check(lambda value: isinstance(value, list), "a list of tables with position_mm and attitude_deg")
 PLANT = Check(lambda value: isinstance(value, str), "the name of a plant preset or a path to a plant file (.toml)")
+INSTRUMENT = Check(lambda value: isinstance(value, str), "the name of a shipped instrument or a path to a file (.toml)")
 IN_PICKING, IN_CALIBRATION = Key(section="picking"), Key(section="calibration")
 PAYLOAD, RADIUS = Unit("kg").within(*LIMITS["payload_kg"]), Unit("mm").within(*LIMITS["radius_mm"]).positive
 
@@ -95,7 +97,8 @@ class StudyConfig:
         it_grades: ISO 286-1 grades, each instead of the class's own; None for the class's own.
         methods: Calibrations, of `METHODS`.
         poses: Numbers of calibration poses.
-        noise: Trackers.
+        noise: Standard deviations of the tracker's readings, range and centring within.
+        instrument: What measures the arms, and how long it waits; one of `pickenv.arm.shipped_instruments`, or a path.
         residual_poses: Further poses for a learnt residual.
     """
 
@@ -114,6 +117,7 @@ class StudyConfig:
     poses: Annotated[tuple[int, ...], POSES, ONCE, IN_CALIBRATION] = (30,)
     noise: Annotated[tuple[Noise, ...], TRACKERS, ONCE, IN_CALIBRATION] = (DEFAULT_NOISE,)
     residual_poses: Annotated[int, POSES, IN_CALIBRATION] = 100
+    instrument: Annotated[str, INSTRUMENT, IN_CALIBRATION] = TRACKER
 
     def settings(self) -> tuple[Setting, ...]:
         """All cells: populations first, payloads last; an arm without calibration has neither poses nor tracker."""
@@ -155,6 +159,14 @@ class StudyConfig:
             )
         return plant
 
+    def load_instrument(self) -> Instrument:
+        """What measures the arms.
+
+        Raises:
+            InputError: If it is unknown or impossible.
+        """
+        return load_instrument(self.instrument)
+
     def load_tolerances(self) -> dict[str, Tolerances]:
         """The tolerance classes by name.
 
@@ -164,12 +176,13 @@ class StudyConfig:
         return {name: load_tolerances(name) for name in self.tolerances}
 
     def sha256(self) -> str:
-        """Hash of everything that the rows depend on, the numbers of plant and tolerance classes among it.
+        """Hash of everything that the rows depend on, the numbers of plant, instrument and tolerance classes among it.
 
         Raises:
-            InputError: If plant or tolerance class are unknown or impossible.
+            InputError: If plant, instrument or tolerance class are unknown or impossible.
         """
-        return content_sha256(VERSION, self, self.load_plant(), list(self.load_tolerances().values()))
+        parts = self.load_plant(), self.load_instrument(), list(self.load_tolerances().values())
+        return content_sha256(VERSION, self, *parts)
 
     def toml(self) -> str:
         """This configuration as a TOML file that `load_study` reads."""
@@ -183,7 +196,7 @@ class StudyConfig:
             f"[specification]\nradius_mm = {self.radius_mm!r}\nshare = {self.share!r}\n\n"
             f"[tolerances]\nclasses = {json.dumps(self.tolerances)}\n{grades}\n"
             f"[calibration]\nmethods = {json.dumps(self.methods)}\nposes = {list(self.poses)}\nnoise = [{noise}]\n"
-            f"residual_poses = {self.residual_poses}\n"
+            f"residual_poses = {self.residual_poses}\ninstrument = {json.dumps(self.instrument)}\n"
         )
 
 
@@ -202,4 +215,5 @@ def load_study(path: str | Path) -> StudyConfig:
     config = made(StudyConfig, content, str(path), text=text)
     config.load_tolerances()  # what is unknown is refused now, not an hour later
     config.load_plant()
+    config.load_instrument()
     return config

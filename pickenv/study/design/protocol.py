@@ -14,17 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import qmc
 
+from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.arm.kinematics.pose_error import displace_pose
-from pickenv.arm.plant.plant import MeasurementNoise, Plant
+from pickenv.arm.plant.campaign import Instrument, NormalDraws, normal_draws
+from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.tolerances import Tolerances, draw_plants
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.error_model import ErrorModel, link_model
 from pickenv.calibration.model.measurements import Measurements, random_joints, tracked
 from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.errors import InputError
-from pickenv.study.design.config import Noise, Setting, StudyConfig
+from pickenv.study.design.config import Setting, StudyConfig
 
 ARMS, TRACKER, FRUIT, POSES, RESIDUAL = range(5)
 """First part of the key of each random stream."""
@@ -50,13 +51,18 @@ class Circumstances:
         number: The arm's number.
         fruit: Nominal joints that bring the tool to each of its fruit ``(M, n)``, rad or m.
         poses: Calibration poses ``(P, n)``, spread evenly; a setting with fewer uses the first ones.
-        noise: How the tracker errs there, in standard deviations ``(P, 6)``.
+        tracker: How the tracker errs there, and what the arm's friction does, in standard deviations.
     """
 
     number: int
     fruit: Array
     poses: Array
-    noise: Array
+    tracker: NormalDraws
+
+    @property
+    def perfect(self) -> Circumstances:
+        """The same with nothing left to chance: neither in the tracker nor in the friction."""
+        return replace(self, tracker=NormalDraws(*(np.zeros_like(part) for part in self.tracker)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +75,7 @@ class Protocol:
         design: The plant that arms are drawn from.
         tolerances: Tolerance classes by name.
         model: What least squares identifies.
+        tracker: What measures the arms, but for how it errs.
     """
 
     config: StudyConfig
@@ -76,6 +83,7 @@ class Protocol:
     design: Plant
     tolerances: Mapping[str, Tolerances]
     model: ErrorModel
+    tracker: Instrument
 
     @property
     def nominal(self) -> Geometry:
@@ -106,8 +114,13 @@ class Protocol:
             number=arm,
             fruit=_upright_joints(self.nominal, self.config.fruit, self.stream(FRUIT, arm)),
             poses=spread_joints(self.nominal, count, self.stream(POSES, arm)),
-            noise=self.stream(TRACKER, arm).normal(size=(count, 6)),
+            tracker=normal_draws(self.design, count, self.stream(TRACKER, arm)),
         )
+
+    def instrument(self, setting: Setting) -> Instrument:
+        """What measures the arms of a setting."""
+        noise = MeasurementNoise(setting.noise.position_mm * 1e-3, math.radians(setting.noise.attitude_deg))
+        return replace(self.tracker, noise=noise)
 
     def stream(self, purpose: int, arm: int) -> np.random.Generator:
         """The random numbers of an arm for a purpose: `TRACKER`, `FRUIT`, `POSES` or `RESIDUAL`."""
@@ -121,29 +134,27 @@ def prepared_study(config: StudyConfig) -> Protocol:
         InputError: If plant or tolerance class are unknown, poses are too few to calibrate with, or no fruit is found.
     """
     design = config.load_plant()
-    protocol = Protocol(config, config.settings(), design, config.load_tolerances(), link_model(design.arm.nominal))
+    protocol = Protocol(
+        config,
+        config.settings(),
+        design,
+        config.load_tolerances(),
+        link_model(design.arm.nominal),
+        config.load_instrument(),
+    )
     ideal = Plant(design.name, design.arm, design.arm.nominal)
     calibrated = {setting.poses: setting for setting in protocol.settings if setting.poses}
     for arm in range(TRIED if calibrated else 1):
         given = protocol.circumstances(arm)
         for setting in calibrated.values():  # of an arm as its controller believes, by a tracker that does not err
-            perfect = replace(given, noise=np.zeros_like(given.noise))
-            identify(protocol.model, protocol.nominal, measured(ideal, setting, perfect))
+            identify(protocol.model, protocol.nominal, measured(protocol, ideal, setting, given.perfect))
     return protocol
 
 
-def measured(arm: Plant, setting: Setting, given: Circumstances) -> Measurements:
+def measured(protocol: Protocol, arm: Plant, setting: Setting, given: Circumstances) -> Measurements:
     """What the setting's tracker sees of an arm at its calibration poses."""
-    instrument, joints = seen_by(arm, setting.noise), given.poses[: setting.poses]
-    scale = np.repeat([setting.noise.position_mm * 1e-3, math.radians(setting.noise.attitude_deg)], 3)
-    return tracked(instrument, joints, displace_pose(arm.tool_pose(joints), given.noise[: setting.poses] * scale))
-
-
-def seen_by(plant: Plant, noise: Noise) -> Plant:
-    """The plant measured by another tracker."""
-    return replace(
-        plant, measurement_noise=MeasurementNoise(noise.position_mm * 1e-3, math.radians(noise.attitude_deg))
-    )
+    instrument, poses = protocol.instrument(setting), setting.poses
+    return tracked(arm, instrument, given.poses[:poses], given.tracker.first(poses))
 
 
 def carrying(plant: Plant, payload_kg: float) -> Plant:

@@ -26,7 +26,7 @@ from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.errors import InputError
 from pickenv.study.design.config import LS, RAW, Setting
-from pickenv.study.design.protocol import RESIDUAL, Circumstances, Protocol, carrying, measured, seen_by, spread_joints
+from pickenv.study.design.protocol import RESIDUAL, Circumstances, Protocol, carrying, measured, spread_joints
 from pickenv.study.results.outcomes import Outcomes, chunk_table, gathered, reach_status
 from pickenv.study.results.row_table import OK
 from pickenv.threads import single_threaded
@@ -104,14 +104,14 @@ def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, given: Circum
 
 def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, given: Circumstances) -> tuple[Compensator, int]:
     """The compensator of one arm, and the steps of its least squares."""
-    found = identify_converged(protocol.model, protocol.nominal, measured(arm, setting, given))
+    found = identify_converged(protocol.model, protocol.nominal, measured(protocol, arm, setting, given))
     iterations = len(found.residual_rms) - 1
     _, _, kind = setting.method.partition(f"{LS}+")
     if not kind:
         return Compensator(protocol.nominal, found.geometry), iterations
     rng = protocol.stream(RESIDUAL, given.number)
     joints = spread_joints(protocol.nominal, protocol.config.residual_poses, rng)
-    further = simulated_tracker(seen_by(arm, setting.noise), joints, rng)
+    further = simulated_tracker(arm, joints, rng, protocol.instrument(setting))
     targets = further.difference(found.arm_model)
     learnt = fit_residual(kind, further.joints, targets, further.prismatic, rng)
     calibration = Calibration(

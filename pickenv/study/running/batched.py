@@ -22,6 +22,7 @@ from torch import Tensor
 from pickenv.arm.kinematics.forward import Frame, chain_of, tool_frame
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import frame_error
+from pickenv.arm.plant.motion import Place, in_components
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plants_on
 from pickenv.arm.plant.tree import tree_map
@@ -31,11 +32,14 @@ from pickenv.study.design.config import RAW, Setting
 from pickenv.study.design.protocol import Circumstances, Protocol, carrying
 from pickenv.study.results.outcomes import Outcomes, chunk_table, gathered, reach_status
 from pickenv.study.running.arm_by_arm import evaluate_arm
-from pickenv.study.running.batched_identification import Place, components, identify_batch
+from pickenv.study.running.batched_identification import identify_batch, visited_frames
 from pickenv.threads import torch_on_one_thread
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
 """Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""
+
+IN_TIME = 8
+"""Times as many where the arms are measured in time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +93,9 @@ def check_device(device: str) -> None:
 
 
 def _block_size(protocol: Protocol, device: str) -> int:
-    """Arms worked on together."""
-    return max(1, BLOCKS[device] // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
+    """Arms worked on together; of arms measured in time more, as each step of each move then is for all of them."""
+    poses = BLOCKS[device] * (IN_TIME if protocol.design.has_state else 1)
+    return max(1, poses // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
 
 
 def _evaluate_block(protocol: Protocol, arms: range, place: Place) -> pa.Table:
@@ -107,14 +112,15 @@ def _outcomes(
 ) -> list[Outcomes]:
     """Outcomes of all arms of one population in each of its settings."""
     placed = plants_on(plants, place)
-    targets = components([one.fruit for one in given], place)
+    targets = in_components(torch, np.stack([one.fruit for one in given], axis=1), place)
+    seen = visited_frames(protocol, placed, given, place)
     wanted = tool_frame(torch, chain_of(protocol.nominal), targets)
     known: dict[tuple[Any, ...], _Commands] = {}
     found = []
     for setting in settings:
         key = (setting.method, setting.poses, setting.noise)
         if key not in known:
-            known[key] = _commands(protocol, setting, placed, given, (targets, wanted), place)
+            known[key] = _commands(protocol, setting, seen, given, (targets, wanted), place)
         told = known[key]
         error = frame_error(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, told.joints))
         position, attitude = (_norms(part, len(given)) for part in (error[:3], error[3:]))
@@ -131,17 +137,17 @@ def _outcomes(
 def _commands(
     protocol: Protocol,
     setting: Setting,
-    plants: Plant,
+    seen: Sequence[Tensor],
     given: Sequence[Circumstances],
     fruit: tuple[list[Tensor], Frame],
     place: Place,
 ) -> _Commands:
-    """Calibrate all arms as the setting says, and correct their commands for these targets and wanted frames."""
+    """Calibrate all arms, as they were seen, as the setting says; correct their commands for targets, wanted frames."""
     count, (targets, wanted) = len(given), fruit
     if setting.method == RAW:
         none = np.zeros(count, dtype=np.int64)
         return _Commands(targets, none, none, np.ones(count, dtype=bool))
-    found = identify_batch(protocol, setting, plants, given, place)
+    found = identify_batch(protocol, setting, seen, given, place)
     chain = tree_map(place, chain_of(found.geometry, np))
     chains = (chain_of(protocol.nominal), chain)
     joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)

@@ -7,8 +7,7 @@ first, arms last. SI units.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,10 +15,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pickenv.arm.effects.measurement_noise import read_frame
 from pickenv.arm.kinematics.forward import Chain, Frame, attach, chain_of, frames
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.kinematics.jacobians import link_column
-from pickenv.arm.kinematics.pose_error import displaced_frame, frame_error
+from pickenv.arm.kinematics.pose_error import frame_error
+from pickenv.arm.plant.campaign import visited
+from pickenv.arm.plant.motion import Place, in_components
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import with_links
 from pickenv.arm.plant.tree import tree_map
@@ -31,9 +33,6 @@ from pickenv.study.design.protocol import Circumstances, Protocol, measured
 
 STEPS = 10
 """Steps before an arm counts as one that needs more; three or four are usual."""
-
-Place = Callable[[Array], Tensor]
-"""Puts an array where torch computes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,26 +65,38 @@ class _Tracker:
     model: ErrorModel
 
 
+def visited_frames(protocol: Protocol, plants: Plant, given: Sequence[Circumstances], place: Place) -> list[Tensor]:
+    """True tool frames ``(P, N)`` when the tracker reads them, at all calibration poses that the study has."""
+    visits = np.stack([one.poses for one in given], axis=1)
+    stops = np.stack([one.tracker.stops for one in given], axis=-1)
+    frame = visited(plants, torch, visits, protocol.tracker, stops, place)
+    return [torch.as_tensor(value).broadcast_to(visits.shape[:2]) for value in frame]
+
+
 def identify_batch(
-    protocol: Protocol, setting: Setting, plants: Plant, given: Sequence[Circumstances], place: Place
+    protocol: Protocol, setting: Setting, frames_seen: Sequence[Tensor], given: Sequence[Circumstances], place: Place
 ) -> BatchIdentification:
-    """Measure and identify many arms.
+    """Read and identify many arms.
 
     Args:
         protocol: The study.
         setting: Poses and tracker.
-        plants: The true arms, where torch computes.
-        given: What each of them meets.
-        place: Puts arrays there.
+        frames_seen: From `visited_frames`; a setting of fewer poses takes the first.
+        given: What each arm meets.
+        place: Puts arrays where torch computes.
     """
     nominal, count, poses = protocol.nominal, len(given), setting.poses
-    readings = measured(protocol.design, setting, given[0])  # for what its instrument is: weights and scatter
-    joints = components([one.poses[:poses] for one in given], place)
-    whole = _Tracker(joints, place(readings.row_weights), protocol.model)
-    noise, std = np.stack([one.noise[:poses] for one in given], axis=1), setting.noise
-    scale = np.repeat([std.position_mm * 1e-3, math.radians(std.attitude_deg)], 3)
-    error = place(np.ascontiguousarray(np.moveaxis(noise * scale, -1, 0)))
-    seen = displaced_frame(torch, plants.tool_frame(torch, joints), list(error))
+    design, instrument = protocol.design, protocol.instrument(setting)
+    assert instrument.noise is not None
+    draws = [one.tracker.first(poses) for one in given]
+    bare = Plant(design.name, design.arm, design.arm.nominal)  # for what the instrument says of itself: weights
+    weights = place(measured(protocol, bare, setting, given[0]).row_weights)
+    joints = in_components(torch, np.stack([one.poses[:poses] for one in given], axis=1), place)
+    whole = _Tracker(joints, weights, protocol.model)
+    reading = in_components(torch, np.stack([one.reading for one in draws], axis=1), place)
+    mounting = in_components(torch, np.stack([one.mounting for one in draws]), place)
+    frame = tuple(value[:poses] for value in frames_seen)
+    seen = read_frame(torch, instrument.noise, instrument.stand, frame, reading, mounting)
     links, tool = _links(chain_of(nominal), whole)
     weighted = _residual(whole, tool, seen)
     matrix = _jacobian(nominal, whole, links, tool)
@@ -116,11 +127,6 @@ def identify_batch(
             break
         weighted, matrix = moved_weighted, _jacobian(nominal, tracker, links, tool)
     return BatchIdentification(geometry, steps.cpu().numpy(), converged.cpu().numpy())
-
-
-def components(each: Sequence[Array], place: Place) -> list[Tensor]:
-    """Joints of N arms ``(M, n)`` as n components ``(M, N)``, where torch computes."""
-    return [place(np.ascontiguousarray(column)) for column in np.moveaxis(np.stack(each, axis=1), -1, 0)]
 
 
 def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

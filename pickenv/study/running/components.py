@@ -57,7 +57,7 @@ def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
     }
     if setting.poses:
         causes["poses"] = arms, [replace(one, poses=new.poses) for one, new in pairs]
-        causes["tracker"] = arms, [replace(one, noise=new.noise) for one, new in pairs]
+        causes["tracker"] = arms, [replace(one, tracker=new.tracker) for one, new in pairs]
     every = np.stack([_log_errors(protocol, setting, *case) for case in ((arms, given), (again, other))])
     mixed = np.stack([_log_errors(protocol, setting, *case) for case in causes.values()])
     judged = np.isfinite(every).all(axis=0) & np.isfinite(mixed).all(axis=0)

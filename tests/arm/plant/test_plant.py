@@ -43,7 +43,6 @@ def equal(pose, other):
 def test_with_all_effects_off_it_is_exactly_the_true_geometry(bare, qiao, draw):
     q = draw(qiao.true, 50)
     assert equal(bare.tool_pose(q), forward(qiao.true, q))
-    assert equal(bare.measured_pose(q, np.random.default_rng(0)), forward(qiao.true, q))
 
 
 @pytest.mark.parametrize("effect", [*MOVING, "measurement_noise"])
@@ -112,26 +111,6 @@ def test_a_heavier_fruit_lowers_the_arm_in_proportion(effect):
     ]
     assert np.all(np.diff(heights) < -1e-5)
     np.testing.assert_allclose(np.diff(heights, 2), 0, rtol=0, atol=1e-7)
-
-
-@pytest.mark.parametrize("shape", [(), (1,), (2, 3)])
-def test_every_pose_of_a_batch_has_its_own_noise(plant, shape):
-    q = np.random.default_rng(0).uniform(-0.1, 0.1, (*shape, plant.arm.nominal.joints))
-    measured = plant.measured_pose(q, np.random.default_rng(1))
-    stated = plant.measurement_noise
-    draws = np.random.default_rng(1).normal(size=(*shape, 6)) * ([stated.position_std] * 3 + [stated.attitude_std] * 3)
-    assert measured.position.shape == (*shape, 3)
-    np.testing.assert_allclose(pose_error(plant.tool_pose(q), measured), draws, atol=1e-12)
-
-
-def test_measurement_noise_has_the_size_it_states_and_follows_the_seed(plant):
-    q = np.broadcast_to(np.array([0.1, 0.3, 0.4, 0.0, 0.1, 0.5]), (20_000, 6))
-    measured = plant.measured_pose(q, np.random.default_rng(8))
-    stated = plant.measurement_noise
-    noise = pose_error(plant.tool_pose(q), measured)
-    np.testing.assert_allclose(noise.std(axis=0), [stated.position_std] * 3 + [stated.attitude_std] * 3, rtol=0.03)
-    np.testing.assert_allclose(noise.mean(axis=0) / noise.std(axis=0), 0, rtol=0, atol=0.03)
-    assert equal(measured, plant.measured_pose(q, np.random.default_rng(8)))
 
 
 def test_shipped_plants_load_under_their_own_names():

@@ -49,8 +49,8 @@ def under(plant: Plant, payload: Array, temperature: Array) -> Plant:
 def measured_under(
     plant: Plant, joints: Array, payload: Array, temperature: Array, rng: np.random.Generator
 ) -> Measurements:
-    """What a tracker sees of `under`, with payload and temperature recorded."""
-    data = simulated_tracker(under(plant, payload, temperature), joints, rng)
+    """What a tracker that waits for ever sees of `under`, with payload and temperature recorded."""
+    data = simulated_tracker(under(plant, payload, temperature), joints, rng, "ideal")
     return replace(data, conditions=Conditions(payload=payload, temperature=temperature))
 
 
