@@ -17,7 +17,7 @@ from pickenv.harvester.harvest import Harvest, Round
 from pickenv.harvester.machine import Machine
 from pickenv.intervals import Ends, clustered_share_interval, statistic_interval
 
-STAGES = ("present", "visible", "reachable", "attempted", "attached", "detached", "collected")
+STAGES = ("present", "visible", "located", "reachable", "attempted", "attached", "detached", "collected")
 ROUND_NUMBERS = ("makespan", "busy", "held", "waits", "parallel", "travel", "picks", "collisions")
 
 
@@ -62,6 +62,7 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
         "present": np.array([float(len(h.tree)) for h in harvests]),
         "seconds": np.array([h.seconds for h in harvests]),
         "repicks": np.array([float(h.repicks) for h in harvests]),
+        "misled": np.array([float(h.misled) for h in harvests]),
         "trees": np.ones(len(harvests)),
         "zones": np.array([float(len(r)) for r in rounds]),
         **{name: np.array([sum(x[name] for x in r) for r in rounds]) for name in ROUND_NUMBERS},
@@ -98,6 +99,7 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
         "wait_events": ratio("waits", "picks"),
         "travel_per_pick": ratio("travel", "picks"),
         "repicks_per_tree": ratio("repicks", "trees"),
+        "misled_per_tree": ratio("misled", "trees"),
         "collisions": Measure(float(table["collisions"].sum())),
     }
     closest = [min((r.closest for r in h.rounds), default=np.inf) for h in harvests]

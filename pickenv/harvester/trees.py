@@ -112,9 +112,8 @@ def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) ->
     fruit = sample_fruit(orchard.fruit_map, orchard.size, canopy, rng)
     half = canopy.width / 2
     side = (-half, half, canopy.bottom - machine.base_height, canopy.top - machine.base_height)
-    return Tree(
-        in_base_frame(machine, canopy, fruit.positions), fruit.diameters, fruit_masses(orchard.size, fruit.diameters), side
-    )
+    places, masses = in_base_frame(machine, canopy, fruit.positions), fruit_masses(orchard.size, fruit.diameters)
+    return Tree(places, fruit.diameters, masses, side)
 
 
 def in_base_frame(machine: Machine, canopy: Canopy, positions: Array) -> Array:

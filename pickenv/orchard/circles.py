@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
+from pickenv.extras import require
 from pickenv.orchard import checks, preset_files
-from pickenv.orchard.checks import Array, Flags
+from pickenv.orchard.checks import Array, Flags, Integers
 from pickenv.orchard.detections import Detections
 from pickenv.orchard.stereo import StereoCamera, triangulate
 from pickenv.orchard.vision import fruit_threshold, matched_sizes, red_minus_green
@@ -89,6 +90,7 @@ def load_circle_search(name: str | Path) -> CircleSearch:
 
 def fruit_circles(search: CircleSearch, image: ArrayLike) -> Circles:
     """Circles of fruit in one image (height, width, 3)."""
+    require("skimage")
     difference = red_minus_green(image)
     mask = np.asarray(ndimage.gaussian_filter(difference, search.blur) > fruit_threshold(difference), dtype=bool)
     found: list[tuple[float, float, float]] = []
@@ -143,8 +145,8 @@ def _voted(search: CircleSearch, edges: _Edges, shape: tuple[int, int]) -> list[
         full = 2 * 2 * np.pi * radius / (2 * np.pi * SPREAD**2)  # the rim is two pixels wide
         votes[i] = ndimage.gaussian_filter(counts.reshape(height, width).astype(float), SPREAD) / full
     votes = ndimage.gaussian_filter1d(votes, 0.5, axis=0, mode="constant")
-    peaks = peak_local_max(votes.max(axis=0), min_distance=3, threshold_abs=search.least_arc)  # type: ignore[no-untyped-call]
-    best = votes.argmax(axis=0)
+    most, best = votes.max(axis=0), votes.argmax(axis=0)
+    peaks = peak_local_max(most, min_distance=3, threshold_abs=search.least_arc)  # type: ignore[no-untyped-call]
     return [(float(column), float(row), float(radii[best[row, column]])) for row, column in peaks.tolist()]
 
 
@@ -152,9 +154,7 @@ def _taken(found: list[tuple[float, float, float]], column: float, row: float, r
     return any(np.hypot(column - c, row - r) < APART * max(radius, size) for c, r, size in found)
 
 
-def _fitted(
-    search: CircleSearch, edges: _Edges, column: float, row: float, voted: float
-) -> tuple[float, float, float]:
+def _fitted(search: CircleSearch, edges: _Edges, column: float, row: float, voted: float) -> tuple[float, float, float]:
     """A circle through the edges near a voted one, by least squares in which far edges count little."""
     centre, radius = np.array([column, row]), voted
     near = np.hypot(*(edges.places - centre).T) < voted + 2 * search.rim
@@ -178,12 +178,12 @@ def _fitted(
     return float(centre[0]), float(centre[1]), radius
 
 
-def _window(shape: tuple[int, ...], column: float, row: float, reach: float) -> tuple[Array, Array, Array]:
+def _window(shape: tuple[int, ...], column: float, row: float, reach: float) -> tuple[Integers, Integers, Array]:
     """Rows and columns of the image around a point, and their distances from it."""
     rows = np.arange(max(int(row - reach), 0), min(int(row + reach) + 2, shape[0]))
     columns = np.arange(max(int(column - reach), 0), min(int(column + reach) + 2, shape[1]))
     across, down = np.meshgrid(columns, rows)
-    return down, across, np.hypot(across - column, down - row)
+    return down.astype(np.int64), across.astype(np.int64), np.hypot(across - column, down - row)
 
 
 def _filled(mask: Flags, column: float, row: float, radius: float) -> float:

@@ -1,4 +1,4 @@
-"""What a machine's stereo pair makes of the fruit before it: pictures that are drawn and read, or their measured errors.
+"""What a machine's stereo pair makes of fruit: pictures that are drawn and read, or errors measured on such pictures.
 
 ``rendered`` draws both pictures and reads them (exact, and a tenth of a second each); ``measured_errors`` draws errors
 from tables made that way (sight_errors.py); ``ideal`` sees all fruit where it is. Units: m, px.

@@ -1,4 +1,4 @@
-"""How far off a stereo pair's fruit is, and how much of it is missed: tables that were made by reading rendered pictures.
+"""How far off a stereo pair's fruit is, and how much it misses: tables that were made by reading rendered pictures.
 
 One table for each canopy and detector, by range and by how much of a fruit is in sight: the fruit of each range is cut
 into equal parts from the most hidden to the clearest. Within a part errors are normal. Made by
@@ -89,7 +89,8 @@ class SightErrors(checks.Preset):
         for name in ("visible", "in_sight", "recall", "recall_low", "recall_high", "bias", "spread", "correlation"):
             rows = getattr(self, name)
             if not shape[1] or len(rows) != shape[0] or any(len(row) != shape[1] for row in rows):
-                raise InputError(f"{name} of sight errors '{self.name}' is not a table of {shape[0]} x {shape[1]} parts")
+                size = f"{shape[0]} x {shape[1]}"
+                raise InputError(f"{name} of sight errors '{self.name}' is not a table of {size} parts")
 
 
 def load_sight_errors(name: str | Path) -> SightErrors:
@@ -118,7 +119,8 @@ def draw_chances(rng: np.random.Generator, count: int) -> Chances:
 def next_picture(errors: SightErrors, before: Chances, rng: np.random.Generator) -> Chances:
     """The same fruit from the same place once more: the leaves still hang there."""
     fresh = rng.normal(size=before.normal.shape)
-    return Chances(before.place, np.sqrt(errors.lasting) * before.normal + np.sqrt(1.0 - errors.lasting) * fresh)
+    kept = errors.lasting
+    return Chances(before.place, kept * before.normal + np.sqrt(1.0 - kept**2) * fresh)
 
 
 def sighted(errors: SightErrors, depth: ArrayLike, chances: Chances, looks: int = 1) -> tuple[Flags, Flags, Array]:
@@ -235,15 +237,16 @@ def _cell(seen: Sightings, some: Integers) -> dict[str, Any]:
         raise InputError(f"only {len(found)} fruit were located in one part of the table; render more trees")
     error = 1e3 * seen.error[found]
     recall = _ends(share_of(seen.tree[some], seen.found[some]))
-    bias = [_ends(error_measure(seen.tree[found], error[:, i], _mean)) for i in range(3)]
+    ends = tuple(enumerate(("", "_low", "_high")))
+    bias = [_ends(error_measure(seen.tree[found], error[:, i], mean_error)) for i in range(3)]
     spread = [_ends(error_measure(seen.tree[found], error[:, i], _deviation)) for i in range(3)]
-    correlation = np.nan_to_num(np.corrcoef(error.T))
+    correlation = np.nan_to_num(np.atleast_2d(np.corrcoef(error.T)))
     return {
         "visible": _rounded(seen.visible[some].mean(), 3),
         "in_sight": _rounded((seen.visible[some] > 0).mean(), 4),
-        **{f"recall{end}": _rounded(recall[i], 4) for i, end in enumerate(("", "_low", "_high"))},
-        **{f"bias{end}_mm": _rounded([b[i] for b in bias], 2) for i, end in enumerate(("", "_low", "_high"))},
-        **{f"spread{end}_mm": _rounded([max(s[i], 0.0) for s in spread], 2) for i, end in enumerate(("", "_low", "_high"))},
+        **{f"recall{end}": _rounded(recall[i], 4) for i, end in ends},
+        **{f"bias{end}_mm": _rounded([b[i] for b in bias], 2) for i, end in ends},
+        **{f"spread{end}_mm": _rounded([max(w[i], 0.0) for w in spread], 2) for i, end in ends},
         "correlation": _rounded([correlation[a, b] for a, b in PAIRS], 3),
     }
 
@@ -261,20 +264,22 @@ def _ends(measured: Ended) -> tuple[float, float, float]:
 def share_of(tree: Integers, flags: Flags) -> Ended:
     """A share of fruit, and its interval over trees."""
     which, at = np.unique(tree, return_inverse=True)
-    taken, tried = (np.bincount(at, weights=w, minlength=len(which)) for w in (flags.astype(float), np.ones(len(at))))
-    return float(taken.sum() / max(tried.sum(), 1.0)), clustered_share_interval(taken, tried)
+    taken, tried = (
+        np.bincount(at, weights=w, minlength=len(which)) for w in (flags.astype(np.float64), np.ones(len(at)))
+    )
+    return float(taken.sum() / max(float(tried.sum()), 1.0)), clustered_share_interval(taken, tried)
 
 
 def error_measure(tree: Integers, error: Array, measure: Callable[[Array], float]) -> Ended:
     """A mean or a root of squares of errors (n,), and its interval over trees; ``measure`` reads n, Σe and Σe²."""
     which, at = np.unique(tree, return_inverse=True)
-    sums = np.stack(
-        [np.bincount(at, weights=w, minlength=len(which)) for w in (np.ones(len(at)), error, error**2)], axis=1
-    )
+    parts = [np.bincount(at, weights=w, minlength=len(which)) for w in (np.ones(len(at)), error, error**2)]
+    sums = np.stack(parts, axis=1).astype(np.float64)
     return measure(sums), statistic_interval(sums, measure)
 
 
-def _mean(sums: Array) -> float:
+def mean_error(sums: Array) -> float:
+    """For `error_measure`."""
     count, first, _ = sums.sum(axis=0)
     return float(first / count)
 

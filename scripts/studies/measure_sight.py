@@ -1,4 +1,4 @@
-"""How far off the stereo pair's fruit is, and how much it misses: rendered pictures of whole trees, read by each detector.
+"""How far off the stereo pair's fruit is, and how much it misses: rendered pictures of trees, read by each detector.
 
     python scripts/studies/measure_sight.py --out pickenv/orchard/presets/sight.toml
 
@@ -24,7 +24,14 @@ from pickenv.harvester.trees import load_orchard, sample_tree, tree_leaves
 from pickenv.harvester.zones import cut, load_grid
 from pickenv.orchard import DETECTORS, Eyes, load_eyes, load_stereo_camera
 from pickenv.orchard.sight import errors_name, sightings
-from pickenv.orchard.sight_errors import Sightings, error_measure, root_mean_square, share_of, tabulated, together
+from pickenv.orchard.sight_errors import (
+    Sightings,
+    error_measure,
+    root_mean_square,
+    share_of,
+    tabulated,
+    together,
+)
 
 SEED = 2016
 ZONES = 5
@@ -34,10 +41,11 @@ RANGES, PARTS = 3, 5
 CROPS = {"li2016": ("li2016_lab", None), "li2016_bare": ("li2016_lab", None), "v_trellis": ("v_trellis", 17.3)}
 """What hangs in each canopy: a fruit map, and fruit per metre of row where it is not the machine study's."""
 PUBLISHED = "Azure Kinect in the sun at 1.5 m: bias 17 mm, RMSE 6 mm (Neupane et al. 2021, Agronomy 11:1780)"
-HEAD = """# What the stereo pair of vision.toml makes of fruit: errors and recall. See sight_errors.py. Made, not typed, by
+HEAD = """# What the stereo pair of vision.toml makes of fruit: errors and recall, see sight_errors.py. Made, not typed, by
 #   {command}
-# from rendered pictures (simulated, not measured on trees): rows are three ranges, columns five equal parts of the fruit
-# of each range, from the most hidden to the clearest; x right, y down, z ahead; low and high are 95 % intervals over trees.
+# from rendered pictures (simulated, not measured on trees). Rows are three ranges; columns are five equal parts of the
+# fruit of each range, from the most hidden to the clearest; x right, y down, z ahead. low and high: 95 % intervals over
+# trees.
 """
 
 
@@ -83,7 +91,9 @@ def figures(found: Measured) -> dict[str, Any]:
         "false_per_picture": seen.false / seen.pictures,
     }
     for i, axis in enumerate(("x", "y", "z")):
-        table[f"bias_{axis}_mm"] = error_measure(seen.tree[hit], error[:, i], lambda s: float(s[:, 1].sum() / s[:, 0].sum()))
+        table[f"bias_{axis}_mm"] = error_measure(
+            seen.tree[hit], error[:, i], lambda s: float(s[:, 1].sum() / s[:, 0].sum())
+        )
         table[f"rmse_{axis}_mm"] = error_measure(seen.tree[hit], error[:, i], root_mean_square)
         table[f"median_{axis}_mm"] = float(np.median(np.abs(error[:, i])))
     return table

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from pickenv.harvester.arm_paths import closest_approach, slave_joints_at
 from pickenv.harvester.assignment import assign
-from pickenv.harvester.harvest import closest_approach, slave_joints_at
 from pickenv.harvester.interference import arm_distances, excursion_distances, segment_distance
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.pick_point import pick_point
