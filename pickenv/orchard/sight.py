@@ -112,7 +112,7 @@ class Sight:
     Attributes:
         in_sight: Whether anything of it is in sight, (n,).
         located: Whether its place was found, (n,).
-        believed: Where, in the frame of the view, m, (n, 3); where it is not located, its true place.
+        believed: Where, in the frame of the view, m, (n, 3); says nothing of fruit that is not located.
         false: Places (m, 3) where fruit was believed and none is.
     """
 
@@ -216,8 +216,7 @@ def see(
         chances = draw_chances(rng, n) if chances is None else chances
         in_sight, located, error = sighted(eyes.errors, places[:, 2], chances, looks)
         seen, false = places + error, _phantoms(eyes, rng)
-    believed = np.where(located[:, None], orchard_frame(seen, eye, view.looking), fruit)
-    return Sight(in_sight, located, believed, orchard_frame(false, eye, view.looking))
+    return Sight(in_sight, located, orchard_frame(seen, eye, view.looking), orchard_frame(false, eye, view.looking))
 
 
 def _phantoms(eyes: Eyes, rng: np.random.Generator) -> Array:

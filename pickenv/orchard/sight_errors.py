@@ -1,7 +1,8 @@
 """How far off a stereo pair's fruit is, and how much it misses: tables that were made by reading rendered pictures.
 
-One table for each canopy and detector, by range and by how much of a fruit is in sight: the fruit of each range is cut
-into equal parts from the most hidden to the clearest. Within a part errors are normal. Made by
+One table for each canopy and detector, by range. Errors are far from normal: most are small, and behind a leaf they are
+large; so the located fruit of each range is cut into equal parts from the least to the largest error, normal in itself
+each. Made by
 `python scripts/studies/measure_sight.py`. Camera frame: x right, y down, z ahead. Units: m.
 """
 
@@ -13,25 +14,23 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv.errors import InputError
 from pickenv.intervals import clustered_share_interval, statistic_interval
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags, Integers
-from pickenv.toml_tables import NUMBER, SHARE, WHOLE, Key, toml_table
+from pickenv.toml_tables import NUMBER, SHARE, WHOLE, toml_table
 
-AXES = ("x", "y", "z")
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """Axes of the three correlations of an error."""
 
-Shares = tuple[tuple[float, ...], ...]
-Lengths = tuple[tuple[tuple[float, float, float], ...], ...]
+Lengths = tuple[tuple[float, float, float], ...]
 
 
 @toml_table
 class SightErrors(checks.Preset):
-    """Errors of one detector in one canopy, (ranges, parts) each; see sight.toml.
+    """Errors of one detector in one canopy, one entry for each range; see sight.toml.
 
     Attributes:
         name: Canopy and detector.
@@ -41,7 +40,7 @@ class SightErrors(checks.Preset):
         trees: Rendered trees.
         pictures: Rendered pictures.
         fruit: Fruit in them.
-        edges: Ranges between which the table is cut, m.
+        edges: Distances ahead between which the table is cut, m.
         visible: Mean share of a fruit's disc in sight.
         in_sight: Share of fruit of which anything is in sight.
         recall: Share of fruit that is located.
@@ -54,6 +53,9 @@ class SightErrors(checks.Preset):
         spread_low: Lower end of its 95 % interval.
         spread_high: Upper end.
         correlation: Of the errors along x and y, x and z, y and z.
+        part_bias: Mean error of each of some equal parts of the fruit, from the least to the largest error, m.
+        part_spread: Standard deviations of these parts, m.
+        part_correlation: Correlations in these parts.
         false_per_picture: Detections where there is no fruit.
         lasting: Correlation of what two pictures of the same fruit miss by.
         source: How it was made.
@@ -67,11 +69,11 @@ class SightErrors(checks.Preset):
     pictures: Annotated[int, WHOLE.positive]
     fruit: Annotated[int, WHOLE.positive]
     edges: Annotated[tuple[float, ...], MM.positive]
-    visible: Annotated[Shares, SHARE]
-    in_sight: Annotated[Shares, SHARE]
-    recall: Annotated[Shares, SHARE]
-    recall_low: Annotated[Shares, SHARE]
-    recall_high: Annotated[Shares, SHARE]
+    visible: Annotated[tuple[float, ...], SHARE]
+    in_sight: Annotated[tuple[float, ...], SHARE]
+    recall: Annotated[tuple[float, ...], SHARE]
+    recall_low: Annotated[tuple[float, ...], SHARE]
+    recall_high: Annotated[tuple[float, ...], SHARE]
     bias: Annotated[Lengths, MM]
     bias_low: Annotated[Lengths, MM]
     bias_high: Annotated[Lengths, MM]
@@ -79,18 +81,22 @@ class SightErrors(checks.Preset):
     spread_low: Annotated[Lengths, MM.not_negative]
     spread_high: Annotated[Lengths, MM.not_negative]
     correlation: Annotated[Lengths, NUMBER.within(-1.0, 1.0)]
+    part_bias: Annotated[tuple[Lengths, ...], MM]
+    part_spread: Annotated[tuple[Lengths, ...], MM.not_negative]
+    part_correlation: Annotated[tuple[Lengths, ...], NUMBER.within(-1.0, 1.0)]
     false_per_picture: Annotated[float, NUMBER.not_negative]
     lasting: Annotated[float, SHARE]
-    source: Annotated[str, Key("source")] = ""
+    source: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        shape = (len(self.edges) + 1, len(self.recall[0]) if self.recall else 0)
-        for name in ("visible", "in_sight", "recall", "recall_low", "recall_high", "bias", "spread", "correlation"):
-            rows = getattr(self, name)
-            if not shape[1] or len(rows) != shape[0] or any(len(row) != shape[1] for row in rows):
-                size = f"{shape[0]} x {shape[1]}"
-                raise InputError(f"{name} of sight errors '{self.name}' is not a table of {size} parts")
+        ranges, parts = len(self.edges) + 1, len(self.part_bias[0]) if self.part_bias else 0
+        tables = [getattr(self, name) for name in ("part_bias", "part_spread", "part_correlation")]
+        rows = (self.in_sight, self.recall, self.bias, self.spread, *tables)
+        if not parts or any(len(row) != ranges for row in rows) or {len(r) for t in tables for r in t} != {parts}:
+            raise InputError(
+                f"sight errors '{self.name}' have not one entry for each of {ranges} ranges and their parts"
+            )
 
 
 def load_sight_errors(name: str | Path) -> SightErrors:
@@ -103,7 +109,7 @@ class Chances:
     """What chance decides about fruit before a camera.
 
     Attributes:
-        place: Uniform: how clear each is in sight, among fruit of its range, (n,).
+        place: Uniform: how well it is seen, among located fruit of its range, (n,).
         normal: Standard normal: three of the error, one of whether it is found, (n, 4).
     """
 
@@ -139,21 +145,19 @@ def sighted(errors: SightErrors, depth: ArrayLike, chances: Chances, looks: int 
     from scipy.special import ndtr
 
     row = np.searchsorted(np.array(errors.edges), np.asarray(depth, dtype=float))
-    parts = len(errors.recall[0])
-    part = np.minimum((chances.place * parts).astype(np.int64), parts - 1)
-    cell = row, part
-    level = ndtr(chances.normal[:, 3])
-    located = level < np.array(errors.recall)[cell]
-    in_sight = level < np.maximum(np.array(errors.in_sight), np.array(errors.recall))[cell]
+    parts = len(errors.part_bias[0])
+    cell = row, np.minimum((chances.place * parts).astype(np.int64), parts - 1)
+    level, recall = ndtr(chances.normal[:, 3]), np.array(errors.recall)
+    located = level < recall[row]
+    in_sight = level < np.maximum(np.array(errors.in_sight), recall)[row]
     steady = np.sqrt(errors.lasting + (1.0 - errors.lasting) / looks)
-    half = _roots(errors)[cell]
-    miss = (half * (steady * chances.normal[:, None, :3])).sum(axis=-1)
-    return in_sight, located, np.asarray(np.array(errors.bias)[cell] + miss)
+    miss = (_roots(errors)[cell] * (steady * chances.normal[:, None, :3])).sum(axis=-1)
+    return in_sight, located, np.asarray(np.array(errors.part_bias)[cell] + miss)
 
 
 def _roots(errors: SightErrors) -> Array:
-    """Cholesky factors of the errors' covariances, (ranges, parts, 3, 3)."""
-    spread, correlation = np.array(errors.spread), np.array(errors.correlation)
+    """Cholesky factors of the parts' covariances, (ranges, parts, 3, 3)."""
+    spread, correlation = np.array(errors.part_spread), np.array(errors.part_correlation)
     whole = np.broadcast_to(np.eye(3), (*spread.shape, 3)).copy()
     for i, (a, b) in enumerate(PAIRS):
         whole[..., a, b] = whole[..., b, a] = 0.999 * correlation[..., i]  # rounded numbers may be singular
@@ -200,55 +204,56 @@ def tabulated(seen: Sightings, ranges: int, parts: int) -> dict[str, Any]:
     Args:
         seen: Of many trees.
         ranges: Equal parts of the fruit by distance.
-        parts: Equal parts of each of them by the share in sight.
+        parts: Equal parts of the located fruit of each range, by the size of its error.
 
     Raises:
-        InputError: If a part holds fewer than three located fruit.
+        InputError: If a part holds fewer than three fruit.
     """
     edges = np.quantile(seen.depth, np.arange(1, ranges) / ranges)
     row = np.searchsorted(edges, seen.depth)
+    both = np.isfinite(seen.error).all(axis=1) & np.isfinite(seen.again).all(axis=1)
+    pair = [np.clip(np.corrcoef(seen.error[both, i], seen.again[both, i])[0, 1], 0.0, 1.0) for i in range(3)]
     table: dict[str, Any] = {
         "trees": len(np.unique(seen.tree)),
         "pictures": seen.pictures,
         "fruit": len(seen.tree),
         "edges_mm": _rounded(edges * 1e3, 1),
-    }
-    cells: dict[str, list[list[Any]]] = {}
-    for r in range(ranges):
-        mine = np.flatnonzero(row == r)
-        order = mine[np.argsort(seen.visible[mine], kind="stable")]
-        numbers = [_cell(seen, some) for some in np.array_split(order, parts)]
-        for name in numbers[0]:
-            cells.setdefault(name, []).append([number[name] for number in numbers])
-    both = np.isfinite(seen.error).all(axis=1) & np.isfinite(seen.again).all(axis=1)
-    pair = [np.clip(np.corrcoef(seen.error[both, i], seen.again[both, i])[0, 1], 0.0, 1.0) for i in range(3)]
-    return {
-        **table,
         "false_per_picture": _rounded(seen.false / max(seen.pictures, 1), 4),
         "lasting": _rounded(np.mean(pair), 3),
-        **cells,
     }
+    for r in range(ranges):
+        for name, value in _range_numbers(seen, np.flatnonzero(row == r), parts).items():
+            table.setdefault(name, []).append(value)
+    return table
 
 
-def _cell(seen: Sightings, some: Integers) -> dict[str, Any]:
-    """Numbers of one part of the fruit."""
+def _range_numbers(seen: Sightings, some: NDArray[np.intp], parts: int) -> dict[str, Any]:
+    """Numbers of the fruit of one range."""
     found = some[seen.found[some]]
-    if len(found) < 3:
-        raise InputError(f"only {len(found)} fruit were located in one part of the table; render more trees")
+    if len(found) < 3 * parts:
+        raise InputError(f"only {len(found)} fruit were located in one range of the table; render more trees")
     error = 1e3 * seen.error[found]
     recall = _ends(share_of(seen.tree[some], seen.found[some]))
-    ends = tuple(enumerate(("", "_low", "_high")))
     bias = [_ends(error_measure(seen.tree[found], error[:, i], mean_error)) for i in range(3)]
     spread = [_ends(error_measure(seen.tree[found], error[:, i], _deviation)) for i in range(3)]
-    correlation = np.nan_to_num(np.atleast_2d(np.corrcoef(error.T)))
+    cells = [error[rows] for rows in np.array_split(np.argsort(np.linalg.norm(error, axis=1), kind="stable"), parts)]
+    ends = tuple(enumerate(("", "_low", "_high")))
     return {
         "visible": _rounded(seen.visible[some].mean(), 3),
         "in_sight": _rounded((seen.visible[some] > 0).mean(), 4),
         **{f"recall{end}": _rounded(recall[i], 4) for i, end in ends},
         **{f"bias{end}_mm": _rounded([b[i] for b in bias], 2) for i, end in ends},
         **{f"spread{end}_mm": _rounded([max(w[i], 0.0) for w in spread], 2) for i, end in ends},
-        "correlation": _rounded([correlation[a, b] for a, b in PAIRS], 3),
+        "correlation": _correlations(error),
+        "part_bias_mm": [_rounded(cell.mean(axis=0), 2) for cell in cells],
+        "part_spread_mm": [_rounded(cell.std(axis=0), 2) for cell in cells],
+        "part_correlation": [_correlations(cell) for cell in cells],
     }
+
+
+def _correlations(error: Array) -> list[float]:
+    whole = np.corrcoef(error.T)
+    return [float(np.round(whole[a, b], 3)) for a, b in PAIRS]
 
 
 Ended = tuple[float, tuple[float, float] | None]

@@ -36,16 +36,15 @@ from pickenv.orchard.sight_errors import (
 SEED = 2016
 ZONES = 5
 """Pictures of each tree."""
-RANGES, PARTS = 3, 5
-"""Rows and columns of a table: by distance, and by how much of a fruit is in sight."""
-CROPS = {"li2016": ("li2016_lab", None), "li2016_bare": ("li2016_lab", None), "v_trellis": ("v_trellis", 17.3)}
-"""What hangs in each canopy: a fruit map, and fruit per metre of row where it is not the machine study's."""
+RANGES, PARTS = 3, 10
+"""Rows of a table, by distance, and parts of each, by the size of the error."""
+FRUIT_MAPS = {"li2016": "li2016_lab", "li2016_bare": "li2016_lab"}
+"""What hangs in each canopy."""
 PUBLISHED = "Azure Kinect in the sun at 1.5 m: bias 17 mm, RMSE 6 mm (Neupane et al. 2021, Agronomy 11:1780)"
-HEAD = """# What the stereo pair of vision.toml makes of fruit: errors and recall, see sight_errors.py. Made, not typed, by
+HEAD = """# What the stereo pair of vision.toml makes of fruit: errors and recall (sight_errors.py). Made, not typed, by
 #   {command}
-# from rendered pictures (simulated, not measured on trees). Rows are three ranges; columns are five equal parts of the
-# fruit of each range, from the most hidden to the clearest; x right, y down, z ahead. low and high: 95 % intervals over
-# trees.
+# from rendered pictures (simulated, not measured on trees). Three ranges; x right, y down, z ahead; low and high are
+# 95 % intervals over trees. Parts are tenths of the located fruit of a range, from the least to the largest error.
 """
 
 
@@ -60,8 +59,7 @@ class Measured:
 def measured(canopy: str, trees: int) -> list[Measured]:
     """Pictures of ``trees`` trees of a canopy, read by every detector."""
     machine, grid = load_machine(), load_grid()
-    fruit_map, per_metre = CROPS[canopy]
-    orchard = load_orchard(canopy=canopy, fruit_map=fruit_map, per_metre=per_metre)
+    orchard = load_orchard(canopy=canopy, fruit_map=FRUIT_MAPS[canopy])
     eyes = [load_eyes("rendered", orchard.canopy, name) for name in DETECTORS]
     parts: list[list[Sightings]] = [[] for _ in eyes]
     for number, seed in enumerate(np.random.SeedSequence(SEED).spawn(trees)):
@@ -114,7 +112,7 @@ def text_of(found: Sequence[Measured], command: str) -> str:
         canopy = one.eyes.canopy
         lines += [
             f"[{errors_name(canopy.name, one.eyes.detector)}]",
-            f'source = "{command}: canopy {canopy.name}, fruit map {CROPS[canopy.name][0]}, fruit of 60 mm"',
+            f'source = "{command}: canopy {canopy.name}, fruit map {FRUIT_MAPS[canopy.name]}, fruit of 60 mm"',
             f'canopy = "{canopy.name}"',
             f'detector = "{one.eyes.detector}"',
             f"leaf_area_per_volume = {canopy.leaf_area_per_volume}",
@@ -131,11 +129,13 @@ def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trees", type=int, default=120, help="rendered trees of each canopy (default 120)")
-    parser.add_argument("--canopy", action="append", choices=CROPS, help="a canopy, again for another (default all)")
+    parser.add_argument(
+        "--canopy", action="append", choices=FRUIT_MAPS, help="a canopy, again for another (default all)"
+    )
     parser.add_argument("--out", type=Path, help="write the tables here")
     parser.add_argument("--json", type=Path, help="write recall and errors here")
     given = parser.parse_args()
-    found = [one for canopy in given.canopy or CROPS for one in measured(canopy, given.trees)]
+    found = [one for canopy in given.canopy or FRUIT_MAPS for one in measured(canopy, given.trees)]
     camera = load_stereo_camera("li2016")
     pixel = 1e3 / (camera.focal_length * camera.baseline)
     print(f"Stereo theory: {pixel:.1f} mm of depth a pixel of disparity at 1 m, {pixel * 1.2**2:.1f} mm at 1.2 m; "

@@ -34,7 +34,6 @@ def made_up(rng, arms, count, reach=0.8, conflict=0.0):
         first=rng.uniform(0.0, 1.0, count),
         travel=rng.uniform(0.0, 1.0, (count, count)),
         conflict=meet,
-        guarded=np.zeros_like(meet),
         approach=np.zeros(count),
     )
 

@@ -57,8 +57,8 @@ def make_setting(
     gripper: str,
     fruit: float,
     looks: int,
-    vision: str,
-    detector: str,
+    vision: str = PUBLISHED,
+    detector: str = "li2016",
 ) -> PickSetting:
     """Read the presets; ``fruit`` is the mean number of fruit in the section before the arm."""
     if vision not in (PUBLISHED, *trees.VISIONS):
