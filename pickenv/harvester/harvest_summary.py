@@ -36,12 +36,26 @@ class Measure:
 
 def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
     """Fruit at each stage, over all harvests."""
-    names = {"present": None, "visible": "seen"}
-    total = {}
-    for stage in STAGES:
-        name = names.get(stage, stage)
-        total[stage] = sum(len(h.tree) if name is None else int(getattr(h, name).sum()) for h in harvests)
-    return total
+    return {stage: int(sum(_at_stage(h, stage) for h in harvests)) for stage in STAGES}
+
+
+def funnel_shares(harvests: Sequence[Harvest]) -> dict[str, Measure]:
+    """Share of the fruit present that comes to each stage."""
+    present = np.array([float(len(h.tree)) for h in harvests])
+    return {stage: _share(np.array([float(_at_stage(h, stage)) for h in harvests]), present) for stage in STAGES}
+
+
+def _at_stage(harvest: Harvest, stage: str) -> int:
+    if stage == "present":
+        return len(harvest.tree)
+    return int(getattr(harvest, "seen" if stage == "visible" else stage).sum())
+
+
+def _share(taken: Array, tried: Array) -> Measure:
+    """Of fruit, which come in trees."""
+    if not tried.sum():
+        return Measure(0.0)
+    return _measure(float(taken.sum() / tried.sum()), clustered_share_interval(taken, tried))
 
 
 def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]:
@@ -80,16 +94,9 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
 
         return _measure(make(whole), statistic_interval(whole, make))
 
-    def share(part: str, of: str) -> Measure:
-        """Of fruit, which come in trees."""
-        taken, tried = table[part], table[of]
-        if not tried.sum():
-            return Measure(0.0)
-        return _measure(float(taken.sum() / tried.sum()), clustered_share_interval(taken, tried))
-
     found = {
-        "recovery": share("collected", "reachable"),
-        "harvested": share("collected", "present"),
+        "recovery": _share(table["collected"], table["reachable"]),
+        "harvested": _share(table["collected"], table["present"]),
         "picks_per_hour": ratio("collected", "seconds", 3600.0),
         "seconds_per_tree": ratio("seconds", "trees"),
         "makespan": ratio("makespan", "zones"),
