@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.errors import InputError
-from pickenv.orchard import View
+from pickenv.orchard import Viewpoint
 from pickenv.toml_tables import MM, WHOLE, read, toml_table
 
 SHIPPED = Path(__file__).parent / "strategy.toml"
@@ -46,9 +46,9 @@ class Zone:
         return np.asarray((x >= self.left) & (x <= self.right) & (z >= self.bottom) & (z <= self.top))
 
     @property
-    def view(self) -> View:
+    def view(self) -> Viewpoint:
         """From where its picture is taken: before its middle, at the machine's column."""
-        return View(np.array([(self.left + self.right) / 2, 0.0, (self.bottom + self.top) / 2]), AHEAD)
+        return Viewpoint(np.array([(self.left + self.right) / 2, 0.0, (self.bottom + self.top) / 2]), AHEAD)
 
 
 @toml_table

@@ -77,7 +77,7 @@ from pickenv.orchard.sight import DETECTORS as DETECTORS
 from pickenv.orchard.sight import VISIONS as VISIONS
 from pickenv.orchard.sight import Eyes as Eyes
 from pickenv.orchard.sight import Sight as Sight
-from pickenv.orchard.sight import View as View
+from pickenv.orchard.sight import Viewpoint as Viewpoint
 from pickenv.orchard.sight import foliage as foliage
 from pickenv.orchard.sight import load_eyes as load_eyes
 from pickenv.orchard.sight import see as see

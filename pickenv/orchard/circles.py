@@ -30,7 +30,6 @@ APART = 0.8  # centres nearer than this, in radii, are one fruit
 AHEAD = 0.8  # cosine of the angle within which an edge's slope has to point to the centre
 LEAST_EDGES = 8
 LEANING = 3.0  # weight of the voted radius, in edge pixels
-TIGHT = 0.7  # px beyond which an edge counts ever less in a circle's fit
 
 
 @toml_table
@@ -44,6 +43,7 @@ class CircleSearch(checks.Preset):
         least_arc: Share of a rim that has to be in sight.
         least_fruit: Share of a disc that has to have the colour of fruit.
         rim: Edges nearer than this to a circle are taken for its rim, px.
+        tight: Edges farther than this from a circle count ever less in its fit, px.
         surroundings: What a matched disc takes along, px.
         contrast: Difference of colour from which an obstacle stands in one of the pictures, grey levels.
         source: Where its numbers come from.
@@ -55,6 +55,7 @@ class CircleSearch(checks.Preset):
     least_arc: Annotated[float, SHARE]
     least_fruit: Annotated[float, SHARE]
     rim: Annotated[float, PX.positive]
+    tight: Annotated[float, PX.positive]
     surroundings: Annotated[int, WHOLE_PX.at_least(1)]
     contrast: Annotated[float, NUMBER.positive]
     source: str = ""
@@ -167,7 +168,7 @@ def _fitted(search: CircleSearch, edges: _Edges, column: float, row: float, vote
         if rim.sum() < LEAST_EDGES:
             break
         slope = np.column_stack([out[rim] / distance[rim, None], np.ones(int(rim.sum()))])
-        weighted = slope * (1.0 / (1.0 + (miss[rim] / TIGHT) ** 2))[:, None]
+        weighted = slope * (1.0 / (1.0 + (miss[rim] / search.tight) ** 2))[:, None]
         normal, side = weighted.T @ slope, weighted.T @ miss[rim]
         normal[2, 2] += LEANING
         side[2] += LEANING * (voted - radius)

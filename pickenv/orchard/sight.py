@@ -94,7 +94,7 @@ def _errors_in(canopy: Canopy, detector: str) -> SightErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class Viewpoint:
     """Where the middle of the stereo pair stands, m, and which way it looks, (3,) each, in any frame with z up."""
 
     middle: Array
@@ -136,7 +136,7 @@ def foliage(eyes: Eyes, rng: np.random.Generator) -> Leaves | None:
 
 def picture(
     eyes: Eyes,
-    view: View,
+    view: Viewpoint,
     fruit: ArrayLike,
     diameters: ArrayLike,
     leaves: Leaves | None,
@@ -179,7 +179,7 @@ def _matched(pair: StereoPair, found: Detections, places: Array, diameters: Arra
 
 def see(
     eyes: Eyes,
-    view: View,
+    view: Viewpoint,
     fruit: ArrayLike,
     diameters: ArrayLike,
     rng: np.random.Generator,
@@ -231,7 +231,7 @@ def _phantoms(eyes: Eyes, rng: np.random.Generator) -> Array:
 
 def sightings(
     eyes: Sequence[Eyes],
-    view: View,
+    view: Viewpoint,
     fruit: ArrayLike,
     diameters: ArrayLike,
     wanted: Flags,

@@ -10,7 +10,7 @@ from pickenv.orchard import (
     DETECTORS,
     VISIONS,
     Chances,
-    View,
+    Viewpoint,
     camera_frame,
     draw_chances,
     foliage,
@@ -28,7 +28,7 @@ from pickenv.orchard.sight import picture, sightings
 from pickenv.orchard.sight_errors import error_measure, mean_error, root_mean_square, share_of, tabulated, together
 
 LEAFY = load_canopy("li2016")
-VIEW = View(np.array([0.1, -1.0, 1.6]), np.array([0.0, 1.0, 0.0]))
+VIEW = Viewpoint(np.array([0.1, -1.0, 1.6]), np.array([0.0, 1.0, 0.0]))
 FRUIT = np.array([[0.1, 0.05, 1.6], [-0.2, 0.2, 1.75], [0.35, 0.3, 1.5], [0.3, 0.1, 1.75], [-0.1, 0.39, 1.45]])
 TABLES = [load_sight_errors(name) for name in shipped("sight")]
 
@@ -38,7 +38,7 @@ def test_eyes_say_where_fruit_is_in_the_frame_in_which_it_was_given(vision):
     """The same fruit in the orchard and in a machine's base frame, half a turn about z away and somewhere else."""
     eyes = load_eyes(vision, load_canopy("li2016_bare"), "circles")
     there = FRUIT * [-1.0, -1.0, 1.0] + [3.0, 2.0, -0.4]
-    turned = View(VIEW.middle * [-1.0, -1.0, 1.0] + [3.0, 2.0, -0.4], -VIEW.looking)
+    turned = Viewpoint(VIEW.middle * [-1.0, -1.0, 1.0] + [3.0, 2.0, -0.4], -VIEW.looking)
     one = see(eyes, VIEW, FRUIT, np.full(5, 0.06), np.random.default_rng(4))
     other = see(eyes, turned, there, np.full(5, 0.06), np.random.default_rng(4))
     assert one.located.sum() >= 4 and np.array_equal(one.located, other.located)

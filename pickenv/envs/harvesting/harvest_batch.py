@@ -25,7 +25,7 @@ from pickenv.harvester.picking import Picking, attempt, draw_luck, load_picking,
 from pickenv.harvester.trees import SHIPPED, Orchard, lab_zone, load_orchard, tree_leaves
 from pickenv.harvester.true_machine import TrueMachine, load_true_machine
 from pickenv.harvester.zones import AHEAD
-from pickenv.orchard import Eyes, Sight, View, fruit_masses, load_eyes, sample_diameters, see, swing
+from pickenv.orchard import Eyes, Sight, Viewpoint, fruit_masses, load_eyes, sample_diameters, see, swing
 from pickenv.toml_tables import MM, NUMBER, read, toml_table
 
 HANGING, COLLECTED, LOST = 0, 1, 2
@@ -236,7 +236,7 @@ def _drawn_zone(task: HarvestTask, rng: np.random.Generator) -> tuple[Array, Arr
         corner = np.array([x - zone[0] / 2, -canopy.standoff - canopy.depth, rng.uniform(low, high)])
         fruit = corner + zone * rng.random((task.fruit, 3))
         diameters = sample_diameters(task.orchard.size, task.fruit, rng)
-        view = View(np.array([x, 0.0, corner[2] + zone[2] / 2]), AHEAD)
+        view = Viewpoint(np.array([x, 0.0, corner[2] + zone[2] / 2]), AHEAD)
         sight = see(task.eyes, view, fruit, diameters, rng, leaves=tree_leaves(machine, task.eyes, rng))
         if sight.located.any():
             return fruit, diameters, sight

@@ -344,7 +344,7 @@ def _looked_at(
     viewpoint, ahead = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2]), np.array([0.0, 1.0, 0.0])
     if orchard.eyes is not None:
         leaves = trees.foliage(orchard.eyes, rng)
-        view = trees.View(viewpoint, ahead)
+        view = trees.Viewpoint(viewpoint, ahead)
         sight = trees.see(orchard.eyes, view, positions, diameters, rng, leaves=leaves, looks=orchard.looks)
         return sight.believed, sight.located
     hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
