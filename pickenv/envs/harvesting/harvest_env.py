@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
 from pickenv.envs.shared.spaces import given_options
-from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers
+from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError
 
 Information = dict[str, Any]
@@ -96,6 +96,7 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
       this canopy; "rendered" draws and reads a stereo pair of each zone (a tenth of a second, needs the extra
       `harvest`); "ideal" shows all fruit where it is. `detector`: "li2016" (default; R-G, Otsu, centroids) or
       "circles". `canopy`: "li2016" (default, leafy) or "li2016_bare". Detections of no fruit are left out.
+    - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1 are cut to it or are an error.
 
     `pickenv.wrappers.CompensationWrapper` takes a compensator of the whole machine's joints, for instance a
     `pickenv.harvester.true_machine.Controller`.
@@ -119,11 +120,12 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         vision: str = "measured_errors",
         detector: str = "li2016",
         canopy: str | None = None,
+        out_of_range: str = "clip",
         render_mode: str | None = None,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         self.task: HarvestTask = batch.make_harvest_task(
-            slaves, spacing_mm, fruit, ideal, vision, detector, canopy, render_mode
+            slaves, spacing_mm, fruit, ideal, vision, detector, canopy, out_of_range, render_mode
         )
         self.render_mode = None
         self.compensator: Compensate | None = None
@@ -145,7 +147,7 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         Raises:
             InputError: If the action is not finite or has another shape, or before the first reset.
         """
-        values = checked_actions(action, (self.task.machine.joints,))
+        values = checked_action(action, (self.task.machine.joints,), self.task.most_action)
         if self.state is None:
             raise InputError("step was called before reset; call reset first")
         rewards = batch.step(self.task, self.state, values[None], [self.np_random], self.compensator)
@@ -155,15 +157,3 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def _information(self) -> Information:
         assert self.state is not None
         return {key: values[0].item() for key, values in batch.information(self.state).items()}
-
-
-def checked_actions(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Actions as finite numbers of the right shape and size.
-
-    Raises:
-        InputError: If they are not.
-    """
-    values = as_numbers("action", action)
-    if values.shape != shape or not (np.abs(values) <= MOST_ACTION).all():
-        raise InputError(f"an action of shape {values.shape} is not finite numbers of shape {shape} between -1 and 1")
-    return values
