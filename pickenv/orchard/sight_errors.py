@@ -252,7 +252,7 @@ def _range_numbers(seen: Sightings, some: NDArray[np.intp], parts: int) -> dict[
 
 
 def _correlations(error: Array) -> list[float]:
-    whole = np.corrcoef(error.T)
+    whole: Array = np.asarray(np.corrcoef(error.T))
     return [float(np.round(whole[a, b], 3)) for a, b in PAIRS]
 
 

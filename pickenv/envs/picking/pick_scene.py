@@ -320,7 +320,7 @@ def _seen_scene(
 ) -> PickScene:
     """Look at fruit in the orchard frame, and say which of it the arm can try."""
     count = len(positions)
-    believed, visible = _looked_at(orchard, rng, positions, diameters)
+    believed, visible = looked_at(orchard, rng, positions, diameters)
     seen = to_base(orchard, believed)
     clear = trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
     return PickScene(
@@ -336,7 +336,7 @@ def _seen_scene(
     )
 
 
-def _looked_at(
+def looked_at(
     orchard: PickSetting, rng: np.random.Generator, positions: Array, diameters: Array
 ) -> tuple[Array, Flags]:
     """Where the camera believes fruit of the orchard frame to be (n, 3), and which of it it found."""
