@@ -30,6 +30,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.files import write_text
+from pickenv.harvester.arm_paths import ultrasonic_hold
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.harvest import Harvest, Strategy
 from pickenv.harvester.harvest_summary import Measure, funnel, funnel_shares, summary
@@ -171,7 +172,8 @@ def assignments(machine: Machine, zones: int, fruit: int, rng: np.random.Generat
         found["lower bound"] += lower_bound(work) / zones
         for name in names:
             try:
-                found[name] += timetable(work, assign(work, name), guard=name == "li").makespan / zones
+                hold = ultrasonic_hold(machine, work, rng) if name == "li" else None
+                found[name] += timetable(work, assign(work, name), hold=hold).makespan / zones
             except InputError:  # OR-Tools is an extra
                 found[name] = float("nan")
     return found
