@@ -197,7 +197,7 @@ def test_eyes_cost_fruit_and_time_and_a_better_detector_gives_some_of_both_back(
     """The same trees: seen where the fruit is, by circles, and by the paper's regions, each in leaves."""
     ways = (best(true), replace(best(true), detector="circles"), best(true))
     ideal, circles, regions = (
-        trees(true, way, 12, vision=vision)
+        trees(true, way, 5, vision=vision)
         for way, vision in zip(ways, ("ideal", *["measured_errors"] * 2), strict=True)
     )
     assert all((a.tree.fruit == b.tree.fruit).all() for a, b in zip(ideal, regions, strict=True))
