@@ -14,18 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
-from pickenv.arm.plant.tree import tree_map
+from pickenv.arm.plant.tree import leaves
 from pickenv.errors import InputError
+from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
 from pickenv.harvester.assignment import assign
-from pickenv.harvester.interference import arm_distances
-from pickenv.harvester.joint_motion import master_time, profile, travel_time
+from pickenv.harvester.joint_motion import master_time
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.pick_point import pick_point
-from pickenv.harvester.picking import Outcome, Picking, attempt, displacements, draw_luck
-from pickenv.harvester.trees import Tree
+from pickenv.harvester.picking import Luck, Outcome, Picking, attempt, displacements, draw_luck
+from pickenv.harvester.trees import Tree, tree_leaves
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
 from pickenv.harvester.zones import Grid, Zone, cut
+from pickenv.orchard import Chances, Eyes, Leaves, draw_chances, next_picture, see
 
 Flags = NDArray[np.bool_]
 
@@ -39,9 +40,10 @@ class Strategy:
         controller: What is known of the true machine.
         pick_point: Method of `pick_point.pick_point`.
         assignment: Method of `assignment.assign`.
-        guard: Whether side arms hold by Li's ultrasonic rule.
+        guard: Whether side arms hold while their ultrasonic ranger hears the middle arm too near.
         looks: Images a zone may have: after the first, one more each time a cup came back empty.
         unload_full: Whether tubes are emptied only when one is full and at the end, rather than after each zone.
+        detector: What reads the pictures, of `pickenv.orchard.DETECTORS`.
     """
 
     name: str
@@ -51,6 +53,7 @@ class Strategy:
     guard: bool = True
     looks: int = 1
     unload_full: bool = False
+    detector: str = "li2016"
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,13 +64,13 @@ class Round:
         zone: The zone.
         begin: Start of the picking on the tree's clock, s.
         master: Master joints while picking, (3,).
-        fruit: Tree numbers of the fruit attempted, in the order of the timetable.
+        fruit: Tree numbers of the fruit attempted, in the order of the timetable; -1 where none hung.
         work: The scheduling problem.
         times: When each pick happened.
         aimed: Slave joints of each pick, nominal, (picks, 3).
         outcome: What became of each.
         closest: Least distance between the centre lines of two arms, m; infinite for one arm.
-        skipped: Tree numbers of fruit seen but out of every arm's reach.
+        skipped: Tree numbers of fruit located but out of every arm's reach.
     """
 
     zone: Zone
@@ -83,12 +86,22 @@ class Round:
 
 
 @dataclass(eq=False)
+class _TreeSight:
+    """What lasts from picture to picture of a tree: its leaves, or what chance decides; draws of its own."""
+
+    rng: np.random.Generator
+    leaves: Leaves | None
+    chances: Chances | None = None
+
+
+@dataclass(eq=False)
 class Harvest:
     """A tree being worked, and in the end what was done; stages are per fruit, (n,).
 
     Attributes:
         tree: The tree.
-        seen: Fruit that an image showed.
+        seen: Fruit of which an image showed anything.
+        located: Fruit whose place was found in one.
         reachable: Fruit that an arm could reach from a pick point.
         attempted: Fruit that a cup went to.
         attached: Fruit that was in a cup.
@@ -99,11 +112,14 @@ class Harvest:
         seconds: Clock of the tree.
         phases: Seconds by phase: move, image, pick, unload.
         repicks: Attempts at fruit that was missed before.
+        misled: Attempts where no fruit hung.
     """
 
     tree: Tree
     rng: np.random.Generator
+    sight: _TreeSight
     seen: Flags
+    located: Flags
     reachable: Flags
     attempted: Flags
     attached: Flags
@@ -116,6 +132,7 @@ class Harvest:
     seconds: float = 0.0
     phases: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("move", "image", "pick", "unload"), 0.0))
     repicks: int = 0
+    misled: int = 0
 
     def spend(self, phase: str, seconds: float) -> None:
         """Let the clock run."""
@@ -143,6 +160,7 @@ def harvest(
     trees: Sequence[Tree],
     rngs: Sequence[np.random.Generator],
     grid: Grid,
+    eyes: Eyes,
 ) -> list[Harvest]:
     """Work trees from the first zone to the last.
 
@@ -153,6 +171,7 @@ def harvest(
         trees: The trees.
         rngs: One generator per tree.
         grid: How each side is cut into zones.
+        eyes: How fruit is seen.
 
     Raises:
         InputError: If the numbers of trees and generators differ.
@@ -160,12 +179,12 @@ def harvest(
     if len(trees) != len(rngs):
         raise InputError(f"{len(trees)} trees came with {len(rngs)} generators; give one each")
     machine = true.machine
-    states = [_begin(machine, tree, rng) for tree, rng in zip(trees, rngs, strict=True)]
+    states = [_begin(machine, eyes, tree, rng) for tree, rng in zip(trees, rngs, strict=True)]
     sides = [cut(grid, *tree.side) for tree in trees]
     for number in range(grid.columns * grid.rows):
         waiting = list(range(len(states)))
         for look in range(strategy.looks):
-            tasks = [(i, _plan(machine, strategy, model, states[i], sides[i][number], look)) for i in waiting]
+            tasks = [(i, _plan(machine, strategy, eyes, states[i], sides[i][number], look)) for i in waiting]
             done = [(i, task) for i, task in tasks if task is not None]
             waiting = [i for i, empty in _execute(true, strategy, model, states, done) if empty]
         if not strategy.unload_full:
@@ -176,41 +195,55 @@ def harvest(
     return states
 
 
-def _begin(machine: Machine, tree: Tree, rng: np.random.Generator) -> Harvest:
-    stages = ("seen", "reachable", "attempted", "attached", "detached", "collected")
+def _begin(machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -> Harvest:
+    stages = ("seen", "located", "reachable", "attempted", "attached", "detached", "collected")
     none: dict[str, Any] = {stage: np.zeros(len(tree), dtype=bool) for stage in stages}
     load, start = np.zeros(machine.arms, dtype=np.int64), machine.master_start.copy()
-    return Harvest(tree, rng, **none, by_arm=np.full(len(tree), -1), load=load, master=start)
+    looking = rng.spawn(1)[0]  # so that the same luck befalls a tree however it is seen
+    sight = _TreeSight(looking, tree_leaves(machine, eyes, looking))
+    return Harvest(tree, rng, sight, **none, by_arm=np.full(len(tree), -1), load=load, master=start)
 
 
-def _plan(machine: Machine, strategy: Strategy, model: Picking, state: Harvest, zone: Zone, look: int) -> _Task | None:
+def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> _Task | None:
     """Image, pick point and plan of a zone; None where the image shows nothing to pick."""
-    tree, rng = state.tree, state.rng
-    n = len(tree)
-    found, blur = rng.random(n) < model.visibility, rng.normal(size=(n, 3)) * np.array(model.localisation)
-    inside = zone.holds(tree.fruit) & ~state.detached
-    if not inside.any():
-        if look == 0:
-            state.spend("image", machine.cycle.image)
-        return None
     state.spend("image", machine.cycle.image)
-    visible = np.flatnonzero(inside & found)
-    state.seen[visible] = True
-    if not visible.size:
+    numbers, believed = _seen_in(eyes, state, zone, look)
+    if not numbers.size:
         return None
-    believed = tree.fruit[visible] + blur[visible]
     point = pick_point(machine, believed, strategy.pick_point)
     master = np.clip(point.master, machine.master.nominal.lower, machine.master.nominal.upper)
     work = zone_work(machine, master, believed)
-    can = work.reachable
-    state.reachable[visible[can]] = True
-    skipped = tuple(visible[~can].tolist())
+    can, fruit = work.reachable, numbers >= 0
+    state.reachable[numbers[can & fruit]] = True
+    skipped = tuple(numbers[~can & fruit].tolist())
     if not can.any():
         return None
     state.spend("move", float(master_time(machine, state.master, master)))
     state.master = master
-    times = timetable(work, assign(work, strategy.assignment, rng), guard=strategy.guard)
-    return _Task(zone, master, visible, believed, work, times, skipped)
+    plan = assign(work, strategy.assignment, state.rng)
+    times = timetable(work, plan, hold=ultrasonic_hold(machine, work, state.rng) if strategy.guard else None)
+    return _Task(zone, master, numbers, believed, work, times, skipped)
+
+
+def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
+    """Tree numbers (m,) of what an image finds in a zone, -1 where no fruit is, and where it is believed, (m, 3)."""
+    tree, sight = state.tree, state.sight
+    hanging = np.flatnonzero(~state.detached)
+    chances = None
+    if eyes.errors is not None:
+        if look == 0 or sight.chances is None:
+            chances = sight.chances = draw_chances(sight.rng, len(tree))
+        else:
+            chances = next_picture(eyes.errors, sight.chances, sight.rng)
+        chances = Chances(chances.place[hanging], chances.normal[hanging])
+    fruit, diameters = tree.fruit[hanging], tree.diameters[hanging]
+    seen = see(eyes, zone.view, fruit, diameters, sight.rng, leaves=sight.leaves, chances=chances)
+    wanted = seen.located & zone.holds(seen.believed)
+    state.seen[hanging[seen.in_sight & (zone.holds(fruit) | wanted)]] = True
+    state.located[hanging[wanted]] = True
+    phantoms = seen.false[zone.holds(seen.false)]
+    numbers = np.concatenate([hanging[wanted], np.full(len(phantoms), -1)]).astype(np.int64)
+    return numbers, np.concatenate([seen.believed[wanted], phantoms])
 
 
 def _execute(
@@ -232,39 +265,57 @@ def _execute(
 
 
 def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harvest, task: _Task, tips: Array) -> bool:
-    """Outcomes of one tree's round, its time, and the arms' least distance."""
-    machine, tree, rng = true.machine, state.tree, state.rng
+    """Outcomes of one tree's round, its time, and the arms' least distance; whether a cup came back empty."""
+    machine, rng = true.machine, state.rng
     arm, local = task.times.arm, task.times.fruit
     numbers = task.numbers[local]
     tips = tips + rng.normal(size=(len(arm), 2, 3)).sum(axis=1) * true.repeatability
-    entry = task.times.start + task.work.out[arm, local]
-    order = np.argsort(entry, kind="stable")
-    hanging = ~state.detached
-    hanging[numbers] = False
-    fruit, diameters, masses = tree.fruit[numbers], tree.diameters[numbers], tree.masses[numbers]
-    luck = draw_luck(rng, len(order))
-    moved = displacements(model, fruit[order], masses[order], entry[order], luck)
-    done = attempt(model, tips[order], fruit[order], moved, diameters[order], tree.fruit[hanging], luck)
-    back = np.argsort(order)
-    outcome: Outcome = tree_map(lambda values: values[back], done)
-    aimed = task.work.joints[arm, local]
-    state.repicks += int(state.attempted[numbers].sum())
-    state.attempted[numbers] = True
-    state.attached[numbers] |= outcome.attached
-    state.detached[numbers] |= outcome.detached
-    state.collected[numbers] |= outcome.collected
-    state.by_arm[numbers] = arm
+    outcome = _outcome(model, state, numbers, tips, task.times.start + task.work.out[arm, local])
+    there = numbers >= 0
+    fruit = numbers[there]
+    state.repicks += int(state.attempted[fruit].sum())
+    state.misled += int((~there).sum())
+    state.attempted[fruit] = True
+    state.attached[fruit] |= outcome.attached[there]
+    state.detached[fruit] |= outcome.detached[there]
+    state.collected[fruit] |= outcome.collected[there]
+    state.by_arm[fruit] = arm[there]
     np.add.at(state.load, arm[outcome.collected], 1)
-    closest = closest_approach(machine, task.work, task.times)
-    state.rounds.append(
-        Round(
-            task.zone, state.seconds, task.master, numbers, task.work, task.times, aimed, outcome, closest, task.skipped
-        )
-    )
+    closest, aimed = closest_approach(machine, task.work, task.times), task.work.joints[arm, local]
+    done = task.zone, state.seconds, task.master, numbers, task.work, task.times, aimed, outcome, closest, task.skipped
+    state.rounds.append(Round(*done))
     state.spend("pick", task.times.makespan)
     if strategy.unload_full and state.load.max() >= machine.cycle.tube_fruit:
         _unload(machine, state)
     return bool((~outcome.detached).any())
+
+
+def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: Array, entry: Array) -> Outcome:
+    """What becomes of cups that go to ``tips`` (picks, 3) at times ``entry``, in the order given.
+
+    A cup that was sent where no fruit is comes back empty, but pushes the foliage all the same.
+    """
+    tree, luck = state.tree, draw_luck(state.rng, len(numbers))
+    order = np.argsort(entry, kind="stable")
+    there = numbers >= 0
+    places = np.where(there[:, None], tree.fruit[numbers], tips) if len(tree) else tips
+    masses = np.where(there, tree.masses[numbers], tree.masses.mean()) if len(tree) else np.ones(len(numbers))
+    moved = displacements(model, places[order], masses[order], entry[order], luck)
+    real = np.flatnonzero(there[order])
+    mine = order[real]
+    hanging = ~state.detached
+    hanging[numbers[mine]] = False
+    chosen = Luck(*(values[real] for values in luck))
+    diameters = tree.diameters[numbers[mine]]
+    done = attempt(model, tips[mine], places[mine], moved[real], diameters, tree.fruit[hanging], chosen)
+    empty = Outcome(
+        lateral=np.full(len(numbers), np.inf),
+        displaced=np.linalg.norm(moved, axis=-1)[np.argsort(order)],
+        **{name: np.zeros(len(numbers), dtype=bool) for name in ("attached", "detached", "collected", "crowded")},
+    )
+    for mine_too, values in zip(leaves(empty), leaves(done), strict=True):
+        mine_too[mine] = values
+    return empty
 
 
 def _unload(machine: Machine, state: Harvest) -> None:
@@ -275,49 +326,3 @@ def _unload(machine: Machine, state: Harvest) -> None:
     state.spend("unload", machine.cycle.unload)
     state.master = machine.master_start.copy()
     state.load[:] = 0
-
-
-def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -> Array:
-    """Nominal slave joints (times, arms, 3) at times ``at`` of a timetable: trapezoidal moves, phase by phase."""
-    joints = np.broadcast_to(machine.slave_home, (len(at), machine.arms, 3)).copy()
-    speed, acceleration = machine.slaves[0].speed, machine.slave_acceleration
-    fixed = machine.cycle.sense + machine.cycle.cut
-    for a in range(machine.arms):
-        mine = np.flatnonzero(times.arm == a)
-        height, free = float(machine.slave_home[0]), 0.0
-        for pick in mine[np.argsort(times.start[mine], kind="stable")].tolist():
-            goal = work.joints[a, times.fruit[pick]]
-            below = float(goal[0] - work.approach[times.fruit[pick]])
-            on = at >= free
-            joints[on, a, 0] = height + profile(at[on] - free, below - height, speed[0], acceleration[0])
-            moves = goal[1:] - machine.slave_home[1:]
-            stretch = float(travel_time(moves, speed[1:], acceleration[1:]).max())
-            begin, end = float(times.start[pick]), float(times.end[pick])
-            on = at >= begin
-            share = _share(at[on] - begin, moves, speed[1:], acceleration[1:], stretch)
-            joints[on, a, 1:] = machine.slave_home[1:] + share[:, None] * moves
-            on = at >= begin + stretch
-            joints[on, a, 0] = below + profile(at[on] - begin - stretch, goal[0] - below, speed[0], acceleration[0])
-            back = end - stretch
-            assert back >= begin + stretch + fixed - 1e-9
-            on = at >= back
-            share = _share(at[on] - back, moves, speed[1:], acceleration[1:], stretch)
-            joints[on, a, 1:] = machine.slave_home[1:] + (1 - share[:, None]) * moves
-            height, free = float(goal[0]), end
-    return joints
-
-
-def _share(time: Array, moves: Array, speed: Array, acceleration: Array, total: float) -> Array:
-    """Share of a joint move done after ``time``: the joint that takes longest leads, the other keeps step."""
-    if total <= 0:
-        return np.ones_like(time)
-    lead = int(np.argmax(travel_time(moves, speed, acceleration)))
-    return np.asarray(profile(time, 1.0, speed[lead] / abs(moves[lead]), acceleration[lead] / abs(moves[lead])))
-
-
-def closest_approach(machine: Machine, work: Work, times: Timetable, step: float = 0.1) -> float:
-    """Least distance between the centre lines of two arms over a timetable, sampled every ``step`` seconds, m."""
-    if machine.arms < 2 or not len(times.arm):
-        return float("inf")
-    at = np.arange(0.0, times.makespan + step, step)
-    return float(arm_distances(machine, slave_joints_at(machine, work, times, at)).min())

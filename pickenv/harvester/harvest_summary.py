@@ -17,7 +17,7 @@ from pickenv.harvester.harvest import Harvest, Round
 from pickenv.harvester.machine import Machine
 from pickenv.intervals import Ends, clustered_share_interval, statistic_interval
 
-STAGES = ("present", "visible", "reachable", "attempted", "attached", "detached", "collected")
+STAGES = ("present", "visible", "located", "reachable", "attempted", "attached", "detached", "collected")
 ROUND_NUMBERS = ("makespan", "busy", "held", "waits", "parallel", "travel", "picks", "collisions")
 
 
@@ -36,12 +36,26 @@ class Measure:
 
 def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
     """Fruit at each stage, over all harvests."""
-    names = {"present": None, "visible": "seen"}
-    total = {}
-    for stage in STAGES:
-        name = names.get(stage, stage)
-        total[stage] = sum(len(h.tree) if name is None else int(getattr(h, name).sum()) for h in harvests)
-    return total
+    return {stage: int(sum(_at_stage(h, stage) for h in harvests)) for stage in STAGES}
+
+
+def funnel_shares(harvests: Sequence[Harvest]) -> dict[str, Measure]:
+    """Share of the fruit present that comes to each stage."""
+    present = np.array([float(len(h.tree)) for h in harvests])
+    return {stage: _share(np.array([float(_at_stage(h, stage)) for h in harvests]), present) for stage in STAGES}
+
+
+def _at_stage(harvest: Harvest, stage: str) -> int:
+    if stage == "present":
+        return len(harvest.tree)
+    return int(getattr(harvest, "seen" if stage == "visible" else stage).sum())
+
+
+def _share(taken: Array, tried: Array) -> Measure:
+    """Of fruit, which come in trees."""
+    if not tried.sum():
+        return Measure(0.0)
+    return _measure(float(taken.sum() / tried.sum()), clustered_share_interval(taken, tried))
 
 
 def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]:
@@ -62,6 +76,7 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
         "present": np.array([float(len(h.tree)) for h in harvests]),
         "seconds": np.array([h.seconds for h in harvests]),
         "repicks": np.array([float(h.repicks) for h in harvests]),
+        "misled": np.array([float(h.misled) for h in harvests]),
         "trees": np.ones(len(harvests)),
         "zones": np.array([float(len(r)) for r in rounds]),
         **{name: np.array([sum(x[name] for x in r) for r in rounds]) for name in ROUND_NUMBERS},
@@ -79,16 +94,9 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
 
         return _measure(make(whole), statistic_interval(whole, make))
 
-    def share(part: str, of: str) -> Measure:
-        """Of fruit, which come in trees."""
-        taken, tried = table[part], table[of]
-        if not tried.sum():
-            return Measure(0.0)
-        return _measure(float(taken.sum() / tried.sum()), clustered_share_interval(taken, tried))
-
     found = {
-        "recovery": share("collected", "reachable"),
-        "harvested": share("collected", "present"),
+        "recovery": _share(table["collected"], table["reachable"]),
+        "harvested": _share(table["collected"], table["present"]),
         "picks_per_hour": ratio("collected", "seconds", 3600.0),
         "seconds_per_tree": ratio("seconds", "trees"),
         "makespan": ratio("makespan", "zones"),
@@ -98,6 +106,7 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
         "wait_events": ratio("waits", "picks"),
         "travel_per_pick": ratio("travel", "picks"),
         "repicks_per_tree": ratio("repicks", "trees"),
+        "misled_per_tree": ratio("misled", "trees"),
         "collisions": Measure(float(table["collisions"].sum())),
     }
     closest = [min((r.closest for r in h.rounds), default=np.inf) for h in harvests]

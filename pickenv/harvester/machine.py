@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Arm, Array, Geometry, Pose, load_arm
 from pickenv.errors import InputError
-from pickenv.toml_tables import MM, SECONDS, WHOLE, Check, Key, Unit, read, toml_table
+from pickenv.toml_tables import DEG, MM, SECONDS, WHOLE, Check, Key, Unit, read, toml_table
 
 SHIPPED = Path(__file__).parent / "li2016.toml"
 MOST_SLAVES = 6
@@ -33,7 +33,7 @@ class Body:
     Attributes:
         radius: m.
         margin: Least distance kept between two surfaces, m.
-        guard: Distance between surfaces at which an ultrasonic sensor makes a side arm hold, m.
+        guard: Distance between surfaces at which its ultrasonic ranger makes a side arm hold, m.
     """
 
     radius: Annotated[float, MM.positive]
@@ -45,10 +45,22 @@ class Body:
         """Least distance allowed between the centre lines of two arms, m."""
         return 2 * self.radius + self.margin
 
-    @property
-    def guard_distance(self) -> float:
-        """Distance between centre lines at which a side arm holds, m."""
-        return 2 * self.radius + self.guard
+
+@toml_table
+class Ranger:
+    """An ultrasonic ranger on each flank of a side arm's cup, looking sideways at the neighbour.
+
+    Attributes:
+        farthest: Longest distance that comes back as an echo, m.
+        beam: Half angle of its cone, rad.
+        noise: Standard deviation of a distance, m.
+        period: Between two measurements, s.
+    """
+
+    farthest: Annotated[float, Key("range_mm"), MM.positive]
+    beam: Annotated[float, Key("half_beam_deg"), DEG.within(0.0, 89.0, "a cone")]
+    noise: Annotated[float, MM.not_negative]
+    period: Annotated[float, SECONDS.positive]
 
 
 @toml_table
@@ -87,6 +99,7 @@ class Machine:
         base_height: Height of the base frame above the ground, m.
         body: The arms as obstacles.
         cycle: Times of a pick.
+        ranger: What side arms hear of their neighbours.
     """
 
     master: Arm
@@ -99,6 +112,7 @@ class Machine:
     base_height: float
     body: Body
     cycle: Cycle
+    ranger: Ranger
 
     @property
     def arms(self) -> int:
@@ -282,6 +296,7 @@ class MachineFile:
     body: Body
     acceleration: AccelerationTable
     cycle: Cycle
+    ranger: Ranger
     workspace: WorkspaceTable | None = None
     true: TrueTable | None = None
 
@@ -319,6 +334,7 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
         base_height=head.base_height,
         body=file.body,
         cycle=file.cycle,
+        ranger=file.ranger,
     )
     start = machine.master_inverse(np.array(head.master_start))
     if not machine.master_within_limits(start):

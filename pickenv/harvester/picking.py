@@ -41,8 +41,6 @@ class Picking:
         cup: Li's cup.
         branch: What fruit hangs from.
         gather: Lateral misalignment beyond the cup's clearance at which the gatherer takes no fruit any more, m.
-        localisation: Standard deviation of a fruit's seen position along x, y, z, m.
-        visibility: Probability that an image shows a fruit.
         outer: Outer radius of the cup, m.
         cluster_success: Probability that an attempt succeeds although another fruit is in the cup's way.
         cut_success: Probability that the blade meets the stalk.
@@ -55,8 +53,6 @@ class Picking:
     cup: Annotated[Cup, Key("gripper"), Then(_cup, str)]
     branch: Annotated[Branch, Then(_branch, str)]
     gather: Annotated[float, MM.positive]
-    localisation: Annotated[tuple[float, float, float], MM.not_negative]
-    visibility: Annotated[float, SHARE]
     outer: Annotated[float, Key("cup_outer_mm"), Unit("mm", 0.5e-3, most=MM.most).positive]
     cluster_success: Annotated[float, SHARE]
     cut_success: Annotated[float, SHARE]

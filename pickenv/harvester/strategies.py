@@ -12,9 +12,10 @@ import numpy as np
 from pickenv.errors import InputError
 from pickenv.harvester.harvest import Harvest, Strategy, harvest
 from pickenv.harvester.picking import Picking
-from pickenv.harvester.trees import Orchard, Tree, sample_image, sample_tree
+from pickenv.harvester.trees import Orchard, Tree, load_lab, sample_image, sample_tree
 from pickenv.harvester.true_machine import TrueMachine
 from pickenv.harvester.zones import Grid
+from pickenv.orchard import load_canopy, load_eyes
 
 
 def _generators(seeds: Sequence[np.random.SeedSequence]) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
@@ -29,11 +30,12 @@ def _some_trees(
     model: Picking,
     orchard: Orchard,
     grid: Grid,
+    vision: str,
     seeds: Sequence[np.random.SeedSequence],
 ) -> list[Harvest]:
     drawn, happening = _generators(seeds)
     trees = [sample_tree(true.machine, orchard, rng) for rng in drawn]
-    return harvest(true, strategy, model, trees, happening, grid)
+    return harvest(true, strategy, model, trees, happening, grid, load_eyes(vision, orchard.canopy, strategy.detector))
 
 
 def work_trees(
@@ -46,8 +48,20 @@ def work_trees(
     count: int,
     seed: int,
     workers: int = 1,
+    vision: str = "measured_errors",
 ) -> list[Harvest]:
-    """Draw ``count`` trees from ``seed`` and work them; equal seeds give equal trees for every strategy.
+    """Draw ``count`` trees from ``seed`` and work them; equal seeds give equal trees for every strategy and vision.
+
+    Args:
+        true: The machine as built.
+        strategy: How it works.
+        model: What becomes of attempts.
+        orchard: What trees are drawn from.
+        grid: How each side is cut into zones.
+        count: Number of trees.
+        seed: Of trees and luck.
+        workers: Processes.
+        vision: What the cameras show, of `pickenv.orchard.VISIONS`.
 
     Raises:
         InputError: If the count or the number of workers is not above zero.
@@ -55,7 +69,7 @@ def work_trees(
     if count < 1 or workers < 1:
         raise InputError(f"{count} trees on {workers} workers are impossible; give 1 or more of each")
     seeds = np.random.SeedSequence(seed).spawn(count)
-    job = partial(_some_trees, true, strategy, model, orchard, grid)
+    job = partial(_some_trees, true, strategy, model, orchard, grid, vision)
     if workers == 1 or count < 2 * workers:
         return job(seeds)
     parts = [seeds[i::workers] for i in range(workers)]
@@ -64,8 +78,17 @@ def work_trees(
     return [done[i % workers][i // workers] for i in range(count)]
 
 
-def work_images(true: TrueMachine, strategy: Strategy, model: Picking, *, count: int, seed: int) -> list[Harvest]:
+def work_images(
+    true: TrueMachine,
+    strategy: Strategy,
+    model: Picking,
+    *,
+    count: int,
+    seed: int,
+    vision: str = "measured_errors",
+) -> list[Harvest]:
     """Li's experiment: ``count`` images of seven fruit in reach of the *paper's* pick point, each picked once."""
     drawn, happening = _generators(np.random.SeedSequence(seed).spawn(count))
     images: list[Tree] = [sample_image(true.machine, rng) for rng in drawn]
-    return harvest(true, strategy, model, images, happening, Grid(1, 1, 1e-6))
+    eyes = load_eyes(vision, load_canopy(load_lab().canopy), strategy.detector)
+    return harvest(true, strategy, model, images, happening, Grid(1, 1, 1e-6), eyes)

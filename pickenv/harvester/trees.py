@@ -5,7 +5,7 @@ The machine's column stands at the canopy's stand-off; the tree is at negative y
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
@@ -18,9 +18,11 @@ from pickenv.harvester.machine import Machine
 from pickenv.harvester.pick_point import pick_point
 from pickenv.orchard import (
     Canopy,
-    Fruit,
+    Eyes,
     FruitMap,
     FruitSize,
+    Leaves,
+    foliage,
     fruit_masses,
     load_canopy,
     load_fruit_map,
@@ -74,8 +76,9 @@ class TreesTable:
 
 @toml_table
 class Lab:
-    """[lab] of a picking file: images, fruit in each, size of the image and least distance of fruit, m."""
+    """[lab] of a picking file: canopy, images, fruit in each, size of the image and least distance of fruit, m."""
 
+    canopy: str
     runs: Annotated[int, WHOLE.positive]
     fruit: Annotated[int, WHOLE.positive]
     width: Annotated[float, MM.positive]
@@ -84,7 +87,11 @@ class Lab:
 
 
 def load_orchard(
-    path: str | Path = SHIPPED, *, per_metre: float | None = None, fruit_map: str | None = None
+    path: str | Path = SHIPPED,
+    *,
+    per_metre: float | None = None,
+    fruit_map: str | None = None,
+    canopy: str | None = None,
 ) -> Orchard:
     """Read the trees of a picking file.
 
@@ -92,10 +99,11 @@ def load_orchard(
         path: The file.
         per_metre: Fruit per metre of row instead of the file's.
         fruit_map: A fruit map of `pickenv.orchard` instead of the file's; "v_trellis" hangs fruit in clusters of three.
+        canopy: A canopy of `pickenv.orchard` instead of the file's; "li2016_bare" has no leaves.
     """
     trees = read(TreesTable, path, section="trees")
     where = load_fruit_map(fruit_map or trees.fruit_map).scaled(trees.per_metre if per_metre is None else per_metre)
-    return Orchard(load_canopy(trees.canopy), where, load_fruit_size(trees.fruit_size))
+    return Orchard(load_canopy(canopy or trees.canopy), where, load_fruit_size(trees.fruit_size))
 
 
 def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) -> Tree:
@@ -104,15 +112,20 @@ def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) ->
     fruit = sample_fruit(orchard.fruit_map, orchard.size, canopy, rng)
     half = canopy.width / 2
     side = (-half, half, canopy.bottom - machine.base_height, canopy.top - machine.base_height)
-    return Tree(
-        in_base_frame(machine, canopy, fruit), fruit.diameters, fruit_masses(orchard.size, fruit.diameters), side
-    )
+    places, masses = in_base_frame(machine, canopy, fruit.positions), fruit_masses(orchard.size, fruit.diameters)
+    return Tree(places, fruit.diameters, masses, side)
 
 
-def in_base_frame(machine: Machine, canopy: Canopy, fruit: Fruit) -> Array:
-    """Fruit in the base frame: the orchard's x and y turn by half a turn, heights count from the machine's base."""
-    x, y, z = np.moveaxis(fruit.positions, -1, 0)
+def in_base_frame(machine: Machine, canopy: Canopy, positions: Array) -> Array:
+    """Orchard positions (..., 3) in the base frame: x and y turn by half a turn, heights count from the base."""
+    x, y, z = np.moveaxis(positions, -1, 0)
     return np.stack([-x, -(y + canopy.standoff), z - machine.base_height], axis=-1)
+
+
+def tree_leaves(machine: Machine, eyes: Eyes, rng: np.random.Generator) -> Leaves | None:
+    """A tree's leaves in the base frame; None where the eyes draw no pictures."""
+    leaves = foliage(eyes, rng)
+    return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
 
 @lru_cache(maxsize=1)
@@ -135,7 +148,7 @@ def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corr
     """
     lab = load_lab()
     count, wide, high = lab.fruit, lab.width, lab.height
-    canopy, size = load_canopy("li2016"), load_fruit_size("li2016")
+    canopy, size = load_canopy(lab.canopy), load_fruit_size("li2016")
     low, top = canopy.bottom - machine.base_height, canopy.top - machine.base_height
     for _ in range(TRIES):
         x = rng.uniform(-(canopy.width - wide) / 2, (canopy.width - wide) / 2) / 2

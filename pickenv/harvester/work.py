@@ -6,7 +6,7 @@ is safe; the rest is the excursion. Units: m, rad, s.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,8 @@ from pickenv.harvester.machine import Machine
 
 Plan = tuple[tuple[int, ...], ...]
 """For each arm the fruit it picks, in order."""
+
+Row = tuple[int, int, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +35,6 @@ class Work:
         first: Travel from rest at home to below each fruit, (n,).
         travel: Travel from one fruit's height to below another, (n, n).
         conflict: Excursions that must not overlap, (arms, n, arms, n).
-        guarded: Excursions so near that a side arm holds, (arms, n, arms, n).
         approach: How far below each fruit the cup starts to rise, (n,).
     """
 
@@ -44,7 +45,6 @@ class Work:
     first: Array
     travel: Array
     conflict: NDArray[np.bool_]
-    guarded: NDArray[np.bool_]
     approach: Array
 
     @property
@@ -87,7 +87,6 @@ def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
         first=travel_time(start - machine.slave_home[0], speed[0], acceleration[0]),
         travel=travel_time(height[:, None] - start[None, :], speed[0], acceleration[0]),
         conflict=distances < machine.body.clearance,
-        guarded=distances < machine.body.guard_distance,
         approach=approach,
     )
 
@@ -113,26 +112,29 @@ class Timetable:
     makespan: float
 
 
-def timetable(work: Work, plan: Plan, *, guard: bool = False) -> Timetable:
+Hold = Callable[[int, int, float, Timetable], float]
+"""When an arm sets out: from the arm, its fruit, when it is ready, s, and all that has begun before."""
+
+
+def timetable(work: Work, plan: Plan, *, hold: Hold | None = None, late: ArrayLike | None = None) -> Timetable:
     """When the picks of a plan happen, each as early as its arm is ready and no excursion that it would meet is out.
 
     Args:
         work: The zone.
         plan: Fruit of each arm, in order.
-        guard: Li's rule: side arms (even numbers, from 0) also hold while a middle arm (odd) is within the guard
-            distance, and the middle arm goes first.
+        hold: Li's rule: side arms (even numbers, from 0) also hold as long as this says, and a middle arm (odd) goes
+            first; see `pickenv.harvester.arm_paths.ultrasonic_hold`.
+        late: How much longer than planned an arm stays at each fruit, s, (arms, n); the plan does not know of it.
     """
-    rows = _schedule(plain_lists(work, guard), plan)
+    delays = None if late is None else np.asarray(late, dtype=float).tolist()
+    return _table(_schedule(plain_lists(work), plan, hold, delays), delays)
+
+
+def _table(rows: list[Row], late: list[list[float]] | None) -> Timetable:
     columns = np.array(rows, dtype=float).reshape(-1, 5)
-    ends = columns[:, 3]
-    return Timetable(
-        arm=columns[:, 0].astype(np.int64),
-        fruit=columns[:, 1].astype(np.int64),
-        start=columns[:, 2],
-        end=ends,
-        held=columns[:, 4],
-        makespan=float(ends.max()) if len(ends) else 0.0,
-    )
+    arm, fruit = columns[:, 0].astype(np.int64), columns[:, 1].astype(np.int64)
+    ends = columns[:, 3] if late is None else columns[:, 3] + np.array(late)[arm, fruit]
+    return Timetable(arm, fruit, columns[:, 2], ends, columns[:, 4], float(ends.max()) if len(ends) else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,24 +145,17 @@ class Lists:
     first: list[float]
     travel: list[list[float]]
     barred: list[list[list[list[bool]]]]
-    guard: bool
 
 
-def plain_lists(work: Work, guard: bool = False) -> Lists:
-    """The work as plain lists, for many calls of `makespan_of`; ``guard`` as in `timetable`."""
-    barred = work.conflict
-    if guard:
-        odd = np.arange(work.arms) % 2 == 1
-        mixed = odd[:, None, None, None] != odd[None, None, :, None]
-        barred = barred | (work.guarded & mixed)
-    return Lists(work.duration.tolist(), work.first.tolist(), work.travel.tolist(), barred.tolist(), guard)
+def plain_lists(work: Work) -> Lists:
+    """The work as plain lists, for many calls of `makespan_of`."""
+    return Lists(work.duration.tolist(), work.first.tolist(), work.travel.tolist(), work.conflict.tolist())
 
 
-Row = tuple[int, int, float, float, float]
-
-
-def _schedule(lists: Lists, plan: Sequence[Sequence[int]]) -> list[Row]:
-    """Picks in the order of their starts: (arm, fruit, start, end, held). A middle arm goes before a side arm."""
+def _schedule(
+    lists: Lists, plan: Sequence[Sequence[int]], hold: Hold | None = None, late: list[list[float]] | None = None
+) -> list[Row]:
+    """Picks in the order of their starts: (arm, fruit, start, end as planned, held)."""
     arms = range(len(plan))
     done: list[Row] = []
     at = [0] * len(plan)
@@ -177,7 +172,10 @@ def _schedule(lists: Lists, plan: Sequence[Sequence[int]]) -> list[Row]:
                 for b, other, _, end, _ in done:
                     if b != a and start < end and lists.barred[a][fruit][b][other]:
                         start, moved = end, True
-            key = (start, 0 if lists.guard and a % 2 else 1, a)
+                if hold is not None and not moved:
+                    held = hold(a, fruit, start, _table(done, late))
+                    start, moved = held, held > start
+            key = (start, 0 if hold is not None and a % 2 else 1, a)
             if best is None or key < best:
                 best = key
         if best is None:
@@ -188,7 +186,7 @@ def _schedule(lists: Lists, plan: Sequence[Sequence[int]]) -> list[Row]:
         done.append((a, fruit, start, end, start - ready[a]))
         at[a] += 1
         if at[a] < len(plan[a]):
-            ready[a] = end + lists.travel[fruit][plan[a][at[a]]]
+            ready[a] = end + lists.travel[fruit][plan[a][at[a]]] + (late[a][fruit] if late else 0.0)
 
 
 def makespan_of(lists: Lists, plan: Sequence[Sequence[int]]) -> float:

@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.errors import InputError
+from pickenv.orchard import Viewpoint
 from pickenv.toml_tables import MM, WHOLE, read, toml_table
 
 SHIPPED = Path(__file__).parent / "strategy.toml"
+AHEAD = np.array([0.0, -1.0, 0.0])
+"""Where the trees are."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,11 @@ class Zone:
         points = np.asarray(positions, dtype=float)
         x, z = points[..., 0], points[..., 2]
         return np.asarray((x >= self.left) & (x <= self.right) & (z >= self.bottom) & (z <= self.top))
+
+    @property
+    def view(self) -> Viewpoint:
+        """From where its picture is taken: before its middle, at the machine's column."""
+        return Viewpoint(np.array([(self.left + self.right) / 2, 0.0, (self.bottom + self.top) / 2]), AHEAD)
 
 
 @toml_table

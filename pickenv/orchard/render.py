@@ -58,6 +58,21 @@ class Look(checks.Preset):
 
 
 @dataclass(frozen=True, eq=False)
+class Leaves:
+    """Leaves that several pictures show.
+
+    Attributes:
+        places: Centres, m, shape (m, 3).
+        shapes: What maps each one's ellipse, seen along the camera's axis, to the unit disc, shape (m, 2, 2).
+        colours: Red, green, blue, shape (m, 3).
+    """
+
+    places: Array
+    shapes: Array
+    colours: Array
+
+
+@dataclass(frozen=True, eq=False)
 class StereoPair:
     """A rendered pair.
 
@@ -99,7 +114,7 @@ def render_stereo(
     camera: StereoCamera,
     positions: ArrayLike,
     diameters: ArrayLike,
-    leaves: ArrayLike,
+    leaves: ArrayLike | Leaves,
     look: Look,
     rng: np.random.Generator,
 ) -> StereoPair:
@@ -109,26 +124,25 @@ def render_stereo(
         camera: The stereo pair.
         positions: Fruit centres in the camera frame, m, shape (n, 3).
         diameters: Fruit diameters, m, shape (n,) or a number.
-        leaves: Leaf centres in the camera frame, m, shape (m, 3); see `sample_leaves`.
+        leaves: In the camera frame; or their centres alone, m, shape (m, 3), see `sample_leaves`.
         look: Colours and light.
-        rng: Source of leaf attitudes, shades, background and noise.
+        rng: Source of background and noise, and of leaf attitudes and shades where centres are given.
 
     Raises:
         InputError: If fruit or leaves lie behind the camera or a number is not finite.
     """
     positions, diameters = checks.fruit_arrays(positions, diameters)
-    leaves = checks.points("leaf positions", leaves).reshape(-1, 3)
+    leaves = leaves if isinstance(leaves, Leaves) else turned_leaves(leaves, look, rng)
     width, height = camera.image
-    fruit_at, leaf_at = project(camera, positions), project(camera, leaves)
-    attitude, shade = _leaf_shapes(look, len(leaves), rng)
+    fruit_at, leaf_at = project(camera, positions), project(camera, leaves.places)
     images = [_background(look, camera.image, rng) for _ in range(2)]
     shows = np.full((height, width), BACKGROUND, dtype=np.int64)
     whole = np.zeros(len(positions))
-    depth = np.concatenate([positions[:, 2], leaves[:, 2]])
+    depth = np.concatenate([positions[:, 2], leaves.places[:, 2]])
     for item in np.argsort(-depth, kind="stable"):
         is_fruit = item < len(positions)
         i = int(item) if is_fruit else int(item) - len(positions)
-        at, z = (fruit_at[i], positions[i, 2]) if is_fruit else (leaf_at[i], leaves[i, 2])
+        at, z = (fruit_at[i], positions[i, 2]) if is_fruit else (leaf_at[i], leaves.places[i, 2])
         reach = camera.focal_length / z * (diameters[i] / 2 if is_fruit else max(look.leaf_length, look.leaf_width) / 2)
         if is_fruit:
             whole[i] = np.pi * reach**2
@@ -143,9 +157,9 @@ def render_stereo(
             if is_fruit:
                 inside, colour = _sphere(look, u, v)
             else:
-                a = attitude[i]
+                a = leaves.shapes[i]
                 inside = (a[0, 0] * u + a[0, 1] * v) ** 2 + (a[1, 0] * u + a[1, 1] * v) ** 2 <= 1.0
-                colour = shade[i]
+                colour = leaves.colours[i]
             patch = image[top:bottom, left:right]
             patch[inside] = colour[inside] if is_fruit else colour
             if eye == 0:
@@ -167,15 +181,17 @@ def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
     return square <= 1.0, np.asarray(light[..., None] * np.array(look.fruit) + white, dtype=np.float64)
 
 
-def _leaf_shapes(look: Look, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Projected ellipses of leaves of all attitudes, as matrices that map them to the unit disc, and their colours."""
+def turned_leaves(places: ArrayLike, look: Look, rng: np.random.Generator) -> Leaves:
+    """Leaves of all attitudes and some shades of green at ``places`` (m, 3)."""
+    places = checks.points("leaf positions", places).reshape(-1, 3)
+    count = len(places)
     basis, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))
     size = np.array([look.leaf_length, look.leaf_width]) / max(look.leaf_length, look.leaf_width)
     axes = basis[:, :2, :2] * size  # the leaf's two half axes, seen along z
     thin = np.abs(np.linalg.det(axes)) < 1e-3
     axes[thin] = np.diag([1e-3, 1e-3])  # seen edge-on: nothing
     shade = np.array(look.leaf) * (0.7 + 0.6 * rng.random((count, 1)))
-    return np.asarray(np.linalg.inv(axes), dtype=np.float64), shade
+    return Leaves(places, np.asarray(np.linalg.inv(axes), dtype=np.float64), shade)
 
 
 def _background(look: Look, image: tuple[int, int], rng: np.random.Generator) -> Array:

@@ -46,18 +46,26 @@ def red_minus_green(image: ArrayLike) -> Array:
     return np.asarray(pixels[..., 0].astype(np.float64) - pixels[..., 1])
 
 
+def fruit_threshold(difference: Array) -> float:
+    """Otsu's threshold of R − G, never below zero; above all of it where it is the same everywhere."""
+    require("skimage")
+    from skimage.filters import threshold_otsu
+
+    if difference.min() == difference.max():
+        return float("inf")
+    return max(float(threshold_otsu(difference)), 0.0)  # type: ignore[no-untyped-call]
+
+
 def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
     """Pixels taken for fruit, shape (height, width): Otsu's threshold of R − G, never below zero, then morphology."""
     require("skimage")
-    from skimage.filters import threshold_otsu
     from skimage.measure import label
     from skimage.morphology import dilation, erosion
 
     difference = red_minus_green(image)
-    if difference.min() == difference.max():
-        return np.zeros(difference.shape, dtype=bool)
-    threshold = float(threshold_otsu(difference))  # type: ignore[no-untyped-call]
-    mask = difference > max(threshold, 0.0)
+    mask = difference > fruit_threshold(difference)
+    if not mask.any():
+        return np.asarray(mask, dtype=bool)
     for _ in range(camera.erosions):
         mask = erosion(mask, SQUARE)
     regions = np.asarray(label(mask, connectivity=2))  # type: ignore[no-untyped-call]
@@ -84,6 +92,16 @@ def fruit_regions(camera: StereoCamera, image: ArrayLike) -> Regions:
     )
 
 
+def matched_sizes(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> None:
+    """Refuse a pair of images that are not of the camera's size."""
+    width, height = camera.image
+    for side, image in (("left", left), ("right", right)):
+        if np.shape(image)[:2] != (height, width):
+            raise InputError(
+                f"the {side} image has shape {np.shape(image)}, not that of the camera, {(height, width, 3)}"
+            )
+
+
 def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Detections:
     """Fruit in the camera frame from a stereo pair.
 
@@ -99,12 +117,7 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
     Raises:
         InputError: If the images are not of the camera's size or are not colour images.
     """
-    width, height = camera.image
-    for side, image in (("left", left), ("right", right)):
-        if np.shape(image)[:2] != (height, width):
-            raise InputError(
-                f"the {side} image has shape {np.shape(image)}, not that of the camera, {(height, width, 3)}"
-            )
+    matched_sizes(camera, left, right)
     regions, first, second = fruit_regions(camera, left), red_minus_green(left), red_minus_green(right)
     found = [
         (*centroid, *_disparity(camera, first, second, box))

@@ -28,7 +28,7 @@ def begin(monkeypatch):
     """``begin(offsets, joints, luck, **state)``: a zone with fruit of 60 mm at ``offsets`` from the middle cup."""
 
     def build(offsets, joints=JOINTS, luck=None, machines=1, **changes):
-        env = HarvestEnv(ideal=True, fruit=len(offsets))
+        env = HarvestEnv(ideal=True, fruit=len(offsets), vision="ideal")
         env.task = replace(env.task, model=replace(env.task.model, push=0.0))
         env.reset(seed=0)
         fate = TAKEN | (luck or {})
@@ -300,11 +300,10 @@ def test_a_zone_is_drawn_where_the_class_says():
     assert np.abs(state.fruit[..., 0]).max() <= canopy.width / 2
     assert canopy.bottom <= height.min() < canopy.bottom + 0.1 and canopy.top - 0.1 < height.max() <= canopy.top
     assert np.abs(state.fruit[..., 0]).max() > canopy.width / 2 - 0.1
-    error = state.believed - state.fruit
-    assert error.std(axis=(0, 1)) == pytest.approx([0.0008, 0.0012, 0.0008], rel=0.06)
+    assert state.error == pytest.approx(state.believed - state.fruit) and 0.5 < state.located.mean() < 1.0
     assert (state.joints[:, 3:].reshape(60, 3, 3) == task.machine.slave_home).all()
-    reached = [task.machine.reach(joints[:3], seen).any(axis=0) for joints, seen in
-               zip(state.joints, state.believed, strict=True)]  # fmt: skip
+    reached = [task.machine.reach(joints[:3], seen).any(axis=0) & found for joints, seen, found in
+               zip(state.joints, state.believed, state.located, strict=True)]  # fmt: skip
     assert np.array_equal(state.reachable, reached)
     assert not state.status.any() and not state.busy.any() and (state.tried == -1).all() and not state.periods.any()
     assert (state.closest == pytest.approx(0.35)) and len(np.unique(state.fruit[:, 0, 0])) == 60

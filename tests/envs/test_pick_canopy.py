@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -10,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import forward
 from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_scene import draw_scene, make_setting, to_base, to_orchard, upright_turn
+from pickenv.envs.picking.pick_scene import draw_scene, looked_at, make_setting, to_base, to_orchard, upright_turn
 from pickenv.errors import InputError
 from pickenv.orchard import load_canopy, occlusion, sample_fruit, shipped
 
@@ -147,3 +148,42 @@ def test_fruit_is_drawn_until_some_is_in_reach_but_not_for_ever(env, given, aske
         draw_scene(env.orchard, lambda seen: calls.append(seen) or np.zeros(len(seen), bool),
                    np.random.default_rng(0), given)  # fmt: skip
     assert len(calls) == asked
+
+
+@pytest.mark.parametrize("vision", ["rendered", "measured_errors", "ideal"])
+def test_an_arm_sees_with_lis_stereo_pair_alone_as_beside_another_to_the_bit(vision):
+    given = {"vision": vision, "detector": "circles", "fruit": 6.0}
+    together = gym.make_vec("pickenv/Pick-v0", num_envs=2, **given)
+    alone = [PickEnv(**given) for _ in range(2)]
+    for seed in (5, None):
+        seen, _ = together.reset(seed=seed)
+        singles = [env.reset(seed=None if seed is None else seed + i)[0] for i, env in enumerate(alone)]
+        assert np.array_equal(seen, singles)
+    for env in alone:
+        scene = env.scene
+        miss = np.linalg.norm((scene.seen - scene.rest)[scene.visible], axis=1)
+        assert (miss == 0).all() and scene.visible.all() if vision == "ideal" else (miss > 0).all()
+        assert np.median(miss) < 0.02 and (scene.visible | ~scene.reachable).all()
+
+
+def test_what_is_seen_of_fruit_follows_the_canopys_own_table():
+    """Many draws of one fruit: located and misplaced as `pickenv.orchard.sighted` says at its depth."""
+    setting = make_setting("li2016", "li2016_lab", "li2016", "perfect", "li_cup", 10.0, 1, "measured_errors", "li2016")
+    place = np.array([[0.0, 0.2, (setting.canopy.bottom + setting.canopy.top) / 2]])
+    rng, found = np.random.default_rng(0), []
+    for _ in range(3000):
+        believed, visible = looked_at(setting, rng, place, np.array([0.06]))
+        found.append([*(believed - place)[0], visible[0]])
+    found = np.array(found)
+    table = setting.eyes.errors
+    row = int(np.searchsorted(table.edges, setting.canopy.standoff + 0.2))
+    assert found[:, 3].mean() == pytest.approx(table.recall[row], abs=0.03)
+    bias, spread = np.array(table.bias[row]), np.array(table.spread[row])
+    wanted = bias[[0, 2, 1]] * [1, 1, -1]  # x right, z ahead and y down: x, y and -z of the orchard
+    assert found[:, :3].mean(axis=0) == pytest.approx(wanted, abs=6e-4)
+    assert found[:, :3].std(axis=0) == pytest.approx(spread[[0, 2, 1]], rel=0.15)
+
+
+def test_an_unknown_vision_is_refused():
+    with pytest.raises(InputError, match="unknown vision 'eagle'; give one of published, rendered"):
+        PickEnv(vision="eagle")

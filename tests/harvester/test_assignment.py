@@ -7,12 +7,18 @@ import numpy as np
 import pytest
 
 from pickenv.errors import InputError
+from pickenv.harvester.arm_paths import ultrasonic_hold
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.joint_motion import travel_time
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.rules import li_rule, lower_bound
 from pickenv.harvester.work import Work, timetable, zone_work
+
+
+def hold_of(machine, work):
+    return ultrasonic_hold(machine, work, np.random.default_rng(0))
+
 
 METHODS = ("li", "nearest", "columns", "hungarian", "search")
 
@@ -49,7 +55,7 @@ def test_every_reachable_fruit_is_picked_once_by_an_arm_that_reaches_it(method, 
         picked = [fruit for queue in plan for fruit in queue]
         assert sorted(picked) == np.flatnonzero(work.reachable).tolist()
         assert all(work.reached[arm, fruit] for arm, queue in enumerate(plan) for fruit in queue)
-        times = timetable(work, plan, guard=method == "li")
+        times = timetable(work, plan, hold=hold_of(machine, work) if method == "li" else None)
         assert conflicts(work, times) == []
         assert times.makespan >= lower_bound(work) - 1e-6
         assert lower_bound(work) >= lower_bound(work, integral=False) - 1e-6
@@ -70,21 +76,6 @@ def test_li_picks_by_falling_height_in_the_middle_and_rising_height_beside(machi
         assert (rising <= 0).all() if arm == 1 else (rising >= 0).all()
 
 
-def test_side_arms_hold_while_the_middle_arm_is_inside_the_guard_distance(machine):
-    rng, held = np.random.default_rng(1), 0
-    for _ in range(30):
-        work = zone(machine, rng, 10)
-        times = timetable(work, li_rule(work), guard=True)
-        for i in range(len(times.arm)):
-            for j in range(i):
-                a, b = times.arm[[i, j]]
-                near = work.guarded[a, times.fruit[i], b, times.fruit[j]] and (a == 1) != (b == 1)
-                together = times.start[i] < times.end[j] - 1e-9 and times.start[j] < times.end[i] - 1e-9
-                assert not (near and together)
-        held += int((times.held > 0).sum())
-    assert held > 0
-
-
 def test_an_optimised_plan_for_20_fruit_is_within_a_tenth_of_the_bound(machine):
     pytest.importorskip("ortools")
     rng = np.random.default_rng(20)
@@ -100,7 +91,7 @@ def test_search_beats_the_greedy_baselines_on_average(machine):
     for _ in range(15):
         work = zone(machine, rng, 9)
         for method in METHODS:
-            total[method] += timetable(work, assign(work, method), guard=method == "li").makespan
+            total[method] += timetable(work, assign(work, method)).makespan
     assert total["search"] == min(total.values())
     assert total["li"] > 1.3 * total["search"]
 
@@ -147,7 +138,6 @@ def made_up(rng, arms, count):
         first=rng.uniform(0.0, 5.0, count),
         travel=rng.uniform(0.0, 5.0, (count, count)),
         conflict=free,
-        guarded=free,
         approach=np.zeros(count),
     )
 
@@ -166,13 +156,32 @@ def test_no_plan_of_all_that_there_are_is_below_the_lower_bound(arms):
         assert 0 < lower_bound(work) <= best + 1e-6
 
 
-def test_the_guard_holds_a_side_arm_for_the_middle_arm_and_not_for_the_other_side_arm():
-    """Li 2016, section 5.2: all three are within the guard distance of one another, and none would meet another."""
+def test_a_hold_keeps_its_arm_back_and_a_middle_arm_goes_first():
+    """All three are ready at once; who holds is asked again until it lets go."""
     work = replace(made_up(np.random.default_rng(0), 3, 3), duration=np.ones((3, 3)), first=np.zeros(3))
-    work = replace(work, guarded=np.ones_like(work.guarded))
-    times = timetable(work, ((0,), (1,), (2,)), guard=True)
+    asked = []
+
+    def hold(arm, fruit, start, begun):
+        asked.append((arm, fruit))
+        return start if arm == 1 else max(start, begun.end[begun.arm == 1].max(initial=0.0))
+
+    times = timetable(work, ((0,), (1,), (2,)), hold=hold)
     assert dict(zip(times.arm.tolist(), times.start.tolist(), strict=True)) == {1: 0.0, 0: 1.0, 2: 1.0}
+    assert times.held[times.arm != 1] == pytest.approx(1.0) and set(asked) == {(0, 0), (1, 1), (2, 2)}
     assert (timetable(work, ((0,), (1,), (2,))).start == 0.0).all()
+
+
+def test_a_late_arm_ends_later_and_is_late_for_its_next_fruit_but_the_plan_does_not_know():
+    work = replace(made_up(np.random.default_rng(0), 2, 3), conflict=np.ones((2, 3, 2, 3), dtype=bool))
+    late = np.zeros((2, 3))
+    late[0, 0] = 2.5
+    on_time, delayed = (timetable(work, ((0, 1), (2,)), late=given) for given in (None, late))
+    first, last = (np.flatnonzero((delayed.arm == 0) & (delayed.fruit == fruit))[0] for fruit in (0, 1))
+    assert delayed.end[first] - delayed.start[first] == pytest.approx(work.duration[0, 0] + 2.5)
+    assert delayed.start[last] >= delayed.end[first] + work.travel[0, 1] - 1e-9
+    other = delayed.start[delayed.arm == 1]
+    if delayed.start[first] < other[0]:
+        assert other == pytest.approx(on_time.start[on_time.arm == 1])
 
 
 def test_an_arm_travels_from_the_height_of_its_last_fruit_to_below_the_next(machine):

@@ -12,8 +12,9 @@ from pickenv.harvester.picking import Luck, load_picking
 from pickenv.harvester.trees import Tree
 from pickenv.harvester.true_machine import Controller
 from pickenv.harvester.zones import Grid
+from pickenv.orchard import load_canopy, load_eyes
 
-SURE = replace(load_picking(), localisation=(0.0, 0.0, 0.0), visibility=1.0, push=0.0)
+SURE, EYES = replace(load_picking(), push=0.0), load_eyes("ideal", load_canopy("li2016"))
 ONE, TWO = Grid(1, 1, 1e-6), Grid(2, 1, 1e-6)
 LOW, HIGH = [-0.6, -1.2, 1.0], [0.6, -1.2, 1.4]
 """One fruit in each half of the tree's side."""
@@ -40,7 +41,7 @@ def works(true, monkeypatch):
         fruit = np.asarray(fruit, dtype=float).reshape(-1, 3)
         tree = Tree(fruit, np.full(len(fruit), 0.06), np.full(len(fruit), 0.1), (-1.25, 1.25, 0.42, 2.42))
         chosen = Strategy("by hand", Controller(machine), **{"assignment": "nearest", "guard": False, **strategy})
-        found = harvest(ideal, chosen, SURE, [tree], [np.random.default_rng(0)], grid)[0]
+        found = harvest(ideal, chosen, SURE, [tree], [np.random.default_rng(0)], grid, EYES)[0]
         assert found.seconds == pytest.approx(sum(found.phases.values()))
         return machine, found
 

@@ -36,7 +36,10 @@ def episode(env, policy, seed, longest=600):
     return total, info
 
 
-@pytest.mark.parametrize("arguments", [{}, {"slaves": 1, "fruit": 3}, {"slaves": 5, "spacing_mm": 300.0}])
+@pytest.mark.parametrize(
+    "arguments",
+    [{"vision": "ideal"}, {"slaves": 1, "fruit": 3, "vision": "rendered"}, {"slaves": 5, "spacing_mm": 300.0}],
+)
 def test_both_checkers_on_every_kind_of_harvest(arguments):
     env = gym.make("pickenv/Harvest-v0", **arguments).unwrapped
     check_env(env)
@@ -44,7 +47,7 @@ def test_both_checkers_on_every_kind_of_harvest(arguments):
 
 
 def test_the_scripted_policy_picks_everything_with_a_perfect_machine():
-    env = HarvestEnv(ideal=True)
+    env = HarvestEnv(ideal=True, vision="ideal")
     policy = ScriptedHarvest(env)
     for seed in range(4):
         total, info = episode(env, policy, seed)
@@ -55,7 +58,7 @@ def test_the_scripted_policy_picks_everything_with_a_perfect_machine():
 
 @pytest.mark.parametrize("slaves", [1, 2, 4])
 def test_the_scripted_policy_works_for_other_numbers_of_arms(slaves):
-    env = HarvestEnv(slaves=slaves, fruit=5)
+    env = HarvestEnv(slaves=slaves, fruit=5, vision="ideal")
     total, info = episode(env, ScriptedHarvest(env), 1)
     assert info["collected"] >= info["reachable"] - 2 and total > 0
 
@@ -67,7 +70,7 @@ def test_calibration_through_the_compensation_wrapper_needs_fewer_attempts():
 
     attempts = {}
     for name in ("raw", "compensated"):
-        env = HarvestEnv()
+        env = HarvestEnv(vision="ideal")
         true = env.task.true
         belief = Controller(env.task.machine, Truth(true.master), tuple(Truth(p) for p in true.slaves))
         wrapped = env if name == "raw" else CompensationWrapper(env, belief)
@@ -98,7 +101,8 @@ def test_impossible_actions_are_refused(action):
 
 
 @pytest.mark.parametrize(
-    "arguments", [{"fruit": 0}, {"slaves": 9}, {"spacing_mm": 100.0}, {"render_mode": "human"}, {"fruit": 2.5}]
+    "arguments",
+    [{"fruit": 0}, {"slaves": 9}, {"spacing_mm": 100.0}, {"render_mode": "human"}, {"fruit": 2.5}, {"vision": "eagle"}],
 )
 def test_impossible_arguments_are_refused(arguments):
     with pytest.raises(InputError):
@@ -123,7 +127,7 @@ def test_agents_together_do_what_the_single_policy_does():
     pytest.importorskip("pettingzoo")
     from pickenv.envs.harvesting.harvest_parallel import HarvestParallelEnv
 
-    env = HarvestParallelEnv(ideal=True)
+    env = HarvestParallelEnv(ideal=True, vision="ideal")
     policy = ScriptedHarvest(env)
     observations, _ = env.reset(seed=3)
     infos = {}

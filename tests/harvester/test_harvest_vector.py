@@ -6,7 +6,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import pickenv  # noqa: F401
-from pickenv.envs.harvesting.harvest_batch import COLLECTED
+from pickenv.envs.harvesting.harvest_batch import COLLECTED, attempts
 from pickenv.envs.harvesting.harvest_env import HarvestEnv
 from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
 from pickenv.errors import InputError
@@ -106,3 +106,34 @@ def test_an_episode_that_ends_by_itself_begins_anew_in_the_next_step_without_a_r
 
 def test_one_harvester_is_a_vector_too():
     assert HarvestVectorEnv().reset(seed=0)[0].shape == (1, 12 + 3 + 32)
+
+
+@pytest.mark.parametrize("vision", ["rendered", "measured_errors", "ideal"])
+def test_each_vision_is_the_same_alone_side_by_side_and_in_one_set_of_arrays_to_the_bit(vision):
+    """Several resets: rendered pictures, recall and errors come from each harvester's own generator."""
+    given = {"vision": vision, "fruit": 2}
+    native = HarvestVectorEnv(2, **given)
+    together = gym.make_vec("pickenv/Harvest-v0", num_envs=2, vectorization_mode="sync", **given)
+    alone = [HarvestEnv(**given) for _ in range(2)]
+    for seed in (3, None):  # the second goes on from the first
+        seen, info = native.reset(seed=seed)
+        assert np.array_equal(seen, together.reset(seed=seed)[0])
+        singles = [env.reset(seed=None if seed is None else seed + i) for i, env in enumerate(alone)]
+        assert np.array_equal(seen, [observation for observation, _ in singles])
+        assert info["located"].tolist() == [told["located"] for _, told in singles]
+        for name in ("believed", "located", "error", "fruit"):
+            assert np.array_equal(getattr(native.state, name), [getattr(env.state, name)[0] for env in alone])
+
+
+def test_an_empty_cup_looks_again_with_the_same_error():
+    env = HarvestEnv(fruit=4)
+    env.reset(seed=2)
+    state, machine = env.state, env.task.machine
+    state.shift[0, 1] = [0.01, 0.0, 0.0]
+    tips = np.full((1, machine.arms, 3), 9.0)
+    tips[0, 0] = state.fruit[0, 1] + state.shift[0, 1] + [0.03, 0.0, 0.0]  # too far beside it to take it
+    error = state.believed[0, 1] - state.fruit[0, 1]
+    assert np.linalg.norm(error) > 1e-6
+    attempts(env.task, state, tips, [np.random.default_rng(0)])
+    assert state.attempts[0] == 1
+    assert state.believed[0, 1] - state.fruit[0, 1] - state.shift[0, 1] == pytest.approx(error, abs=1e-12)

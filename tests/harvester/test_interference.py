@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from pickenv.harvester.arm_paths import closest_approach, slave_joints_at, ultrasonic_hold
 from pickenv.harvester.assignment import assign
-from pickenv.harvester.harvest import closest_approach, slave_joints_at
 from pickenv.harvester.interference import arm_distances, excursion_distances, segment_distance
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.pick_point import pick_point
@@ -77,7 +77,8 @@ def test_no_collision_in_a_hundred_zones(machine, method, guard):
     rng = np.random.default_rng(4)
     for _ in range(100):
         work = zone(machine, rng, int(rng.integers(1, 12)))
-        times = timetable(work, assign(work, method), guard=guard)
+        hold = ultrasonic_hold(machine, work, rng) if guard else None
+        times = timetable(work, assign(work, method), hold=hold)
         assert closest_approach(machine, work, times) >= machine.body.clearance - 0.012
 
 

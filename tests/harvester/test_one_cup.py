@@ -16,7 +16,7 @@ AWAY = np.array([0.0, 0.0, 9.0])
 
 def zone(seed=0, fruit=8, **changes):
     """A task, and one machine before a zone."""
-    task = batch.make_harvest_task(fruit=fruit)
+    task = batch.make_harvest_task(fruit=fruit, vision="ideal")
     task = replace(task, model=replace(task.model, **changes))
     return task, batch.begin_zones(task, [np.random.default_rng(seed)])
 
@@ -76,7 +76,7 @@ def test_a_cup_that_comes_pushes_no_fruit_that_is_gone_and_never_moves_what_it_t
 
 def scripted(changes, seeds=range(3)):
     """Fruit collected and lost, reward, and how often the guard held arms, over some episodes."""
-    env = HarvestEnv(ideal=True)
+    env = HarvestEnv(ideal=True, vision="ideal")
     env.task = replace(env.task, model=replace(env.task.model, **changes))
     policy, found, reward = ScriptedHarvest(env), np.zeros(2), 0.0
     for seed in seeds:

@@ -34,7 +34,6 @@ def made_up(rng, arms, count, reach=0.8, conflict=0.0):
         first=rng.uniform(0.0, 1.0, count),
         travel=rng.uniform(0.0, 1.0, (count, count)),
         conflict=meet,
-        guarded=np.zeros_like(meet),
         approach=np.zeros(count),
     )
 
@@ -133,9 +132,9 @@ def test_two_arms_that_reach_everything_share_one_long_and_two_short_picks_by_ha
     free = np.zeros((2, 3, 2, 3), dtype=bool)
     work = made_up(np.random.default_rng(0), 2, 3, reach=1.0)
     work = Work(work.joints, np.ones((2, 3), bool), work.out, np.tile([4.0, 1.0, 1.0], (2, 1)), np.zeros(3),
-                np.zeros((3, 3)), free, free, np.zeros(3))  # fmt: skip
+                np.zeros((3, 3)), free, np.zeros(3))  # fmt: skip
     assert lower_bound(work) == pytest.approx(4.0) and lower_bound(work, integral=False) == pytest.approx(4.0)
-    longer = Work(work.joints, work.reached, work.out, np.full((2, 3), 1.0), np.zeros(3), np.zeros((3, 3)), free, free,
+    longer = Work(work.joints, work.reached, work.out, np.full((2, 3), 1.0), np.zeros(3), np.zeros((3, 3)), free,
                   np.zeros(3))  # fmt: skip
     assert lower_bound(longer) == pytest.approx(2.0) and lower_bound(longer, integral=False) == pytest.approx(1.5)
 

@@ -34,7 +34,11 @@ def test_the_script_gives_tables_figures_recording_and_json(tmp_path):
         assert way["collisions"] == 0
         assert way["ci95"][0] <= way["rate"] <= way["ci95"][1]
     assert 0.70 <= found["recovery"]["raw"]["rate"] <= 0.90
-    assert found["recovery"]["optimised"]["rate"] >= 0.95
+    assert found["recovery"]["circles"]["rate"] >= 0.95 > found["recovery"]["raw"]["rate"]
+    assert found["recovery"]["optimised"]["rate"] > found["recovery"]["raw"]["rate"]
+    for way in found["recovery"].values():
+        shares = [share[0] for share in way["funnel_shares"].values()]
+        assert shares == sorted(shares, reverse=True) and shares[0] == 1.0
     speed = {name: way["picks_per_hour"] for name, way in found["recovery"].items()}
     assert speed["optimised"] >= 1.5 * speed["raw"]
     tables = found["tables"]

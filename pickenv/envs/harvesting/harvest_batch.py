@@ -22,9 +22,10 @@ from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import Machine, load_machine
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.picking import Picking, attempt, draw_luck, load_picking, pushes
-from pickenv.harvester.trees import SHIPPED, Orchard, lab_zone, load_orchard
+from pickenv.harvester.trees import SHIPPED, Orchard, lab_zone, load_orchard, tree_leaves
 from pickenv.harvester.true_machine import TrueMachine, load_true_machine
-from pickenv.orchard import fruit_masses, sample_diameters, swing
+from pickenv.harvester.zones import AHEAD
+from pickenv.orchard import Eyes, Sight, Viewpoint, fruit_masses, load_eyes, sample_diameters, see, swing
 from pickenv.toml_tables import MM, NUMBER, read, toml_table
 
 HANGING, COLLECTED, LOST = 0, 1, 2
@@ -69,6 +70,7 @@ class HarvestTask:
         model: What becomes of attempts.
         rules: When a cup tries a fruit, what is shown, and what costs.
         orchard: Where fruit hangs and how big it is.
+        eyes: How it is seen.
         fruit: Fruit in a zone.
         most_action: Largest size of an action's numbers that is taken.
     """
@@ -78,6 +80,7 @@ class HarvestTask:
     model: Picking
     rules: Rules
     orchard: Orchard
+    eyes: Eyes
     fruit: int
     most_action: float
 
@@ -103,6 +106,9 @@ def make_harvest_task(
     spacing_mm: float | None = None,
     fruit: int = 8,
     ideal: bool = False,
+    vision: str = "measured_errors",
+    detector: str = "li2016",
+    canopy: str | None = None,
     out_of_range: str = "clip",
     render_mode: str | None = None,
 ) -> HarvestTask:
@@ -122,7 +128,10 @@ def make_harvest_task(
     true = load_true_machine(machine)
     if ideal:
         true = true.ideal()
-    return HarvestTask(machine, true, load_picking(), load_rules(), load_orchard(), fruit, MOST_ACTION[out_of_range])
+    orchard = load_orchard(canopy=canopy)
+    eyes = load_eyes(vision, orchard.canopy, detector)
+    most = MOST_ACTION[out_of_range]
+    return HarvestTask(machine, true, load_picking(), load_rules(), orchard, eyes, fruit, most)
 
 
 @dataclass(eq=False)
@@ -138,7 +147,9 @@ class HarvestState:
         diameters: m, (machines, fruit).
         masses: kg.
         believed: Fruit as the camera saw it, (machines, fruit, 3).
-        reachable: Fruit that some arm reaches from the pick point.
+        error: How far off that was, m.
+        located: Fruit that the camera found.
+        reachable: Located fruit that some arm reaches from the pick point.
         status: `HANGING`, `COLLECTED` or `LOST`.
         busy: Periods that each arm still senses and cuts, (machines, arms).
         tried: Fruit that each arm tried last and has not left yet, or -1.
@@ -156,6 +167,8 @@ class HarvestState:
     diameters: Array
     masses: Array
     believed: Array
+    error: Array
+    located: Flags
     reachable: Flags
     status: NDArray[np.int64]
     busy: NDArray[np.int64]
@@ -176,23 +189,26 @@ class HarvestState:
             mine[rows] = theirs
 
 
+ATTEMPTS = 100
+"""Draws of a zone until some of its fruit is located."""
+
+
 def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestState:
-    """Draw a zone for each generator; the master stands at its pick point, the slaves rest."""
+    """Draw a zone for each generator; the master stands at its pick point, the slaves rest.
+
+    Raises:
+        InputError: If the cameras find no fruit in many zones.
+    """
     machine, n, wanted = task.machine, len(rngs), task.fruit
-    canopy, size = task.orchard.canopy, task.orchard.size
-    zone = lab_zone(canopy)
-    low = canopy.bottom - machine.base_height
-    high = canopy.top - machine.base_height - zone[2]
     fruit, believed, still = np.zeros((3, n, wanted, 3))
+    located = np.zeros((n, wanted), dtype=bool)
     diameters, joints = np.empty((n, wanted)), np.empty((n, machine.joints))
     for i, rng in enumerate(rngs):
-        x = rng.uniform(-0.5, 0.5) * (canopy.width - zone[0])
-        corner = np.array([x - zone[0] / 2, -canopy.standoff - canopy.depth, rng.uniform(low, high)])
-        fruit[i] = corner + zone * rng.random((wanted, 3))
-        believed[i] = fruit[i] + rng.normal(size=(wanted, 3)) * np.array(task.model.localisation)
-        diameters[i] = sample_diameters(size, wanted, rng)
-        master = pick_point(machine, believed[i]).master
+        fruit[i], diameters[i], sight = _drawn_zone(task, rng)
+        believed[i], located[i] = sight.believed, sight.located
+        master = pick_point(machine, sight.believed[sight.located]).master
         joints[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
+    reachable = np.asarray(machine.reach(joints[:, :3], believed).any(axis=1)) & located
     return HarvestState(
         joints=joints,
         fruit=fruit,
@@ -200,9 +216,11 @@ def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> Harve
         swing=still.copy(),
         velocity=still.copy(),
         diameters=diameters,
-        masses=fruit_masses(size, diameters),
+        masses=fruit_masses(task.orchard.size, diameters),
         believed=believed,
-        reachable=np.asarray(machine.reach(joints[:, :3], believed).any(axis=1)),
+        error=believed - fruit,
+        located=located,
+        reachable=reachable,
         status=np.zeros((n, wanted), dtype=np.int64),
         busy=np.zeros((n, machine.arms), dtype=np.int64),
         tried=np.full((n, machine.arms), -1),
@@ -211,6 +229,23 @@ def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> Harve
         closest=distances(task, joints),
         attempts=np.zeros(n, dtype=np.int64),
     )
+
+
+def _drawn_zone(task: HarvestTask, rng: np.random.Generator) -> tuple[Array, Array, Sight]:
+    """Fruit (fruit, 3) and diameters of a zone in which some of it is located, and how it is seen."""
+    machine, canopy = task.machine, task.orchard.canopy
+    zone = lab_zone(canopy)
+    low, high = canopy.bottom - machine.base_height, canopy.top - machine.base_height - zone[2]
+    for _ in range(ATTEMPTS):
+        x = rng.uniform(-0.5, 0.5) * (canopy.width - zone[0])
+        corner = np.array([x - zone[0] / 2, -canopy.standoff - canopy.depth, rng.uniform(low, high)])
+        fruit = corner + zone * rng.random((task.fruit, 3))
+        diameters = sample_diameters(task.orchard.size, task.fruit, rng)
+        view = Viewpoint(np.array([x, 0.0, corner[2] + zone[2] / 2]), AHEAD)
+        sight = see(task.eyes, view, fruit, diameters, rng, leaves=tree_leaves(machine, task.eyes, rng))
+        if sight.located.any():
+            return fruit, diameters, sight
+    raise InputError(f"the cameras found no fruit in {ATTEMPTS} zones; give more fruit, or vision='ideal'")
 
 
 def distances(task: HarvestTask, joints: Array) -> Array:
@@ -319,7 +354,8 @@ def attempts(
         push = pushes(model, fruit[some], fruit, luck).sum(axis=0) * (state.status[machine] == HANGING)[:, None]
         state.shift[machine] += model.lasting * push
         state.swing[machine] += (1 - model.lasting) * push
-        state.believed[machine, some] = fruit[some] + state.shift[machine, some]  # an empty cup looks again
+        again = fruit[some] + state.shift[machine, some]  # an empty cup looks again, past the same leaves
+        state.believed[machine, some] = again + state.error[machine, some]
     return collected, lost
 
 
@@ -384,6 +420,7 @@ def information(state: HarvestState) -> dict[str, NDArray[np.generic]]:
     return {
         "collected": collected,
         "lost": (state.status == LOST).sum(axis=1),
+        "located": state.located.sum(axis=1),
         "reachable": state.reachable.sum(axis=1),
         "attempts": state.attempts.copy(),
         "held": state.held.copy(),

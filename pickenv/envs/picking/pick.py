@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Frame, PlantState, plant_at
 from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_scene import PickScene, PickSetting, draw_scene, make_setting, upright_turn
+from pickenv.envs.picking.pick_scene import PUBLISHED, PickScene, PickSetting, draw_scene, make_setting, upright_turn
 from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS
 from pickenv.envs.shared.simulation import move, nominal_frames, nominal_readings, scaled
@@ -155,6 +155,10 @@ class PickEnv(ArmEnv):
       presets of `pickenv.orchard.shipped` or paths of TOML files. False detections are left out.
     - `fruit` (float, default 10): mean number of fruit in the section.
     - `looks` (int, default 16): images that the camera averages; noise falls, bias and occlusion's pull stay.
+    - `vision`: "published" (default) goes by what is published of `camera`; the others see with Li's stereo pair
+      instead: "rendered" draws its two pictures and reads them (a tenth of a second and more; needs the extra
+      `harvest`), "measured_errors" draws recall and errors from the table made that way in this canopy, "ideal" shows
+      all fruit where it is. `detector`: what reads the pictures, "li2016" (default) or "circles".
     - `arms` ("fixed", "per_env" or "per_episode"), `tolerances`, `population` and `population_seed`: the plant's own
       true arm, or one of a population, as in `pickenv/Reach-v0`.
     - `out_of_range` ("clip" or "refuse"): as in `pickenv/Reach-v0`.
@@ -181,6 +185,8 @@ class PickEnv(ArmEnv):
         fruit_size: str = "li2016",
         fruit: float = 10.0,
         looks: int = 16,
+        vision: str = PUBLISHED,
+        detector: str = "li2016",
         arms: str = "fixed",
         tolerances: str = "medium",
         population: int = 256,
@@ -193,7 +199,9 @@ class PickEnv(ArmEnv):
         check_count("looks", looks)
         drawn: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
         super().__init__(make_task(plant, without, arms=arms, out_of_range=out_of_range, **drawn), render_mode)
-        self.orchard: PickSetting = make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks)
+        self.orchard: PickSetting = make_setting(
+            canopy, fruit_map, fruit_size, camera, gripper, fruit, looks, vision, detector
+        )
         self._reach = reach_of(self.plant.arm.nominal, self.orchard.station.approach)
         bounds = box([1.0] * self.task.joints + [self.task.reach] * 6 + [2 * self.task.reach] * 3 + [math.pi] * 3)
         self._low = np.concatenate([bounds.low, np.zeros(5, np.float32)])

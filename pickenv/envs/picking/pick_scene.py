@@ -42,12 +42,27 @@ class PickSetting:
     detachment: trees.Detachment
     station: trees.Station
     looks: int
+    eyes: trees.Eyes | None
+
+
+PUBLISHED = "published"
+"""The vision that goes by what is published of a camera; the others are those of `pickenv.orchard.VISIONS`."""
 
 
 def make_setting(
-    canopy: str, fruit_map: str, fruit_size: str, camera: str, gripper: str, fruit: float, looks: int
+    canopy: str,
+    fruit_map: str,
+    fruit_size: str,
+    camera: str,
+    gripper: str,
+    fruit: float,
+    looks: int,
+    vision: str = PUBLISHED,
+    detector: str = "li2016",
 ) -> PickSetting:
     """Read the presets; ``fruit`` is the mean number of fruit in the section before the arm."""
+    if vision not in (PUBLISHED, *trees.VISIONS):
+        raise InputError(f"unknown vision '{vision}'; give one of {', '.join((PUBLISHED, *trees.VISIONS))}")
     whole, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
     station = trees.load_station("qiao2026")
     section = replace(
@@ -66,6 +81,7 @@ def make_setting(
         detachment=trees.load_detachment("apple"),
         station=station,
         looks=looks,
+        eyes=None if vision == PUBLISHED else trees.load_eyes(vision, section, detector),
     )
 
 
@@ -303,22 +319,8 @@ def _seen_scene(
     orchard: PickSetting, reach: Reach, rng: np.random.Generator, positions: Array, diameters: Array
 ) -> PickScene:
     """Look at fruit in the orchard frame, and say which of it the arm can try."""
-    canopy, camera, count = orchard.canopy, orchard.camera, len(positions)
-    viewpoint = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2])
-    hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
-    found = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), hidden.visible)
-    draws = rng.normal(size=(count, DRAWS))
-    draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
-    believed = trees.measured_positions(
-        camera,
-        positions,
-        viewpoint,
-        draws,
-        visible=hidden.visible,
-        diameters=diameters,
-        visible_side=hidden.visible_side,
-    )
-    visible = (rng.random(count) < found) & trees.in_image(camera, positions, viewpoint, [0.0, 1.0, 0.0])
+    count = len(positions)
+    believed, visible = looked_at(orchard, rng, positions, diameters)
     seen = to_base(orchard, believed)
     clear = trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
     return PickScene(
@@ -332,3 +334,30 @@ def _seen_scene(
         visible=visible,
         reachable=visible & clear & reach(seen),
     )
+
+
+def looked_at(
+    orchard: PickSetting, rng: np.random.Generator, positions: Array, diameters: Array
+) -> tuple[Array, Flags]:
+    """Where the camera believes fruit of the orchard frame to be (n, 3), and which of it it found."""
+    canopy, camera, count = orchard.canopy, orchard.camera, len(positions)
+    viewpoint, ahead = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2]), np.array([0.0, 1.0, 0.0])
+    if orchard.eyes is not None:
+        leaves = trees.foliage(orchard.eyes, rng)
+        view = trees.Viewpoint(viewpoint, ahead)
+        sight = trees.see(orchard.eyes, view, positions, diameters, rng, leaves=leaves, looks=orchard.looks)
+        return sight.believed, sight.located
+    hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
+    found = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), hidden.visible)
+    draws = rng.normal(size=(count, DRAWS))
+    draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
+    believed = trees.measured_positions(
+        camera,
+        positions,
+        viewpoint,
+        draws,
+        visible=hidden.visible,
+        diameters=diameters,
+        visible_side=hidden.visible_side,
+    )
+    return believed, (rng.random(count) < found) & trees.in_image(camera, positions, viewpoint, ahead)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
-from pickenv.harvester.harvest import Harvest, Round, slave_joints_at
+from pickenv.harvester.arm_paths import slave_joints_at
+from pickenv.harvester.harvest import Harvest, Round
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.joint_motion import master_time, profile
 from pickenv.harvester.machine import Machine

@@ -1,0 +1,51 @@
+"""The two studies of the harvester's eyes run from end to end, in small."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pickenv.orchard import load_sight_errors
+from pickenv.toml_tables import toml_of
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(script: str, *words: object) -> None:
+    command = [sys.executable, f"scripts/studies/{script}.py", *map(str, words)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+
+
+@pytest.mark.slow
+def test_a_table_of_errors_is_made_from_pictures_and_can_be_read(tmp_path: Path) -> None:
+    out, told = tmp_path / "sight.toml", tmp_path / "sight.json"
+    run("measure_sight", "--trees", 12, "--canopy", "li2016_bare", "--out", out, "--json", told)
+    tables, _ = toml_of(out)
+    assert sorted(tables) == ["li2016_bare-circles", "li2016_bare-li2016"]
+    shipped = load_sight_errors("li2016_bare-circles")
+    assert set(tables["li2016_bare-circles"]) <= set(
+        toml_of(ROOT / "pickenv/orchard/presets/sight.toml")[0][shipped.name]
+    )
+    rows = json.loads(told.read_text(encoding="utf-8"))["rows"]
+    assert [row["detector"] for row in rows] == ["li2016", "circles"]
+    for row in rows:
+        recall, (low, high) = row["recall"]
+        assert (
+            0.85 < recall <= 1.0
+            and low < recall <= high
+            and row["fruit"] == tables[f"li2016_bare-{row['detector']}"]["fruit"]
+        )
+
+
+@pytest.mark.slow
+def test_the_same_trees_are_worked_with_each_pair_of_eyes(tmp_path: Path) -> None:
+    told = tmp_path / "eyes.json"
+    run("harvest_sight", "--trees", 2, "--rendered", 1, "--canopy", "li2016", "--json", told)
+    rows = json.loads(told.read_text(encoding="utf-8"))["rows"]
+    assert len(rows) == 2 + 4 + 4
+    for row in rows:
+        shares = [row[stage][0] for stage in ("present", "visible", "located", "reachable", "attached", "collected")]
+        assert shares == sorted(shares, reverse=True) and shares[0] == 1.0
+        assert row["vision"] != "ideal" or (shares[2] == 1.0 and row["misled_per_tree"][0] == 0.0)
