@@ -22,8 +22,8 @@ AGREEMENT = 1e-9
 """Relative; what rounding leaves is about 1e-12."""
 
 
-SINGLE = 1e-6
-"""The same of a plant whose waves are taken in single precision."""
+SINGLE = 64 * 2.0**-24
+"""The same of a plant whose waves are taken in single precision: half a unit in the last place of a phase of 64 rad."""
 
 
 def compare(config, agreement=AGREEMENT):
