@@ -98,7 +98,7 @@ def spread_figures(row: SpreadRow, data: Path, splits: int, seed: int) -> dict[s
         judges = poses if row.how == "poses" else None
         result = calibrate(arm, rows, test=judges, split="blocked", choices=choices)
         return {"models": stated(row, result), "used": result.held_out.used, "rows": len(rows.joints)}
-    results = [judged(arm, rows, row, int(word)) for word in np.random.SeedSequence(seed).generate_state(splits)]
+    results = [judged_split(arm, rows, row, int(word)) for word in np.random.SeedSequence(seed).generate_state(splits)]
     every = [{name: ends[0] for name, ends in stated(row, result).items()} for result in results]
     models = {
         name: [float(f(np.array([each[name] for each in every]))) for f in (np.mean, np.min, np.max)]
@@ -107,7 +107,7 @@ def spread_figures(row: SpreadRow, data: Path, splits: int, seed: int) -> dict[s
     return {"models": models, "used": [result.best_model for result in results], "rows": len(rows.joints)}
 
 
-def judged(arm: Arm, rows: Observations, row: SpreadRow, seed: int) -> Result:
+def judged_split(arm: Arm, rows: Observations, row: SpreadRow, seed: int) -> Result:
     """One random split."""
     return calibrate(arm, rows, choices=Choices(terms=row.terms, residual=row.residual, seed=seed))
 

@@ -8,7 +8,7 @@ import pytest
 
 from pickenv.bench.real_sets import SETS
 from pickenv.bench.run_bench import BenchSettings, run_bench
-from pickenv.bench.spread_rows import HEADS, NOTE, SPREAD, judged, spread_figures, spread_table
+from pickenv.bench.spread_rows import HEADS, NOTE, SPREAD, judged_split, spread_figures, spread_table
 from pickenv.errors import InputError
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
@@ -48,7 +48,7 @@ def test_random_splits_are_stated_by_their_mean_and_range(data_folder: Path) -> 
     found = spread_figures(row, data_folder, 10, 0)["models"]["geometry"]
     arm, rows, _ = row.real.load(data_folder)
     seeds = np.random.SeedSequence(0).generate_state(10)
-    means = [judged(arm, rows, row, int(seed)).position["geometric"].mean for seed in seeds]
+    means = [judged_split(arm, rows, row, int(seed)).position["geometric"].mean for seed in seeds]
     assert len(set(means)) == 10
     assert found == pytest.approx([np.mean(means), min(means), max(means)])
 
