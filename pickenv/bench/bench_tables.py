@@ -9,7 +9,7 @@ from typing import Any
 from pickenv.bench.gains import Gain, agreement
 from pickenv.bench.real_sets import SETS
 from pickenv.bench.run_bench import OURS, PEER_SET, Bench
-from pickenv.bench.spread_rows import JUDGED, NOTE, SPREAD, Figures, spread_table, used_words
+from pickenv.bench.spread_rows import NOTE, SPREAD, Figures, spread_table, used_words
 from pickenv.intervals import Ends
 
 GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "predicted", "measured", "points apart")
@@ -20,13 +20,13 @@ BEFORE_LS = "nominal"
 def bench_json(found: Bench) -> dict[str, Any]:
     """Every row in one format; reductions are fractions, None where there is no such figure.
 
-    Keys of a row: "robot", "split" ("random", "blocks" or "poses"), "model", "nominal_mm" (base and tool fitted),
-    "held_out_mm", "published_mm" (a mean, of others), "measured_reduction" (of what "before" names), "ci95" of it,
-    "predicted_reduction" (by twins of other rows) and "predicted_ci95" (where one more arm would lie), "statistic"
-    ("rms" or "mean") and "rows" judged.
+    Keys of a row: "table" ("gains", "best" or "peers"), "robot", "split" ("random", "blocks" or "poses"), "model",
+    "nominal_mm" (base and tool fitted), "held_out_mm", "published_mm" (a mean, of others), "measured_reduction" (of
+    what "before" names), "ci95" of it, "predicted_reduction" (by twins of other rows) and "predicted_ci95" (where one
+    more arm would lie), "statistic" ("rms" or "mean") and "rows" judged.
     """
     rows = [
-        _row(robot, split, gain.model, gain.nominal_mm, gain.held_out_mm, gain.measured)
+        _row("gains", robot, split, gain.model, gain.nominal_mm, gain.held_out_mm, gain.measured)
         | {
             "before": BEFORE_LS if gain.model == "LS" else "LS",
             "before_mm": gain.before_mm,
@@ -34,6 +34,7 @@ def bench_json(found: Bench) -> dict[str, Any]:
             "predicted_reduction": gain.predicted,
             "predicted_ci95": gain.predicted_ci95,
             "predicted_mm": gain.predicted_mm,
+            "refused_draws": gain.refused,
             "statistic": "rms",
             "rows": found.used[robot][1],
             "rows_in_file": found.used[robot][0],
@@ -53,9 +54,12 @@ def bench_json(found: Bench) -> dict[str, Any]:
     }
 
 
-def _row(robot: str, split: str, model: str, nominal: float, left: float, measured: float | None) -> dict[str, Any]:
+def _row(
+    table: str, robot: str, split: str, model: str, nominal: float, left: float, measured: float
+) -> dict[str, Any]:
     """The keys that every row has."""
     return {
+        "table": table,
         "robot": robot,
         "split": split,
         "model": model,
@@ -76,7 +80,7 @@ def _spread_rows(name: str, figures: Figures) -> list[dict[str, Any]]:
     if row.terms != "none":
         named[f"best: {used_words(figures)}"] = (ls[0], models["best"])
     return [
-        _row(row.real.robot, row.how, model, nominal, left[0], 1.0 - left[0] / before)
+        _row("best", row.real.robot, row.how, model, nominal, left[0], 1.0 - left[0] / before)
         | {
             "before": BEFORE_LS if model == "LS" else "LS",
             "before_mm": before,
@@ -96,7 +100,9 @@ def _peer_rows(name: str, errors: Mapping[str, Any]) -> list[dict[str, Any]]:
     for split, key, statistic, published in kinds:
         nominal, left = errors["nominal"][key], errors[key]
         rows.append(
-            _row(real.robot, split, name if name != OURS else f"{OURS}: LS", nominal, left, 1.0 - left / nominal)
+            _row(
+                "peers", real.robot, split, name if name != OURS else f"{OURS}: LS", nominal, left, 1.0 - left / nominal
+            )
             | {"before": BEFORE_LS, "before_mm": nominal, "published_mm": published, "statistic": statistic}
             | {"note": errors["note"]}
         )
@@ -140,13 +146,14 @@ def agreement_words(found: Bench) -> str:
     used = ", ".join(
         f"{robot} {rows}" + (f" of {total}" if total > rows else "") for robot, (total, rows) in found.used.items()
     )
-    signs = said["sign_right"]
+    signs, refused = said["sign_right"], sum(gains[0].refused for gains in found.gains.values())
     right = "" if signs is None else f" The sign of what a learnt residual does on blocks is right in {signs:.0%}."
+    anew = f" ({refused} could not be calibrated, and others were drawn in their place)" if refused else ""
     return (
         f"{said['gains']} gains of {said['robots']} robots: predicted and measured are "
         f"{said['median_absolute_difference_points']:.1f} percentage points apart in the median, "
         f"{said['ninth_decile_points']:.1f} in the worst tenth.{right} {found.settings.folds} folds, "
-        f"{found.settings.draws} arms drawn for each. Rows used, equally spaced in the file, none far off: {used}."
+        f"{found.settings.draws} arms drawn for each{anew}. Rows used, equally spaced in the file: {used}."
     )
 
 
@@ -166,8 +173,9 @@ def bench_page(found: Bench) -> str:
     if found.gains:
         parts += ["## Gains predicted by twins, and measured\n", gain_table(found), agreement_words(found) + "\n"]
     if found.spread:
-        parts += [f"## {JUDGED['random'].capitalize()}, blocks and other poses\n", spread_table(found.spread), NOTE]
+        parts += ["## Geometry and the best model\n", spread_table(found.spread), NOTE + "\n"]
     if found.peers:
-        parts += ["\n## Peers on the same rows\n", peer_table(found)]
-    parts += [f"\nNot made: {name}: {reason}" for name, reason in found.skipped.items()]
-    return "\n".join(parts) + "\n"
+        parts += ["## Peers on the UR5's rows\n", peer_table(found)]
+    if found.skipped:
+        parts += ["## Not made\n", *(f"- {name}: {reason}" for name, reason in found.skipped.items()), ""]
+    return "\n".join(parts)

@@ -17,8 +17,12 @@ from pickenv.arm import Arm, Array, Plant, draw_plants, load_tolerances, plant_a
 from pickenv.calibration import Choices, Measurements, Result, calibrate
 from pickenv.calibration.model.splits import Rows, contiguous_folds
 from pickenv.calibration.pipeline.fitting import fit_remainder
+from pickenv.errors import InputError
 
 SPLITS = ("random", "blocks")
+BATCHES = 4
+"""So many times as many arms as are wanted are drawn at most, where some cannot be calibrated."""
+
 LEARNT = {"BPNN": "bpnn", "GP": "gp"}
 NOMINAL, LS, TERMS = "nominal", "LS", "LS + terms"
 
@@ -37,16 +41,18 @@ class Fold:
         held: Rows held out, in file order.
         measured: Squared errors on them.
         predicted: Squared errors on arms drawn from the twin, one by one.
+        refused: Arms drawn beside them that no calibration could be found for, as nobody would use it of a real arm.
     """
 
     held: Rows
     measured: Squares
     predicted: tuple[Squares, ...]
+    refused: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         listed = [{name: values.tolist() for name, values in each.items()} for each in (self.measured, *self.predicted)]
-        return {"held": self.held.tolist(), "measured": listed[0], "predicted": listed[1:]}
+        return {"held": self.held.tolist(), "measured": listed[0], "predicted": listed[1:], "refused": self.refused}
 
     @staticmethod
     def from_dict(content: Mapping[str, Any]) -> Fold:
@@ -55,7 +61,7 @@ class Fold:
             {name: np.array(values) for name, values in each.items()}
             for each in (content["measured"], *content["predicted"])
         )
-        return Fold(np.array(content["held"], dtype=np.int64), measured, tuple(predicted))
+        return Fold(np.array(content["held"], dtype=np.int64), measured, tuple(predicted), content["refused"])
 
 
 def folds_of(count: int, split: str, folds: int, rng: np.random.Generator) -> list[tuple[Rows, Rows]]:
@@ -70,17 +76,29 @@ def folds_of(count: int, split: str, folds: int, rng: np.random.Generator) -> li
 def judged_fold(
     arm: Arm, data: Measurements, rows: tuple[Rows, Rows], draws: int, seed: np.random.SeedSequence
 ) -> Fold:
-    """Measured rows and arms drawn, calibrated on ``rows[0]`` and judged on ``rows[1]``."""
+    """Measured rows and arms drawn, calibrated on ``rows[0]`` and judged on ``rows[1]``.
+
+    Raises:
+        InputError: If the measured rows cannot be calibrated, or too many of the arms drawn.
+    """
     fitted, held = rows
     first, drawing, *others = seed.spawn(2 + draws)
     measured, result = left_by_models(arm, data.select(fitted), data.select(held), np.random.default_rng(first))
-    arms = draw_plants(result.plant(), load_tolerances("medium"), draws, np.random.default_rng(drawing))
-    predicted = []
-    for number, other in enumerate(others):
-        rng = np.random.default_rng(other)
-        train, test = (seen_of(plant_at(arms, number), data.select(part), rng) for part in rows)
-        predicted.append(left_by_models(arm, train, test, rng)[0])
-    return Fold(held, measured, tuple(predicted))
+    plant, refused = result.plant(), 0
+    predicted: list[Squares] = []
+    for _ in range(BATCHES):
+        arms = draw_plants(plant, load_tolerances("medium"), draws, np.random.default_rng(drawing))
+        for number, other in enumerate(others[: draws - len(predicted)]):
+            rng = np.random.default_rng(other)
+            train, test = (seen_of(plant_at(arms, number), data.select(part), rng) for part in rows)
+            try:
+                predicted.append(left_by_models(arm, train, test, rng)[0])
+            except InputError:
+                refused += 1
+        if len(predicted) == draws:
+            return Fold(held, measured, tuple(predicted), refused)
+        drawing, *others = seed.spawn(1 + draws)
+    raise InputError(f"{data.source}: {refused} arms drawn from the twin could not be calibrated")
 
 
 def left_by_models(

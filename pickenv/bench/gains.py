@@ -32,6 +32,7 @@ class Gain:
         predicted: Mean reduction on the arms drawn from the twins.
         predicted_ci95: Where one more arm would lie; None of a single draw.
         predicted_mm: Left by the model on the drawn arms.
+        refused: Arms drawn that could not be calibrated, in whose place others were drawn.
     """
 
     model: str
@@ -43,6 +44,7 @@ class Gain:
     predicted: float
     predicted_ci95: Ends | None
     predicted_mm: float
+    refused: int = 0
 
 
 def gains_of(folds: Sequence[Fold], split: str) -> list[Gain]:
@@ -70,6 +72,7 @@ def gains_of(folds: Sequence[Fold], split: str) -> list[Gain]:
                 predicted=predicted,
                 predicted_ci95=ends,
                 predicted_mm=float(1e3 * np.sqrt(drawn[model].sum() / drawn[model].shape[1] / len(order))),
+                refused=sum(fold.refused for fold in folds),
             )
         )
     return found

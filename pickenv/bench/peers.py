@@ -25,9 +25,6 @@ from pickenv.calibration.model.splits import random_split
 from pickenv.errors import InputError
 
 WORKERS = Path(pickenv.__file__).parents[1] / "scripts" / "peers"
-INSTALLED = Path("runs/peers")
-"""Where the peers' environments are kept, in a checkout."""
-
 HELD_OUT = 200
 FEW = 100
 """Poses for systems that need minutes; pickenv is run on the same ones for their ratio."""

@@ -15,9 +15,6 @@ from pickenv.calibration.model.splits import equally_spaced
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
 
-DATA = Path("../shared/data")
-"""Where the data sets are sought, from a checkout, when nobody names their folder."""
-
 
 @dataclass(frozen=True)
 class RealSet:

@@ -45,7 +45,7 @@ def made_fold(number: int) -> dict[str, object]:
     sizes = dict(zip((NOMINAL, *BEFORE), (9.0, 4.0, 1.0, 3.0, 2.0), strict=True))
     arms = [{name: (size * 1e-6 * rng.chisquare(3, 12)).tolist() for name, size in sizes.items()} for _ in range(3)]
     held = list(range(12 * number, 12 * number + 12))
-    return {"in_file": 100, "rows": 60, "held": held, "measured": arms[0], "predicted": arms[1:]}
+    return {"in_file": 100, "rows": 60, "held": held, "measured": arms[0], "predicted": arms[1:], "refused": 1}
 
 
 @pytest.fixture
@@ -150,7 +150,7 @@ def test_the_quick_form_ends_and_two_processes_change_no_figure(data_folder: Pat
     assert ended.returncode == 0, ended.stderr
     content = json.loads(file.read_text(encoding="utf-8"))
     assert {row["robot"] for row in content["rows"]} == {"UR5"} and content["skipped"] == {}
-    gains = [row for row in content["rows"] if row["predicted_reduction"] is not None]
+    gains = [row for row in content["rows"] if row["table"] == "gains"]
     assert len(gains) == 2 * len(BEFORE)
     assert content["agreement"]["gains"] == len(gains)
     assert (tmp_path / "one/bench.md").is_file()

@@ -93,7 +93,7 @@ def test_a_fold_reads_back_what_it_was(rng):
 
 
 def positions(count, rng, lift=0.0):
-    """Positions of a UR5 whose second joint is off, and whose tool is lifted by a wave of the first."""
+    """Few positions of a UR5 whose second joint is off, and whose tool is lifted by a wave of the first."""
     geometry = load_arm("ur5").nominal
     joints = rng.uniform(-1.0, 1.0, (count, 6))
     moved = joints + np.array([0.0, 1e-3, 0.0, 0.0, 0.0, 0.0])
@@ -105,8 +105,8 @@ def positions(count, rng, lift=0.0):
 def test_the_twin_never_sees_the_rows_held_out(rng, monkeypatch):
     """Held-out rows are measured otherwise: the arms drawn, and what is left of them, stay the same to the bit."""
     monkeypatch.setattr(gain_folds, "LEARNT", {})
-    data = positions(60, rng, 2e-4)
-    rows = folds_of(60, "blocks", 5, rng)[1]
+    data = positions(48, rng, 2e-4)
+    rows = folds_of(48, "blocks", 5, rng)[1]
     other = data.position.copy()
     other[rows[1]] += rng.normal(0.0, 1e-4, (len(rows[1]), 3))
     moved = Measurements(data.joints, other, None, data.prismatic, 2e-5, std_stated=True)
@@ -117,6 +117,27 @@ def test_the_twin_never_sees_the_rows_held_out(rng, monkeypatch):
         }
     assert one.measured[LS].sum() < two.measured[LS].sum()
     assert one.predicted[0][TERMS].tolist() != one.predicted[1][TERMS].tolist()  # two arms
+
+
+def test_arms_that_cannot_be_calibrated_are_counted_and_drawn_anew(rng, monkeypatch):
+    data, calls = positions(48, rng), []
+    monkeypatch.setattr(gain_folds, "LEARNT", {})
+    judged = gain_folds.left_by_models
+
+    def left(arm, train, test, rng):
+        calls.append(train.position)
+        if len(calls) in refuses:
+            raise InputError("it does not converge")
+        return judged(arm, train, test, rng)
+
+    monkeypatch.setattr(gain_folds, "left_by_models", left)
+    rows, refuses = folds_of(48, "blocks", 5, rng)[0], (2,)
+    fold = judged_fold(load_arm("ur5"), data, rows, 1, np.random.SeedSequence(5))
+    assert (fold.refused, len(fold.predicted), len(calls)) == (1, 1, 3)
+    assert np.abs(calls[1] - calls[2]).max() > 1e-6  # another arm, not the same once more
+    refuses = range(len(calls) + 2, 100)
+    with pytest.raises(InputError, match="4 arms drawn from the twin could not be calibrated"):
+        judged_fold(load_arm("ur5"), data, rows, 1, np.random.SeedSequence(5))
 
 
 def test_few_rows_are_taken_evenly_and_other_kinds_are_refused(rng, data_folder):
