@@ -270,7 +270,7 @@ def _residual(
     else:
         smooth = feature_process(process, SMOOTH, rng)
     outputs = len(smooth.noise)
-    scatter = _no_more_than(smooth.noise[:3], scatter)
+    scatter = _no_more_than(smooth.noise, scatter)
     instrument = np.repeat([scatter.position_std, scatter.attitude_std], 3)
     rough = np.sqrt(np.maximum(smooth.noise**2 - instrument[:outputs] ** 2, 0.0))
     own = np.sqrt(np.mean(rough[:3] ** 2)) * 1e3
@@ -283,12 +283,12 @@ def _residual(
 
 
 def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
-    """The instrument's share of a position ``noise`` ``(3,)``, which is never more than all that the rows scatter by."""
-    whole = float(np.sqrt(np.mean(noise**2)))
-    if whole >= scatter.position_std:
-        return scatter
-    source = f"the rows, which scatter less than {scatter.position_std * 1e3:.4f} mm, which is {scatter.source}"
-    return replace(scatter, position_std=whole, source=source)
+    """The instrument's share, which is never more than all of what the rows scatter by ``(3,)`` or ``(6,)``."""
+    position, attitude = (float(np.sqrt(np.mean(part**2))) if len(part) else np.inf for part in (noise[:3], noise[3:]))
+    if position < scatter.position_std:
+        source = f"the rows, which scatter less than {scatter.position_std * 1e3:.4f} mm, which is {scatter.source}"
+        scatter = replace(scatter, position_std=position, source=source)
+    return replace(scatter, attitude_std=min(attitude, scatter.attitude_std))
 
 
 def _process(
