@@ -259,7 +259,7 @@ def _missing(calibration: Calibration) -> list[str]:
 def _residual(
     calibration: Calibration, rows: Measurements | None, scatter: Scatter, repeat: float, rng: np.random.Generator
 ) -> tuple[ResidualField | None, Array, Array, Scatter, list[str]]:
-    """The residual's mean, its posterior's factor, the arm's own scatter, the instrument's, and what is said of them."""
+    """The residual's mean, its posterior's factor, the arm's scatter, the instrument's, and what is said of them."""
     process, inputs, said = _process(calibration, rows, rng)
     if process is None or inputs is None:
         joints = calibration.identified.joints
