@@ -283,12 +283,15 @@ def _residual(
 
 
 def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
-    """The instrument's share, which is never more than all of what the rows scatter by ``(3,)`` or ``(6,)``."""
+    """The instrument's share, which is never more than all of what the rows scatter by ``(3,)`` or ``(6,)``.
+
+    Where positions show that the instrument is better than it is said to be, its attitudes are taken from the rows too.
+    """
     position, attitude = (float(np.sqrt(np.mean(part**2))) if len(part) else np.inf for part in (noise[:3], noise[3:]))
-    if position < scatter.position_std:
-        source = f"the rows, which scatter less than {scatter.position_std * 1e3:.4f} mm, which is {scatter.source}"
-        scatter = replace(scatter, position_std=position, source=source)
-    return replace(scatter, attitude_std=min(attitude, scatter.attitude_std))
+    if position >= scatter.position_std:
+        return scatter
+    source = f"the rows, which scatter less than {scatter.position_std * 1e3:.4f} mm, which is {scatter.source}"
+    return Scatter(position, min(attitude, scatter.attitude_std), source)
 
 
 def _process(
