@@ -150,7 +150,7 @@ def agreement_words(found: Bench) -> str:
     right = "" if signs is None else f" The sign of what a learnt residual does on blocks is right in {signs:.0%}."
     anew = f" ({refused} could not be calibrated, and others were drawn in their place)" if refused else ""
     return (
-        f"{said['gains']} gains of {said['robots']} robots: predicted and measured are "
+        f"{said['gains']} gains on {said['sets']} sets of rows: predicted and measured are "
         f"{said['median_absolute_difference_points']:.1f} percentage points apart in the median, "
         f"{said['ninth_decile_points']:.1f} in the worst tenth.{right} {found.settings.folds} folds, "
         f"{found.settings.draws} arms drawn for each{anew}. Rows used, equally spaced in the file: {used}."

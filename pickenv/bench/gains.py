@@ -120,7 +120,7 @@ def agreement(found: Mapping[tuple[str, str], Sequence[Gain]]) -> dict[str, floa
     signs = [(gain.predicted > 0.0) == (gain.measured > 0.0) for gain in blocked if gain.model in learnt]
     apart = partial(_points_apart, every)
     return {
-        "robots": len({robot for robot, _ in found}),
+        "sets": len({robot for robot, _ in found}),
         "gains": len(every),
         "median_absolute_difference_points": apart(0.5),
         "ninth_decile_points": apart(0.9),

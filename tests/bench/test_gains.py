@@ -79,7 +79,7 @@ def test_agreement_counts_points_and_signs(rng):
     said = agreement({("a", "blocks"): gains, ("a", "random"): gains})
     apart = [100.0 * abs(gain.predicted - gain.measured) for gain in gains]
     assert said["median_absolute_difference_points"] == pytest.approx(np.median(apart))
-    assert (said["robots"], said["gains"], said["learnt_on_blocks"], said["sign_right"]) == (1, 2 * len(gains), 2, 1.0)
+    assert (said["sets"], said["gains"], said["learnt_on_blocks"], said["sign_right"]) == (1, 2 * len(gains), 2, 1.0)
 
 
 def test_a_fold_reads_back_what_it_was(rng):
