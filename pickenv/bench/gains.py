@@ -68,7 +68,7 @@ def gains_of(folds: Sequence[Fold], split: str) -> list[Gain]:
                 before_mm=rms[before],
                 held_out_mm=rms[model],
                 measured=_removed(pairs),
-                measured_ci95=statistic_interval(clusters, _removed),
+                measured_ci95=_interval(clusters),
                 predicted=predicted,
                 predicted_ci95=ends,
                 predicted_mm=float(1e3 * np.sqrt(drawn[model].sum() / drawn[model].shape[1] / len(order))),
@@ -82,6 +82,12 @@ def _removed(pairs: Array) -> float:
     """Share of the RMS that is removed, from squares after and before ``(n, 2)``."""
     after, before = pairs.sum(axis=0)
     return float(1.0 - np.sqrt(after / before))
+
+
+def _interval(clusters: Array) -> Ends | None:
+    """Of that share; as the logarithm of what is left, which is less skewed."""
+    ends = statistic_interval(clusters, lambda pairs: np.log1p(-_removed(pairs)))
+    return None if ends is None else (float(-np.expm1(ends[1])), float(-np.expm1(ends[0])))
 
 
 def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:

@@ -65,7 +65,7 @@ class BenchSettings:
     @staticmethod
     def quick() -> BenchSettings:
         """About a minute for the UR5."""
-        return BenchSettings(rows=240, folds=2)
+        return BenchSettings(rows=160, folds=2)
 
 
 @dataclass(frozen=True, eq=False)
