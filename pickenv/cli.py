@@ -11,6 +11,7 @@ import typer
 
 import pickenv
 from pickenv.commands import corrections, inspection, learning, plants, reports
+from pickenv.commands.bench import bench
 from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
@@ -141,6 +142,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
         app.command(rich_help_panel=_purpose)(_command)
+app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 
 
 def main() -> None:

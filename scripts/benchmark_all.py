@@ -24,8 +24,9 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from benchmark_calibration import last_words, machine
+from benchmark_calibration import machine
 
+from pickenv.bench.peers import last_words
 from pickenv.files import write_text
 from pickenv.study.design.config import load_study
 from pickenv.study.running.run_study import run_study

@@ -137,7 +137,7 @@ def twin(
     scatter = Scatter() if rows is None else scatter_of(rows)
     if SCATTER in calibration.record:
         scatter = Scatter(**calibration.record[SCATTER])
-    field, root, rough, notes = _residual(calibration, rows, scatter, sure.position_repeat, rng)
+    field, root, rough, scatter, notes = _residual(calibration, rows, scatter, sure.position_repeat, rng)
     if field is not None:
         turn = arm.nominal.base.rotation @ calibration.nominal.base.rotation.T
         field = replace(field, turn=tuple(map(tuple, turn.tolist())))
@@ -258,10 +258,9 @@ def _missing(calibration: Calibration) -> list[str]:
 
 def _residual(
     calibration: Calibration, rows: Measurements | None, scatter: Scatter, repeat: float, rng: np.random.Generator
-) -> tuple[ResidualField | None, Array, Array, list[str]]:
-    """The residual's mean, its posterior's factor, the arm's own scatter, and what is to be said of them."""
+) -> tuple[ResidualField | None, Array, Array, Scatter, list[str]]:
+    """The residual's mean, its posterior's factor, the arm's scatter, the instrument's, and what is said of them."""
     process, inputs, said = _process(calibration, rows, rng)
-    instrument = np.repeat([scatter.position_std, scatter.attitude_std], 3)
     if process is None or inputs is None:
         joints = calibration.identified.joints
         noise = np.full(3, repeat)
@@ -271,6 +270,8 @@ def _residual(
     else:
         smooth = feature_process(process, SMOOTH, rng)
     outputs = len(smooth.noise)
+    scatter = _no_more_than(smooth.noise, scatter)
+    instrument = np.repeat([scatter.position_std, scatter.attitude_std], 3)
     rough = np.sqrt(np.maximum(smooth.noise**2 - instrument[:outputs] ** 2, 0.0))
     own = np.sqrt(np.mean(rough[:3] ** 2)) * 1e3
     told = (
@@ -278,7 +279,19 @@ def _residual(
         f"the arm's own is {own:.4f} mm: it stays the same where a command is repeated to the bit, and no smooth "
         "function tells it"
     )
-    return _field(smooth, inputs), smooth.factor, rough, [said, told] if rough.any() else [said]
+    return _field(smooth, inputs), smooth.factor, rough, scatter, [said, told]
+
+
+def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
+    """The instrument's share, which is never more than all of what the rows scatter by ``(3,)`` or ``(6,)``.
+
+    Where positions show that the instrument is better than it is said to be, its attitudes are taken from the rows too.
+    """
+    position, attitude = (float(np.sqrt(np.mean(part**2))) if len(part) else np.inf for part in (noise[:3], noise[3:]))
+    if position >= scatter.position_std:
+        return scatter
+    source = f"the rows, which scatter less than {scatter.position_std * 1e3:.4f} mm, which is {scatter.source}"
+    return Scatter(position, min(attitude, scatter.attitude_std), source)
 
 
 def _process(

@@ -75,15 +75,6 @@ def script(monkeypatch):
     return benchmark_calibration
 
 
-def test_a_peer_that_cannot_be_installed_is_named(script, tmp_path, monkeypatch):
-    """No installer is run: the environment's Python is replaced by one that fails."""
-    monkeypatch.setattr(script.sys, "executable", str(tmp_path / "python"))
-    (tmp_path / "python").write_text("#!/bin/sh\necho 'ERROR: no such release' >&2\nexit 1\n")
-    (tmp_path / "python").chmod(0o755)
-    with pytest.raises(script.InputError, match=r"cannot be installed: ERROR: no such release"):
-        script.environment(script.PEERS[0], tmp_path / "peers")
-
-
 def test_a_failed_peer_has_no_ratio(script):
     ours = {"seconds": 0.02, "cpu_seconds": 0.02, "poses": 800}
     peer = {"seconds": 2.0, "cpu_seconds": 1.0, "solve_seconds": 1.5, "poses": 800}

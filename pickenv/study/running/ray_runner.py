@@ -42,7 +42,7 @@ STORE_BYTES = 2**28
 """Of a local cluster's shared memory: finished chunks wait there until they are written."""
 
 
-def run_ray(chunks: Sequence[int], work: Work, crew: Crew) -> Iterator[tuple[int, pa.Table]]:
+def run_ray(chunks: Sequence[int], work: Work[pa.Table], crew: Crew) -> Iterator[tuple[int, pa.Table]]:
     """Chunks in Ray's processes; those of a process or a machine that dies are tried again.
 
     Raises:
@@ -64,7 +64,7 @@ def run_ray(chunks: Sequence[int], work: Work, crew: Crew) -> Iterator[tuple[int
             raise given_up(left) from None
 
 
-def _rows(work: Work, chunk: int) -> pa.Table:
+def _rows(work: Work[pa.Table], chunk: int) -> pa.Table:
     return work(chunk)
 
 

@@ -84,7 +84,7 @@ def _batched_run(crew: Crew, device: str) -> Executor:
     return run_serial if device != "cpu" or (crew.workers or 1) == 1 else load_executor("joblib")
 
 
-def _work(protocol: Protocol, executor: str, device: str) -> Work:
+def _work(protocol: Protocol, executor: str, device: str) -> Work[Any]:
     """What is done with a chunk."""
     if executor != BATCHED:
         from pickenv.study.running.arm_by_arm import evaluate_chunk

@@ -13,13 +13,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
-
-import pyarrow as pa
+from typing import Any, TypeVar
 
 from pickenv.errors import InputError
 from pickenv.extras import require
 
-Work = Callable[[int], pa.Table]
+Rows = TypeVar("Rows")
+Work = Callable[[int], Rows]
 """Rows of a chunk; it can be sent to another process."""
 
 ATTEMPTS = 4
@@ -58,7 +58,7 @@ class Crew:
         return self.workers or int(cpu_count())
 
 
-Executor = Callable[[Sequence[int], Work, Crew], Iterator[tuple[int, pa.Table]]]
+Executor = Callable[[Sequence[int], Work[Any], Crew], Iterator[tuple[int, Any]]]
 
 EXECUTORS: Mapping[str, tuple[str, str]] = {
     "serial": ("pickenv.study.running.runners", "run_serial"),
@@ -83,13 +83,13 @@ def load_executor(name: str) -> Executor:
     return executor
 
 
-def run_serial(chunks: Sequence[int], work: Work, crew: Crew) -> Iterator[tuple[int, pa.Table]]:
+def run_serial(chunks: Sequence[int], work: Work[Rows], crew: Crew) -> Iterator[tuple[int, Rows]]:
     """One chunk after the other, in this process."""
     for chunk in chunks:
         yield chunk, work(chunk)
 
 
-def run_joblib(chunks: Sequence[int], work: Work, crew: Crew) -> Iterator[tuple[int, pa.Table]]:
+def run_joblib(chunks: Sequence[int], work: Work[Rows], crew: Crew) -> Iterator[tuple[int, Rows]]:
     """Chunks in processes of this machine; those of a process that dies are tried again.
 
     Raises:
@@ -119,7 +119,7 @@ def given_up(left: Sequence[int]) -> InputError:
     )
 
 
-def _numbered(chunk: int, work: Work, driver: int) -> tuple[int, pa.Table]:
+def _numbered(chunk: int, work: Work[Rows], driver: int) -> tuple[int, Rows]:
     _end_with(driver)
     return chunk, work(chunk)
 

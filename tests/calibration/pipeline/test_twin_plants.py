@@ -206,9 +206,9 @@ def test_arms_scatter_from_pose_to_pose_by_what_no_smooth_function_tells():
     assert abs(np.corrcoef(near.ravel(), moved[0].ravel())[0, 1]) < 0.25
 
 
-def rows_with_repeats(std, position_std, repeats=4):
+def rows_with_repeats(std, position_std, repeats=4, poses=50):
     rng = np.random.default_rng(8)
-    joints = np.repeat(draw(QIAO, 50), repeats, axis=0)
+    joints = np.repeat(draw(QIAO, poses), repeats, axis=0)
     position = forward(QIAO.nominal, joints).position + rng.normal(0.0, std, (len(joints), 3))
     return Measurements(joints, position, None, QIAO.nominal.prismatic, position_std=position_std, std_stated=True)
 
@@ -221,6 +221,16 @@ def test_repeats_say_what_is_the_instrument_s():
     assert better.position_std == pytest.approx(5e-6, rel=0.1) and better.source.startswith("repeats")
     assert "no repeats" in scatter_of(rows_with_repeats(2e-5, 1e-5, repeats=1)).source
     assert scatter_of(rows_with_repeats(5e-6, 1e-5, repeats=1), repeat=3e-6 * math.sqrt(3)).position_std == 3e-6
+
+
+def test_an_instrument_said_worse_than_the_rows_scatter_has_no_more_than_they_have():
+    """Rows of 0.02 mm from an instrument that is said to have 1 mm; the process may take some of it for smooth."""
+    rows = rows_with_repeats(2e-5, 1e-3, repeats=1, poses=100)  # none repeated: only the model's rest tells it
+    result = calibrate(QIAO, rows, choices=Choices(terms="none", residual="none"))
+    plant = result.plant()
+    assert 0.0 < plant.measurement_noise.position_std < 2.2e-5
+    assert plant.measurement_noise.attitude_std == rows.attitude_std
+    assert any("scatter less than 1.0000 mm" in note for note in plant.posterior.notes)
 
 
 def plant_by_hand():

@@ -1,0 +1,74 @@
+"""`pickenv bench`: what was measured, beside what was predicted and what others reach."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pickenv.commands.handing_over import deliver
+from pickenv.commands.showing import print_table, progress_bars
+from pickenv.files import separate, write_json, write_text
+from pickenv.locks import locked
+
+bench = typer.Typer(name="bench", help="Benchmarks on measured robots, against twins and peers.", no_args_is_help=True)
+
+
+@bench.callback()
+def _benchmarks() -> None:
+    """Benchmarks on measured robots, against twins and peers."""
+
+
+@bench.command()
+def calibration(
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for tables and what is done; a run that was cut off goes on.")] = (
+        Path("runs/bench")
+    ),
+    only: Annotated[list[str] | None, typer.Option(help="Only these rows; a wrong name lists them all.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="The UR5 alone, on few rows: a minute.")] = False,
+    data: Annotated[Path, typer.Option(envvar="PICKENV_DATA", help="Folder of the measured data sets.")] = (
+        Path("../shared/data")
+    ),
+    peers: Annotated[Path, typer.Option(help="Folder of the peers' environments.")] = Path("runs/peers"),
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    workers: Annotated[int, typer.Option(help="Processes; they do not change the figures.", min=1)] = 1,
+) -> None:
+    """What calibrations leave of every measured robot, what twins of other rows predicted, and what peers leave."""
+    from dataclasses import replace
+
+    from pickenv.bench.bench_tables import GAIN_HEADS, agreement_words, bench_json, bench_page, gain_cells
+    from pickenv.bench.run_bench import QUICK, ROWS, Bench, BenchSettings, run_bench
+    from pickenv.bench.spread_rows import spread_table
+    from pickenv.extras import require
+
+    page = out / "bench.md"
+    separate({}, {"--out": page, "--json": json_file})
+    require("torch", *(["joblib"] if workers > 1 else []))
+    settings = replace(BenchSettings.quick() if quick else BenchSettings(), seed=seed)
+    names = list(dict.fromkeys(only or (QUICK if quick else ROWS)))
+
+    def show(found: Bench) -> None:
+        if found.gains:
+            words = GAIN_HEADS[:3]
+            print_table("Gains predicted and measured", GAIN_HEADS, gain_cells(found), words=words)
+            print(agreement_words(found))
+        if found.spread:
+            print(spread_table(found.spread))
+        for name, errors in found.peers.items():
+            left = f"{errors['held_out_rms_mm']:.4f} mm RMS on 200 rows of the UR5"
+            print(f"{name}: {left}, {errors['random_poses_mean_mm']:.4f} mm on its 20 random poses")
+        for name, reason in found.skipped.items():
+            print(f"not made: {name}: {reason}")
+
+    with locked(out):
+        with progress_bars() as report:
+            told = partial(report, "calibrations")
+            found = run_bench(names, settings, data, out, peers, workers=workers, progress=told)
+        saves = [
+            (page, lambda path: write_text(path, bench_page(found))),
+            (json_file, lambda path: write_json(path, bench_json(found))),
+        ]
+        deliver(saves, lambda: show(found))

@@ -1,0 +1,51 @@
+"""The page's table of predicted and measured gains is whole, adds up, and bears out what the page says of it."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pickenv.bench.bench_tables import GAIN_HEADS, HELD
+from pickenv.bench.gain_folds import BEFORE, LEARNT, LS
+from pickenv.bench.run_bench import GAINS, SETS
+
+PAGE = (Path(__file__).parents[2] / "docs/twin.md").read_text(encoding="utf-8")
+POINTS, SIGNS = 8.0, 0.8
+"""What is asked: the median difference in percentage points at most, and how often the sign is right at least."""
+
+
+def rows() -> list[list[str]]:
+    lines = PAGE.splitlines()
+    begin = lines.index(f"| {' | '.join(GAIN_HEADS)} |") + 2
+    table = lines[begin : begin + next(i for i, line in enumerate(lines[begin:]) if not line)]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
+
+
+def share(cell: str) -> tuple[float, float, float]:
+    found = re.fullmatch(r"(-?[\d.]+) % \((-?[\d.]+) to (-?[\d.]+)\)", cell)
+    assert found is not None, cell
+    return float(found[1]), float(found[2]), float(found[3])
+
+
+def test_every_model_stands_for_every_robot_and_split_that_is_shown() -> None:
+    known = {(SETS[name].robot, HELD[split]) for name, split in GAINS.values()}
+    shown = [(robot, held) for robot, held, *_ in rows()]
+    assert set(shown) <= known
+    assert [model for _, _, model, *_ in rows()] == list(BEFORE) * (len(shown) // len(BEFORE))
+    assert len({robot for robot, held in shown if held == HELD["blocks"]}) >= 5
+
+
+def test_differences_and_shares_are_those_of_the_figures_beside_them() -> None:
+    for *_, before, left, predicted, measured, apart in rows():
+        (said, *ends), (seen, *seen_ends) = share(predicted), share(measured)
+        assert ends[0] < said < ends[1] and seen_ends[0] < seen < seen_ends[1]
+        assert abs(float(apart) - (said - seen)) < 0.11
+        assert abs(seen - 100.0 * (1.0 - float(left) / float(before))) < 0.7
+
+
+def test_twins_predict_as_well_as_is_asked() -> None:
+    apart = [abs(float(row[-1])) for row in rows()]
+    assert np.median(apart) <= POINTS
+    learnt = [row for row in rows() if row[1] == HELD["blocks"] and row[2] in {f"{LS} + {name}" for name in LEARNT}]
+    assert len(learnt) >= 10
+    assert np.mean([(share(row[5])[0] > 0.0) == (share(row[6])[0] > 0.0) for row in learnt]) >= SIGNS
