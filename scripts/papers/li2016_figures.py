@@ -44,7 +44,7 @@ def work_area(machine: Machine, paper: Mapping[str, Any]) -> Figure:
     count = reached_in_area(machine, points, theta)
     with new_figure(WIDTH, 3.6) as figure:
         axes = figure.add_subplot(xlabel="x (m)", ylabel="y (m)", aspect="equal")
-        axes.set_title(f"Area of Fig. 2 from above, and how many cups reach each point at {theta:g}° to either side")
+        axes.set_title(f"Cups that reach each point of the area of Fig. 2 (from above, {theta:g}° to either side)")
         depth = float(y[0] - y[-1])
         axes.add_patch(Rectangle((x[0], y[-1]), x[-1] - x[0], depth, fill=False, color=INK))
         for arms in sorted({int(n) for n in count}):
@@ -69,8 +69,8 @@ def segmentation_steps(found: Segmentation) -> Figure:
         *((f"{'b' if i == 0 else ' '}  {name}", mask) for i, (name, mask) in enumerate(found.masks.items())),
     ]
     panels = [(title.replace("   two dilations", "c  two dilations"), shown) for title, shown in panels]
-    with new_figure(WIDTH, 5.2, **{"axes.grid": False}) as figure:
-        places = figure.subplots(3, 3).ravel()
+    with new_figure(WIDTH, 3.2, **{"axes.grid": False, "axes.titlesize": 8.0}) as figure:
+        places = figure.subplots(2, 4).ravel()
         for axes, (title, shown) in zip(places, panels, strict=False):
             axes.imshow(shown, cmap="gray", interpolation="nearest")
             axes.set_title(title)
@@ -88,7 +88,7 @@ def segmentation_steps(found: Segmentation) -> Figure:
 def recovered(part: Mapping[str, Any]) -> Figure:
     """How many apples sessions recover over the open constants, and what the paper did."""
     counts, (row,) = np.array(part["counts"], dtype=float), part["rows"]
-    low, high = row["prediction95"]
+    low, high = row["prediction_95_percent"]
     with new_figure(COLUMN, 2.6) as figure:
         axes = figure.add_subplot(xlabel=f"apples recovered of {row['paper'][1]}", ylabel="share of sessions (%)")
         axes.set_title("Predicted recovery over open constants")

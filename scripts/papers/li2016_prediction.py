@@ -113,7 +113,9 @@ def sessions(
 
 def prediction(paper: Mapping[str, Any], found: Sessions) -> dict[str, Any]:
     """The predictive distribution of recovered apples, and whether the paper's number lies within."""
-    low, quarter, median, three, high = np.quantile(found.recovered, (0.025, 0.25, 0.5, 0.75, 0.975)).tolist()
+    low, quarter, median, three, high = np.quantile(
+        found.recovered, (0.025, 0.25, 0.5, 0.75, 0.975), method="inverted_cdf"
+    ).tolist()
     own, located = int(paper["fruits_recovered"]), int(paper["fruits_located"])
     within, says = low <= own <= high, high - low <= HALF
     telling = {name: float(spearmanr(values, found.recovered).statistic) for name, values in found.constants.items()}
@@ -129,7 +131,7 @@ def prediction(paper: Mapping[str, Any], found: Sessions) -> dict[str, Any]:
         "paper": [own, located],
         "median": median,
         "half": [quarter, three],
-        "prediction95": [low, high],
+        "prediction_95_percent": [low, high],
         "share_at_most_paper": float(np.mean(found.recovered <= own)),
         "sessions": len(found.recovered),
     }

@@ -81,7 +81,7 @@ def steps(camera: StereoCamera, picture: NDArray[np.uint8]) -> dict[str, NDArray
     """The mask after each step: the same chain, with the later steps left out."""
     plain = replace(camera, erosions=0, dilations=0, least_area_share=0.0)
     chain = {
-        "Otsu's threshold of R − G": plain,
+        "Otsu of R − G": plain,
         "two erosions": replace(plain, erosions=camera.erosions),
         "the rule of a fifth": replace(camera, dilations=0),
         "two dilations": camera,

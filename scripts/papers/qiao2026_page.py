@@ -132,7 +132,7 @@ def method_tables(result: Mapping[str, Any]) -> list[TextTable]:
             if row["plant"] == plant
         ]
         heads = [*_paired_heads("ours"), f"{counts['arms']} drawn arms, mean (mm)", "why", "verdict"]
-        title = f"Table 4 on plant {plant}, {counts['runs']} runs of Table 1's arm; in brackets 95 %"
+        title = f"Table 4 on plant {plant}, Table 1's arm ({_counted(counts['runs'], 'run')}); in brackets 95 %"
         tables.append((said(title, named["4"]) if i == 0 else title, heads, rows))
     rows = [
         [row["plant"], row["method"], *(f"{v:.1f}" for k in (0, 1) for v in _both(row["reduction_percent"], k))]
@@ -169,7 +169,7 @@ def method_tables(result: Mapping[str, Any]) -> list[TextTable]:
     ]
     title = (
         f"What the paper concludes: differences of mean errors over {counts['arms']} arms of tolerance class "
-        f"{result['tolerance_class']}, {counts['seeds']} seeds each; an arm counts once"
+        f"{result['tolerance_class']}, {_counted(counts['seeds'], 'seed')} each; an arm counts once"
     )
     heads = ["conclusion", "plant", "paper (mm)", "ours (mm)", "95 % between arms (mm)", "verdict"]
     tables.append((title, heads, rows))
@@ -191,6 +191,10 @@ def method_tables(result: Mapping[str, Any]) -> list[TextTable]:
     heads = [*_paired_heads("twin"), "reductions of position and attitude, paper | twin (%)", "why", "verdict"]
     tables.append((said("Table 6, the real arm against our SIMULATED twin", named["6"]), heads, rows))
     return tables
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
 
 
 def _paired_heads(whose: str) -> list[str]:
