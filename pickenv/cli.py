@@ -14,6 +14,7 @@ from pickenv.commands import corrections, inspection, learning, plants, reports
 from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
+from pickenv.commands.conditions import conditions
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
 from pickenv.commands.showing import print_table, progress_bars
@@ -112,6 +113,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         twin,
         plants.effects,
         plants.iso9283,
+        conditions,
         learning.train,
         learning.evaluate,
         study,
