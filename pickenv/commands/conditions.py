@@ -60,7 +60,13 @@ def conditions(
     )
     with progress_bars() as report:
         result = conditions_study(chosen, settings, fitted, report)
-    options = {"payload": payload, "weather": weather, "hours": hours, "sessions": sessions, "poses": poses}
+    options: dict[str, object] = {
+        "payload": payload,
+        "weather": weather,
+        "hours": hours,
+        "sessions": sessions,
+        "poses": poses,
+    }
     options |= {"plant": plant} if judged else {"arms": arms, "tolerances": tolerances, "residual": residual}
     command = command_line("pickenv", "conditions", subject, **options, seed=seed)
 

@@ -1,6 +1,7 @@
 """Verdicts on Li et al. 2016 follow the numbers that stand beside them."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -204,3 +205,14 @@ def test_each_verdict_of_lis_page_follows_from_its_own_numbers(result: dict[str,
     assert row["prediction_95_percent"] == [low, high] and len(counted) == row["sessions"] == 100
     assert row["share_at_most_paper"] == pytest.approx(np.mean(counted <= 46))
     assert (experiment["verdict"] == "reproduced") == (low <= 46 <= high and high - low <= 28)
+
+
+@pytest.mark.slow
+def test_the_docs_say_what_lis_page_says(result: dict[str, Any]) -> None:
+    text = (SCRIPTS.parent / "docs/papers.md").read_text(encoding="utf-8")
+    chapter = next(part for part in text.split("\n## ") if part.startswith("Li"))
+    kinds = {"Table": "tables", "Equation": "equations", "Figure": "figures", "Experiment": "experiments"}
+    said = re.findall(r"^\| (\w+) ([\w -]+), .*\| ([\w ]+) \|$", chapter, re.MULTILINE)
+    assert {(kinds[kind], name): verdict for kind, name, verdict in said} == {
+        (kind, name): part["verdict"] for kind in kinds.values() for name, part in result[kind].items()
+    }

@@ -1,6 +1,7 @@
 """The reproduction of Qiao 2026 runs, and says what the digest of the paper says."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -98,6 +99,21 @@ def test_each_verdict_of_the_page_follows_from_its_own_numbers(result):
     for number, of in (("6", "3"), ("7", "4"), ("8", "6")):
         assert result["figures"][number]["verdict"] == tables[of]["verdict"]
     assert result["figures"]["5"]["verdict"] == "fitted"
+
+
+@pytest.mark.slow
+def test_the_docs_say_what_the_page_says(result):
+    kinds = {"Table": "tables", "Equation": "equations", "Figure": "figures"}
+    said = re.findall(r"^\| (\w+) ([\w-]+),? .*\| ([\w ]+) \|$", chapter("Qiao"), re.MULTILINE)
+    assert {(kinds[kind], name): verdict for kind, name, verdict in said} == {
+        (kind, name): part["verdict"] for kind in kinds.values() for name, part in result[kind].items()
+    }
+
+
+def chapter(author):
+    """The part of docs/papers.md about one paper."""
+    text = (SCRIPTS.parent / "docs/papers.md").read_text(encoding="utf-8")
+    return next(part for part in text.split("\n## ") if part.startswith(author))
 
 
 @pytest.mark.slow

@@ -76,4 +76,5 @@ def _over(result: Mapping[str, Any]) -> str:
 
 
 def _mean(figure: Mapping[str, Any]) -> str:
-    return estimated(figure["mean_mm"], *(figure["ci95_mm"] or (None, None)), 3)
+    low, high = figure["ci95_mm"] or (None, None)
+    return estimated(figure["mean_mm"], low, high, 3)

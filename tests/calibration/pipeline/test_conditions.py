@@ -182,6 +182,18 @@ def call(*words: object) -> str:
     return done.output
 
 
+def test_the_command_prints_the_numbers_that_it_writes(tmp_path: Path) -> None:
+    file = tmp_path / "conditions.json"
+    words = ["conditions", "orchard", "--arms", 1, "--sessions", 2, "--poses", 20, "--weather", 0, "--hours", 0]
+    said = call(*words, "--json", file)
+    found = json.loads(file.read_text())
+    assert list(found["sweeps"]) == ["payload", HELD_OUT]
+    for sweep in found["sweeps"].values():
+        for by_level in sweep["methods"].values():
+            assert all(f"{each['mean_mm']:.3f}" in said for each in by_level)
+
+
+@pytest.mark.slow
 def test_the_command_writes_figure_page_and_numbers_that_agree(tmp_path: Path) -> None:
     run, file = tmp_path / "run", tmp_path / "conditions.json"
     said = call("conditions", "orchard", *SMALL, "--out", run, "--json", file)
