@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -58,3 +59,19 @@ def test_the_sentence_about_a_missing_module_names_an_extra_that_brings_it() -> 
     assert everything == named
     core = {canonicalize_name(Requirement(text).name) for text in PROJECT["dependencies"]}
     assert not core & named
+
+
+def test_what_contributors_are_told_of_exists() -> None:
+    for name in ("CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        told = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r"`([\w.]+/[\w./]*\w)`", text)
+        missing = [path for path in told if "://" not in path and "…" not in path and "NAME" not in path]
+        assert [path for path in missing if not (ROOT / path).exists()] == [], name
+
+
+def test_the_python_versions_are_those_that_continuous_integration_runs() -> None:
+    workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
+    tested = workflow["jobs"]["run"]["strategy"]["matrix"]["python"]
+    named = [re.fullmatch(r"Programming Language :: Python :: (3\.\d+)", text) for text in PROJECT["classifiers"]]
+    assert [found[1] for found in named if found] == tested
+    assert PROJECT["requires-python"] == f">={tested[0]}"

@@ -171,9 +171,39 @@ def test_other_seeds_change_every_number_that_is_drawn(name):
 
 
 @every_id
+@pytest.mark.parametrize("size", [1.001, 7.0, 1e30])
+def test_actions_out_of_range_are_cut_to_it_as_elsewhere(name, size):
+    env, other = (gym.make(name).unwrapped for _ in range(2))
+    action = np.where(np.arange(env.action_space.shape[0]) % 2, -size, size)
+    for each in (env, other):
+        each.reset(seed=0)
+    assert alike(env.step(action), other.step(np.sign(action)))
+
+
+@every_native_id
+def test_native_environments_cut_actions_out_of_range_too(name):
+    envs, others = (gym.make_vec(name, num_envs=2) for _ in range(2))
+    actions = np.where(np.indices(envs.action_space.shape).sum(axis=0) % 2, -7.0, 1.5)
+    for each in (envs, others):
+        each.reset(seed=0)
+    assert alike(envs.step(actions), others.step(np.sign(actions)))
+
+
+@every_native_id
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1.001], ids=str)
+def test_native_environments_refuse_impossible_actions(name, wrong):
+    envs = gym.make_vec(name, num_envs=3, out_of_range="refuse")
+    envs.reset(seed=0)
+    actions = np.zeros(envs.action_space.shape)
+    actions[1, 2] = wrong
+    with pytest.raises(InputError, match=r"finite numbers.* between -1 and 1"):
+        envs.step(actions)
+
+
+@every_id
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, 1.001, -7.0, "shape"], ids=str)
 def test_impossible_actions_are_refused_in_one_sentence(name, wrong):
-    env = gym.make(name).unwrapped
+    env = gym.make(name, out_of_range="refuse").unwrapped
     action = np.zeros(env.action_space.shape)
     with pytest.raises(InputError, match="call reset first"):
         env.step(action)

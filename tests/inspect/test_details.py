@@ -15,7 +15,8 @@ from pickenv.arm import forward, load_plant, noncompensable_error
 from pickenv.arm.kinematics.jacobians import joint_jacobian
 from pickenv.arm.plant.effect_shares import effect_shares
 from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.recordings.details import FLOOR, attitude_fields, day_of, details_of, drifting_plant, effect_fields
+from pickenv.inspect.recordings.details import FLOOR, attitude_fields, details_of, effect_fields
+from pickenv.inspect.recordings.field_day import CAMERA_STD, day_of, drifting_plant, joints_at
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.comparison_summary import cell_means
 
@@ -69,11 +70,8 @@ def test_what_is_removed_lies_between_two_policies(comparison: Comparison) -> No
 
 
 def test_a_day_without_drift_repeats_the_reaches(comparison: Comparison) -> None:
-    plant = load_plant("orchard").without(
-        ("thermal_growth", "base_tilt", "settling", "stick_band", "backlash", "servo")
-    )
-    still = replace(plant, base_tilt=replace(load_plant("orchard").base_tilt, stiffness=(1e15, 1e15), settlement=0.0))
-    day = day_of(replace(comparison, plant=still))
+    still = firm(comparison).plant
+    day = day_of(firm(comparison))
     for policy in comparison.policies:
         expected = still.tool_pose(policy.reach_joints).position - comparison.fruit
         error = 1e3 * np.linalg.norm(expected, axis=-1)
@@ -88,6 +86,58 @@ def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(comparison: Compari
     assert day.hours[-1] == 2000.0
     np.testing.assert_allclose(day.errors_mm["raw"][-1], settled, rtol=1e-6)
     assert day.errors_mm["raw"][0].mean() < day.errors_mm["raw"][-1].mean()
+
+
+def test_joints_at_points_are_near_and_leave_nanometres(comparison: Comparison) -> None:
+    for policy in comparison.policies:
+        joints = joints_at(comparison.nominal, policy.reach_joints, comparison.fruit)
+        np.testing.assert_allclose(forward(comparison.nominal, joints).position, comparison.fruit, atol=1e-8)
+        assert np.abs(joints - policy.reach_joints).max() < 0.05
+
+
+def firm(comparison: Comparison) -> Comparison:
+    """The comparison on ground that never gives way, with an arm that is neither warm nor late."""
+    plant = load_plant("orchard").without(
+        ("thermal_growth", "base_tilt", "settling", "stick_band", "backlash", "servo")
+    )
+    ground = replace(load_plant("orchard").base_tilt, stiffness=(1e15, 1e15), settlement=0.0)
+    return replace(comparison, plant=replace(plant, base_tilt=ground))
+
+
+def test_a_filter_learns_the_arm_that_a_policy_left(comparison: Comparison) -> None:
+    raw = replace(firm(comparison), policies=comparison.policies[:1])
+    day = day_of(raw)
+    unseen = np.isclose(day.adapted_mm[0][:, None], day.errors_mm["raw"][0]).any(axis=1)
+    assert unseen.all()  # the first pick of the day is the policy's own
+    half = len(day.hours) // 2
+    assert day.adapted_mm[half:].mean() < 0.5 * day.errors_mm["raw"][half:].mean()
+
+
+def test_where_nothing_drifts_a_filter_costs_less_than_its_cameras_noise(comparison: Comparison) -> None:
+    day = day_of(firm(comparison))
+    last = day.errors_mm[comparison.policies[-1].key]
+    assert last.mean() < day.adapted_mm.mean() < last.mean() + 0.5 * 1e3 * CAMERA_STD
+
+
+def test_too_few_reaches_have_no_filter(comparison: Comparison) -> None:
+    few = [replace(each, reach_joints=each.reach_joints[:9]) for each in comparison.policies]
+    assert day_of(replace(comparison, fruit=comparison.fruit[:9], policies=tuple(few))).adapted_mm is None
+
+
+def test_the_days_words_hold_its_means(comparison: Comparison) -> None:
+    labels = {policy.key: policy.label for policy in comparison.policies}
+    day = day_of(orchard(comparison))
+    words = day.explanation(labels)
+    for key, label in labels.items():
+        assert f"| {label} | {day.errors_mm[key].mean():.2f} |" in words
+    assert f"| LS + BPNN, adapted | {day.adapted_mm.mean():.2f} |" in words
+    worse = replace(day, errors_mm={**day.errors_mm, "ls_bpnn": day.errors_mm["raw"] + 1.0})
+    better = replace(day, errors_mm={**day.errors_mm, "ls_bpnn": day.errors_mm["raw"] - 0.25})
+    assert "LS + BPNN ends no better than raw" in worse.explanation(labels)
+    assert "LS + BPNN ends 0.25 mm better than raw" in better.explanation(labels)
+    assert "ends" not in replace(day, errors_mm={"raw": day.errors_mm["raw"]}, adapted_mm=None).explanation(
+        {"raw": "raw"}
+    )
 
 
 def test_only_the_same_arm_borrows_the_orchards_drift(comparison: Comparison) -> None:
@@ -128,11 +178,14 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
         np.testing.assert_allclose(degrees, np.degrees(field), rtol=1e-5, atol=1e-9)
     predicted = orchard_reading.values("/world/uncertainty/predicted", "VoxelGridMap:values")
     assert set(np.round(predicted, 6)) <= set(np.round(np.float32(1e3 * comparison.field_uncertainty), 6))
-    for key, errors in details.day.errors_mm.items():
+    for key, (_, errors) in details.day.lines({key: key for key in details.day.errors_mm}).items():
         means = orchard_reading.values(f"/day/mean_mm/{key}", "Scalars:scalars")
         np.testing.assert_allclose(means, errors.mean(axis=1))
         times = orchard_reading.times(f"/day/p95_mm/{key}", "hours")
         np.testing.assert_allclose(times, 3.6e12 * details.day.hours, rtol=1e-9)
+    assert orchard_reading.values("/about_the_day", "TextDocument:text")[0] == details.day.explanation(
+        {policy.key: policy.label for policy in comparison.policies}
+    )
 
 
 def test_the_exported_arms_stand_where_the_reach_puts_them(reading: Any, comparison: Comparison) -> None:

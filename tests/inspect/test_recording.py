@@ -33,12 +33,18 @@ def compare(first: Path, second: Path) -> int:
 
 
 def test_every_entity_is_in_the_file(reading: Any) -> None:
-    wanted = {"/summary", "/metrics/tolerance_mm", "/__properties/pickenv", "/world/field/removed/vectors"}
+    wanted = {
+        "/summary",
+        "/about_the_day",
+        "/metrics/tolerance_mm",
+        "/__properties/pickenv",
+        "/world/field/removed/vectors",
+    }
     wanted |= {f"/legend/{key}/{part}" for key in ("position", "attitude", "uncertainty") for part in ("bar", "ticks")}
     wanted |= {f"/world/effect/{name}" for name in EFFECTS}
     wanted |= {f"/world/attitude/{name}" for name in ("raw", "ls_bpnn", "floor")}
     wanted |= {f"/world/uncertainty/{name}" for name in ("predicted", "actual")}
-    wanted |= {f"/day/{name}_mm/{key}" for name in ("mean", "p95") for key in KEYS}
+    wanted |= {f"/day/{name}_mm/{key}" for name in ("mean", "p95") for key in (*KEYS, "adapted")}
     wanted |= {f"/world/{name}" for name in ("axes", "workspace", "fruit", "capture")}
     wanted |= {f"/world/arm/{name}" for name in ("nominal", "true", "exaggerated")}
     wanted |= {"/target/capture", "/target/axes"}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
-from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate, check_number
+from pickenv.envs.shared.task import CONTROL_PERIOD, MOST_ACTION, Compensate, check_choice, check_number
 from pickenv.errors import InputError
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import Machine, load_machine
@@ -70,6 +70,7 @@ class HarvestTask:
         rules: When a cup tries a fruit, what is shown, and what costs.
         orchard: Where fruit hangs and how big it is.
         fruit: Fruit in a zone.
+        most_action: Largest size of an action's numbers that is taken.
     """
 
     machine: Machine
@@ -78,6 +79,7 @@ class HarvestTask:
     rules: Rules
     orchard: Orchard
     fruit: int
+    most_action: float
 
     @cached_property
     def increment(self) -> Array:
@@ -101,6 +103,7 @@ def make_harvest_task(
     spacing_mm: float | None = None,
     fruit: int = 8,
     ideal: bool = False,
+    out_of_range: str = "clip",
     render_mode: str | None = None,
 ) -> HarvestTask:
     """Check the arguments of an environment and read its files.
@@ -110,6 +113,7 @@ def make_harvest_task(
     """
     if render_mode is not None:
         raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
+    check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
     if spacing_mm is not None:
@@ -118,7 +122,7 @@ def make_harvest_task(
     true = load_true_machine(machine)
     if ideal:
         true = true.ideal()
-    return HarvestTask(machine, true, load_picking(), load_rules(), load_orchard(), fruit)
+    return HarvestTask(machine, true, load_picking(), load_rules(), load_orchard(), fruit, MOST_ACTION[out_of_range])
 
 
 @dataclass(eq=False)
@@ -235,7 +239,7 @@ def step(
     """
     machine = task.machine
     before = work_left(task, state)
-    wanted = np.clip(actions, -1.0, 1.0) * task.increment
+    wanted = actions * task.increment
     arms_free = (state.busy == 0).repeat(3, axis=1)
     wanted[:, 3:] *= arms_free
     wanted[:, :3] *= (state.busy == 0).all(axis=1)[:, None]  # the master stands while a blade cuts
@@ -251,7 +255,7 @@ def step(
     state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
     collected, lost = attempts(task, state, tips, rngs)
     progress = before - work_left(task, state)
-    effort = np.abs(np.clip(actions, -1.0, 1.0)).mean(axis=1)
+    effort = np.abs(actions).mean(axis=1)
     cost = rules.guard_cost * state.held + rules.period_cost + rules.motion_cost * effort
     return np.asarray(collected - lost + progress - cost)
 

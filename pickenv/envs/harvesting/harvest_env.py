@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
 from pickenv.envs.shared.spaces import given_options
-from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers
+from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError
 
 Information = dict[str, Any]
@@ -90,6 +90,7 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     - `slaves` (1 to 6, default 3), `spacing_mm` (default 350), `fruit` (1 to 40, default 8).
     - `ideal` (bool, default False): whether the machine is as drawn.
+    - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1 are cut to it or are an error.
 
     `pickenv.wrappers.CompensationWrapper` takes a compensator of the whole machine's joints, for instance a
     `pickenv.harvester.true_machine.Controller`.
@@ -109,10 +110,11 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         spacing_mm: float | None = None,
         fruit: int = 8,
         ideal: bool = False,
+        out_of_range: str = "clip",
         render_mode: str | None = None,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        self.task: HarvestTask = batch.make_harvest_task(slaves, spacing_mm, fruit, ideal, render_mode)
+        self.task: HarvestTask = batch.make_harvest_task(slaves, spacing_mm, fruit, ideal, out_of_range, render_mode)
         self.render_mode = None
         self.compensator: Compensate | None = None
         self.observation_space, self.action_space = batch.spaces(self.task)
@@ -133,7 +135,7 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         Raises:
             InputError: If the action is not finite or has another shape, or before the first reset.
         """
-        values = checked_actions(action, (self.task.machine.joints,))
+        values = checked_action(action, (self.task.machine.joints,), self.task.most_action)
         if self.state is None:
             raise InputError("step was called before reset; call reset first")
         rewards = batch.step(self.task, self.state, values[None], [self.np_random], self.compensator)
@@ -143,15 +145,3 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def _information(self) -> Information:
         assert self.state is not None
         return {key: values[0].item() for key, values in batch.information(self.state).items()}
-
-
-def checked_actions(action: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Actions as finite numbers of the right shape and size.
-
-    Raises:
-        InputError: If they are not.
-    """
-    values = as_numbers("action", action)
-    if values.shape != shape or not (np.abs(values) <= MOST_ACTION).all():
-        raise InputError(f"an action of shape {values.shape} is not finite numbers of shape {shape} between -1 and 1")
-    return values

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
-from pickenv.envs.harvesting.harvest_env import LONGEST, checked_actions
-from pickenv.envs.shared.task import Compensate
+from pickenv.envs.harvesting.harvest_env import LONGEST
+from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError
 
 ID = "pickenv/Harvest-v0"
@@ -80,7 +80,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         if not self.agents:
             return {}, {}, {}, {}, {}
         still: ArrayLike = np.zeros(3)
-        parts = [checked_actions(actions.get(name, still), (3,)) for name in self.possible_agents]
+        parts = [checked_action(actions.get(name, still), (3,), self.task.most_action) for name in self.possible_agents]
         rewards = batch.step(self.task, self._state, np.concatenate(parts)[None], [self._rng], self.compensator)
         over = bool(batch.finished(self._state)[0])
         late = bool(self._state.periods[0] >= self.max_cycles)

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
-from pickenv.envs.harvesting.harvest_env import LONGEST, checked_actions
+from pickenv.envs.harvesting.harvest_env import LONGEST
 from pickenv.envs.shared.spaces import final_rows, given_mask, given_options, given_seeds
-from pickenv.envs.shared.task import Compensate
+from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError
 
 Information = dict[str, Any]
@@ -76,7 +76,7 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         Raises:
             InputError: If actions are not finite or have another shape, or before the first reset.
         """
-        values = checked_actions(actions, (self.num_envs, self.task.machine.joints))
+        values = checked_action(actions, (self.num_envs, self.task.machine.joints), self.task.most_action)
         if self.state is None:
             raise InputError("step was called before reset; call reset first")
         again = self._over.copy()

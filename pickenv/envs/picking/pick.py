@@ -17,7 +17,7 @@ from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS
 from pickenv.envs.shared.simulation import move, nominal_frames, nominal_readings, scaled
 from pickenv.envs.shared.spaces import box, given_options
-from pickenv.envs.shared.task import CONTROL_PERIOD, MOST_ACTION, as_numbers, check_count, check_number, make_task
+from pickenv.envs.shared.task import CONTROL_PERIOD, check_count, check_number, checked_action, make_task
 from pickenv.errors import InputError
 
 LONGEST = 400
@@ -157,6 +157,7 @@ class PickEnv(ArmEnv):
     - `looks` (int, default 16): images that the camera averages; noise falls, bias and occlusion's pull stay.
     - `arms` ("fixed", "per_env" or "per_episode"), `tolerances`, `population` and `population_seed`: the plant's own
       true arm, or one of a population, as in `pickenv/Reach-v0`.
+    - `out_of_range` ("clip" or "refuse"): as in `pickenv/Reach-v0`.
     - `render_mode` (None, "human" or "rgb_array").
 
     There is no native vector version: it would gain little, since drawing a canopy takes as long as some seventy steps.
@@ -184,13 +185,14 @@ class PickEnv(ArmEnv):
         tolerances: str = "medium",
         population: int = 256,
         population_seed: int = 0,
+        out_of_range: str = "clip",
         render_mode: str | None = None,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         check_number("fruit", fruit, positive=True)
         check_count("looks", looks)
         drawn: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
-        super().__init__(make_task(plant, without, arms=arms, **drawn), render_mode)
+        super().__init__(make_task(plant, without, arms=arms, out_of_range=out_of_range, **drawn), render_mode)
         self.orchard: PickSetting = make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks)
         self._reach = reach_of(self.plant.arm.nominal, self.orchard.station.approach)
         bounds = box([1.0] * self.task.joints + [self.task.reach] * 6 + [2 * self.task.reach] * 3 + [math.pi] * 3)
@@ -239,15 +241,13 @@ class PickEnv(ArmEnv):
         """Move the joint target by `action`, then work the gripper.
 
         Raises:
-            InputError: If the action has another shape or numbers beyond -1 to 1, or before the first reset.
+            InputError: If the action has another shape or impossible numbers, or before the first reset.
         """
-        values = as_numbers("action", action)
-        if values.shape != (self.task.joints + 1,) or not (np.abs(values) <= MOST_ACTION).all():
-            raise InputError(f"action {values} is not {self.task.joints + 1} finite numbers between -1 and 1")
+        values = checked_action(action, (self.task.joints + 1,), self.task.most_action)
         if self.scene is None:
             raise InputError("step was called before reset; call reset first")
         scene = self.scene
-        *moves, gripper = values.clip(-1.0, 1.0).tolist()
+        *moves, gripper = values.tolist()
         collected, damaged = scene.funnel()["collected"], int(scene.damaged.sum())
         target = move(FLOATS, self.task, self._target, moves)
         moved = any(abs(a - b) > 1e-9 for a, b in zip(target, self._target, strict=True))

@@ -19,7 +19,7 @@ from pickenv.arm.plant.tree import leaves, tree_map
 from pickenv.envs.shared.backends import Executor, Scalar
 from pickenv.envs.shared.simulation import ReachState, View, begin, drawn_arm, goal_attempt, look
 from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
-from pickenv.envs.shared.task import GOAL_ATTEMPTS, MOST_ACTION, Compensate, Task
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task, bounds_of
 from pickenv.errors import InputError
 
 Flags = NDArray[np.bool_]
@@ -198,17 +198,18 @@ class Batch(ABC):
         """Actions component by component ``(n, N)``, checked; on a device their size is not.
 
         Raises:
-            InputError: If they have another shape, or numbers beyond -1 to 1.
+            InputError: If they have another shape, or numbers that are not finite, or beyond -1 to 1 where the task
+                refuses them.
         """
-        values, shape = self.given(actions), (self.count, self.task.joints)
+        values, shape, most = self.given(actions), (self.count, self.task.joints), self.task.most_action
         if tuple(values.shape) != shape:
             raise InputError(f"actions have shape {tuple(values.shape)}; give {shape}, numbers between -1 and 1")
         numbers, low, high = self.components(values)
-        if not (high <= MOST_ACTION and low >= -MOST_ACTION):
+        if not (high <= most and low >= -most):
             each = self.host(values)
-            row = int(np.argmin((np.abs(each) <= MOST_ACTION).all(axis=1)))
+            row = int(np.argmin((np.abs(each) <= most).all(axis=1)))
             raise InputError(
-                f"the action of environment {row} is {each[row].tolist()}; give finite numbers between -1 and 1"
+                f"the action of environment {row} is {each[row].tolist()}; give finite numbers{bounds_of(most)}"
             )
         return numbers
 

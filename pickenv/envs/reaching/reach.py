@@ -16,7 +16,7 @@ from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant
 from pickenv.envs.shared.spaces import action_space, flat_space, given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
-from pickenv.envs.shared.task import CONTROL_PERIOD, GOAL_ATTEMPTS, MOST_ACTION, as_numbers, check_choice, make_task
+from pickenv.envs.shared.task import CONTROL_PERIOD, GOAL_ATTEMPTS, check_choice, checked_action, make_task
 from pickenv.errors import InputError
 
 EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
@@ -136,6 +136,8 @@ class ReachEnv(ArmEnv):
       environment or anew in every episode. `tolerances` (class or file, default "medium"; a class that `plant` names
       goes before), `population` (int, default 256) and `population_seed` (int, default 0) say which; judge a policy on
       a population that it never saw.
+    - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1, as networks without bounds give them, are cut
+      to it or are an error; numbers that are not finite are always one.
     - `executor` ("floats" or "numpy"): floats are fast; with "numpy" an environment gives the same bits as the native
       vector environment on NumPy.
     - `render_mode` (None, "human" or "rgb_array").
@@ -192,11 +194,10 @@ class ReachEnv(ArmEnv):
         """Move the joint target by `action` and see where the true tool goes.
 
         Raises:
-            InputError: If the action has another shape or numbers beyond -1 to 1, or before the first reset.
+            InputError: If the action has another shape or numbers that are not finite (or, with
+                `out_of_range="refuse"`, beyond -1 to 1), or before the first reset.
         """
-        values = as_numbers("action", action)
-        if values.shape != (self.task.joints,) or not all(abs(value) <= MOST_ACTION for value in values.tolist()):
-            raise InputError(f"action {values} is not {self.task.joints} finite numbers between -1 and 1")
+        values = checked_action(action, (self.task.joints,), self.task.most_action)
         if self._state is None:
             raise InputError("step was called before reset; call reset first")
         target = simulation.move(self._x, self.task, self._state.target, self._numbers(values.tolist()))

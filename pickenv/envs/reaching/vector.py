@@ -164,7 +164,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         """Act in all environments.
 
         Raises:
-            InputError: If actions have another shape or numbers beyond -1 to 1, or an ended episode was not reset.
+            InputError: If actions have another shape or impossible numbers, or an ended episode was not reset.
         """
         if not self._seeded.all():
             raise InputError("step was called before reset; call reset first")

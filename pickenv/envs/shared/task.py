@@ -27,8 +27,9 @@ from pickenv.limits import check_limit, shown
 CONTROL_PERIOD = 0.1
 """Time between two actions, s: with the arm file's joint speeds it bounds one action's increment."""
 
-MOST_ACTION = 1.0 + 1e-6
-"""Largest size of an action's numbers: 1, and what rounding to single precision may add."""
+MOST_ACTION = {"clip": float(np.finfo(np.float32).max), "refuse": 1.0 + 1e-6}
+"""Largest size of an action's numbers that is taken: any finite one, which is then cut to 1; or 1, and what rounding to
+single precision may add."""
 
 MOST_CAMERA_NOISE_MM = 100.0
 """Ten standard deviations of the camera then stay within the metre that the observation's bounds leave for errors."""
@@ -74,6 +75,7 @@ class Task:
         end_on_success: Whether reaching the fruit ends the episode.
         min_upright: Smallest z component of the wanted tool axis.
         lost_axes: Links whose z axes span the plane in which the tool cannot be turned freely, or None.
+        most_action: Largest size of an action's numbers that is taken.
     """
 
     plant: Plant
@@ -91,6 +93,7 @@ class Task:
     end_on_success: bool
     min_upright: float
     lost_axes: tuple[int, int] | None
+    most_action: float
 
     @property
     def joints(self) -> int:
@@ -171,6 +174,7 @@ def make_task(
     population: int = 256,
     population_seed: int = 0,
     fruit_noise_mm: float | None = None,
+    out_of_range: str = "clip",
 ) -> Task:
     """Check an environment's arguments (`pickenv/Reach-v0` explains them) and gather its constants.
 
@@ -179,6 +183,7 @@ def make_task(
     """
     check_choice("feedback", feedback, FEEDBACK)
     check_choice("reward", reward, REWARDS)
+    check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     check_number("tolerance_mm", tolerance_mm, positive=True)
     check_number("angle_tolerance_deg", angle_tolerance_deg, positive=True)
     fruit_noise_mm = camera_noise_mm if fruit_noise_mm is None else fruit_noise_mm
@@ -215,6 +220,7 @@ def make_task(
         end_on_success=bool(end_on_success),
         min_upright=math.cos(math.radians(min(tilt, 180.0))),
         lost_axes=lost_axes(geometry),
+        most_action=MOST_ACTION[out_of_range],
     )
 
 
@@ -280,6 +286,29 @@ def as_numbers(name: str, given: Any) -> Array:
         return np.asarray(given, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is {shown(given)}; give numbers") from error
+
+
+def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
+    """Actions of one environment, or of several, cut to -1 to 1.
+
+    Args:
+        action: As given.
+        shape: The shape it must have.
+        most: Largest size of a number that is taken, from `MOST_ACTION`.
+
+    Raises:
+        InputError: If it has another shape, or numbers that are not finite or too large.
+    """
+    values = as_numbers("action", action)
+    if values.shape != shape or not (np.abs(values) <= most).all():
+        what = f"{shape[0]} finite numbers" if len(shape) == 1 else f"finite numbers of shape {shape}"
+        raise InputError(f"action {shown(values.tolist())} is not {what}{bounds_of(most)}")
+    return np.clip(values, -1.0, 1.0)
+
+
+def bounds_of(most: float) -> str:
+    """What an error says of the range of actions: nothing where they are cut to it."""
+    return " between -1 and 1" if most == MOST_ACTION["refuse"] else ""
 
 
 def lost_axes(geometry: Geometry) -> tuple[int, int] | None:

@@ -13,13 +13,15 @@ import rerun as rr
 from pickenv.arm.files.urdf_text import write_urdf
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
-from pickenv.inspect.recordings.details import Day, Details, attitude_length
+from pickenv.inspect.recordings.details import Details, attitude_length
+from pickenv.inspect.recordings.field_day import Day
 from pickenv.inspect.recordings.scribe import Scribe, send_arrows, send_colour_bar, send_voxels
 from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.view import cut_away
 
 DAY_TIME_LINE = "hours"
+DAY_WORDS = "about_the_day"
 WORLD = "tf#/"
 """Rerun's name for the frame of the root entity, in which both URDF arms stand."""
 
@@ -64,19 +66,20 @@ def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array
 
 
 def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
-    """Mean and 95th percentile over all fruit at every time of the day, as the policies' commands leave them."""
+    """Mean and 95th percentile over all fruit at every time of the day, and why they are so."""
     times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day.hours)]
     hours = Scribe(scribe.stream, times)
-    colours = policy_colours([policy.key for policy in comparison.policies])
-    for policy, colour in zip(comparison.policies, colours, strict=True):
-        errors = day.errors_mm[policy.key]
+    lines = day.lines({policy.key: policy.label for policy in comparison.policies})
+    for (key, (label, errors)), colour in zip(lines.items(), policy_colours(list(lines)), strict=True):
         for name, values, width in (
             ("mean", errors.mean(axis=1), 2.2),
             ("p95", np.percentile(errors, 95, axis=1), 1.0),
         ):
-            entity = f"day/{name}_mm/{policy.key}"
-            scribe.still(entity, rr.SeriesLines(names=[f"{policy.label}, {name}"], colors=[colour], widths=[width]))
+            entity = f"day/{name}_mm/{key}"
+            scribe.still(entity, rr.SeriesLines(names=[f"{label}, {name}"], colors=[colour], widths=[width]))
             hours.along(entity, rr.Scalars.columns(scalars=values))
+    words = day.explanation({policy.key: policy.label for policy in comparison.policies})
+    scribe.still(DAY_WORDS, rr.TextDocument(words, media_type="text/markdown"))
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:

@@ -8,7 +8,9 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from pickenv.inspect.recordings.blueprint_views import ghost, space, with_colour_bar
-from pickenv.inspect.recordings.details import FLOOR, Day, Details, attitude_length
+from pickenv.inspect.recordings.detail_entities import DAY_WORDS
+from pickenv.inspect.recordings.details import FLOOR, Details, attitude_length
+from pickenv.inspect.recordings.field_day import Day
 from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.comparison import Comparison
 
@@ -87,4 +89,5 @@ def _day(day: Day) -> Any:
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),
     )
-    return rrb.Horizontal(plot, name="A day in the field")
+    words = rrb.TextDocumentView(origin=f"/{DAY_WORDS}", contents=[f"+ /{DAY_WORDS}"], name="Why")
+    return rrb.Horizontal(plot, words, column_shares=[3, 1], name="A day in the field")

@@ -10,37 +10,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pickenv.arm import Plant, forward, load_plant, noncompensable_error
-from pickenv.arm.kinematics.forward import split_joints
+from pickenv.arm import forward, noncompensable_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.effect_shares import TABLE
 from pickenv.arm.plant.plant import EFFECTS, FOUND
+from pickenv.inspect.recordings.field_day import Day, day_of
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.comparison_summary import attitude_scale_deg, round_step
 
-DRIFTS = ("thermal_growth", "base_tilt")
-DRIFTING_PLANT = "orchard"
-"""The preset that tells how an arm drifts, where the plant itself does not drift."""
-DAY_HOURS = 8.0
 NO_FIELD = 1e-9
 """m; an effect that moves the settled tool by less than this everywhere has no field to show."""
 FLOOR = "floor"
 """Key of the attitude error that no joint motion removes."""
-
-
-@dataclass(frozen=True, eq=False)
-class Day:
-    """A day in the field: the same reaches while the arm warms up and the machine tilts and sinks.
-
-    Attributes:
-        plant: Name of the preset whose drift it is.
-        hours: Time of each reach since the machine was switched on ``(R,)``.
-        errors_mm: By policy, position error of every reach at every time ``(R times, R reaches)``.
-    """
-
-    plant: str
-    hours: Array
-    errors_mm: Mapping[str, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,43 +84,3 @@ def attitude_fields(comparison: Comparison) -> dict[str, Array]:
 def attitude_length(comparison: Comparison, fields: Mapping[str, Array]) -> float:
     """How long an attitude error of 1 deg is drawn, m: round, and such that neighbouring arrows rarely overlap."""
     return round_step(comparison.grid_step / attitude_scale_deg(fields))
-
-
-def drifting_plant(plant: Plant) -> Plant | None:
-    """The plant with its own drift or, where it has none, with that of the preset `orchard` if it is the same arm."""
-    if any(getattr(plant, name) is not None for name in DRIFTS):
-        return plant
-    preset = load_plant(DRIFTING_PLANT)
-    if plant.arm.fingerprint() != preset.arm.fingerprint():
-        return None
-    return replace(
-        plant,
-        name=preset.name,
-        load=plant.load or preset.load,
-        thermal_growth=preset.thermal_growth,
-        base_tilt=preset.base_tilt,
-    )
-
-
-def day_of(comparison: Comparison, hours: float = DAY_HOURS) -> Day | None:
-    """Let the drifting plant make the comparison's reaches all day, with the commands that the policies gave.
-
-    R machines start together, each with another fruit, and go through all fruit in the same order: so every fruit is
-    reached at every time, by a machine that has been as busy as the others.
-    """
-    plant, count = drifting_plant(comparison.plant), len(comparison.fruit)
-    if plant is None or not count:
-        return None
-    dt = 3600.0 * hours / count
-    errors = {}
-    for policy in comparison.policies:
-        first = split_joints(plant.geometry.joints, policy.reach_joints)
-        state = plant.initial_state(np, first)
-        rows = np.empty((count, count))
-        for k in range(count):
-            turn = (np.arange(count) + k) % count
-            state, frame = plant.advance(np, state, split_joints(plant.geometry.joints, policy.reach_joints[turn]), dt)
-            tool = np.stack(np.broadcast_arrays(*frame[9:12]), axis=-1)
-            rows[k, turn] = 1e3 * np.linalg.norm(tool - comparison.fruit[turn], axis=-1)
-        errors[policy.key] = rows
-    return Day(plant.name, (np.arange(count) + 1.0) * hours / count, errors)
