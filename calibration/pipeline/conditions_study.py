@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Plant, load_tolerances
+from pickenv.arm import Plant, displace_pose, load_tolerances
 from pickenv.arm.effects.thermal import ThermalGrowth, warmed
 from pickenv.arm.kinematics.forward import pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array
@@ -25,7 +25,7 @@ from pickenv.calibration.identification.least_squares import identify_converged
 from pickenv.calibration.identification.term_choice import identify_terms, plain_term
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import geometric_model
-from pickenv.calibration.model.measurements import Measurements, random_joints, tracked
+from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements, random_joints
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.residual_models import FITTERS, NEEDS, LearntResidual, fit_residual
 from pickenv.errors import InputError
@@ -156,8 +156,17 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
     there = under(plant, state)
     at_rest = there.initial_state(np, split_joints(nominal.joints, before))
     _, frame = there.advance(np, at_rest, split_joints(nominal.joints, joints), HELD)
-    data = tracked(plant, joints, plant.measured(pose_of(frame), rng))
-    return replace(data, conditions=Conditions(payload=state.payload, temperature=rises(plant, state)))
+    spread = np.repeat([POSITION_STD, ATTITUDE_STD], 3) if plant.measurement_noise is not None else np.zeros(6)
+    seen = displace_pose(pose_of(frame), rng.normal(size=(count, 6)) * spread)
+    return Measurements(
+        joints,
+        seen.position,
+        seen.rotation,
+        nominal.prismatic,
+        source=f"simulated tracker on plant {plant.name}",
+        conditions=Conditions(payload=state.payload, temperature=rises(plant, state)),
+        frames="known",
+    )
 
 
 @dataclass(frozen=True, eq=False)
