@@ -64,12 +64,18 @@ HALF = 28
 """Fruit; a wider 95 % interval excludes less than half of the possible counts, and says nothing."""
 
 
+def machine_with(true: TrueMachine, value: Mapping[str, float]) -> TrueMachine:
+    """The machine whose cups stand where a camera of these errors sends them: a fruit seen aside is a cup aside."""
+    seen = np.array([value["sideways"], value["depth"], value["sideways"]]) * 1e-3
+    stops = np.sqrt(true.repeatability**2 + seen**2 / 2)  # a cup stops by two arms' errors, master's and slave's
+    return replace(true, repeatability=stops)  # type: ignore[arg-type]
+
+
 def picking_with(value: Mapping[str, float]) -> Picking:
-    """The picking model with these constants."""
-    side, depth = value["sideways"] * 1e-3, value["depth"] * 1e-3
+    """The picking model with these constants; all fruit is seen, and where it is: `machine_with` errs."""
     return replace(
         load_picking(),
-        localisation=(side, depth, side),
+        localisation=(0.0, 0.0, 0.0),
         visibility=1.0,
         gather=max(value["gather"], 1e-3) * 1e-3,
         push=value["push"] * 1e-3,
@@ -104,9 +110,10 @@ def sessions(
     constants = {name: each.at(share) for (name, each), share in zip(OPEN.items(), shares, strict=True)}
     recovered = np.zeros(count)
     for i, own in enumerate(worked):
-        model = picking_with({name: float(values[i]) for name, values in constants.items()})
-        number = int(own.generate_state(1, np.uint64)[0])
-        recovered[i] = funnel(work_images(true, way, model, count=lab.runs, seed=number))["collected"]
+        value = {name: float(values[i]) for name, values in constants.items()}
+        number, machine = int(own.generate_state(1, np.uint64)[0]), machine_with(true, value)
+        done = work_images(machine, way, picking_with(value), count=lab.runs, seed=number)
+        recovered[i] = funnel(done)["collected"]
         progress()
     return Sessions(recovered, lab.runs * lab.fruit, constants)
 
