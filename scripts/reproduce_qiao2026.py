@@ -84,7 +84,7 @@ def main(
     with Progress() as bars:
         for name, seed in zip(PLANTS, of_plants.spawn(len(PLANTS)), strict=True):
             task = bars.add_task(f"Table 4, plant {name}", total=counts[0] + counts[1] * counts[2])
-            done[name] = campaign(load_plant(name), seed, settings, counts, lambda task=task: bars.advance(task))  # type: ignore[misc]
+            done[name] = campaign(load_plant(name), seed, settings, counts, lambda task=task: bars.advance(task))
     found, solved_errors, fields = {}, {}, of_tables.spawn(2)
     for name, seed in zip(("geometry_only", "qiao2026"), fields, strict=True):
         run = protocol(load_plant(name), seed)

@@ -68,7 +68,7 @@ def machine_with(true: TrueMachine, value: Mapping[str, float]) -> TrueMachine:
     """The machine whose cups stand where a camera of these errors sends them: a fruit seen aside is a cup aside."""
     seen = np.array([value["sideways"], value["depth"], value["sideways"]]) * 1e-3
     stops = np.sqrt(true.repeatability**2 + seen**2 / 2)  # a cup stops by two arms' errors, master's and slave's
-    return replace(true, repeatability=stops)  # type: ignore[arg-type]
+    return replace(true, repeatability=stops)
 
 
 def picking_with(value: Mapping[str, float]) -> Picking:

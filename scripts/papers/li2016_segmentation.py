@@ -104,7 +104,7 @@ def figure_5(found: Segmentation) -> dict[str, Any]:
     from skimage.measure import label
 
     rows: list[dict[str, Any]] = [
-        {"step": name, "pixels": int(mask.sum()), "regions": int(label(mask, connectivity=2).max())}  # type: ignore[no-untyped-call]
+        {"step": name, "pixels": int(mask.sum()), "regions": int(label(mask, connectivity=2).max())}
         for name, mask in found.masks.items()
     ]
     fruit = len(found.fruit)

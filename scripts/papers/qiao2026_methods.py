@@ -234,7 +234,7 @@ def table_4_rows(plant: str, done: Campaign) -> list[dict[str, Any]]:
     """Table 4 on one plant: its rows, without verdicts."""
     paper, rows = PAPER["table4"], []
     for name in METHODS:
-        by_arm = done.by_arm(lambda left, name=name: left.mean_mm(name))  # type: ignore[misc]
+        by_arm = done.by_arm(lambda left, name=name: left.mean_mm(name))
         r2 = [left.r2[name] for left in done.runs if name in left.r2]
         rows.append(
             {"plant": plant, "method": name}

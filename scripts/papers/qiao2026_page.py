@@ -313,7 +313,7 @@ def drawings(result: Mapping[str, Any], shown: Shown) -> list[Drawing]:
                 Drawing(
                     f"{name.format(quantity)}",
                     titled(number, f"{quantity} error {text}"),
-                    lambda sizes=sizes, q=f"{quantity} error", unit=unit: draw(sizes, quantity=q, unit=unit),  # type: ignore[misc]
+                    lambda sizes=sizes, q=f"{quantity} error", unit=unit: draw(sizes, quantity=q, unit=unit),
                 )
             )
         return found
