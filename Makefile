@@ -4,6 +4,7 @@
 #   make test                 style, types, tests
 #   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
 #   make test-referees        patched files of UR5 and Panda against Pinocchio, which are large packages
+#   make docs                 the site: docs/_build/html/index.html
 #   make coverage-of-intervals  how often every 95 % interval holds the truth, on data of known truth
 #   make mutants              change the lines that make numbers, one at a time: runs/mutants.json says what the tests
 #                             did not notice, docs/mutants.md the score by room. An hour or two; goes on where it was;
@@ -22,6 +23,7 @@ DEVELOPMENT := $(VENV)/.development
 BROWSER := $(VENV)/.browser
 MUTANTS := $(VENV)/.mutants
 REFEREES := $(VENV)/.referees
+DOCS := $(VENV)/.docs
 # Chromium; Mesa's drivers that draw on the processor, for Vulkan (rerun's own viewer) and OpenGL (the browser); a
 # library that playwright's driver needs; a screen that is none, and what the viewer's window needs on it.
 BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatomic1 \
@@ -31,7 +33,7 @@ BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatom
 TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
-.PHONY: demo test test-slow test-referees test-browser coverage-of-intervals lint format benchmark mutants clean
+.PHONY: demo docs test test-slow test-referees test-browser coverage-of-intervals lint format benchmark mutants clean
 
 demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
@@ -48,6 +50,9 @@ test-referees: $(REFEREES)
 test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser
 	$(PYTEST) -m browser tests/browser tests/inspect --durations=5 $(ARGS)
+
+docs: $(DOCS)
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html $(ARGS)
 
 coverage-of-intervals: $(DEVELOPMENT)
 	$(PYTEST) -m coverage -n 2 $(ARGS)
@@ -68,7 +73,7 @@ mutants: $(MUTANTS)
 	$(BIN)/python scripts/mutation/mutants.py $(ARGS)
 
 clean:
-	rm -rf $(VENV) runs dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	rm -rf $(VENV) runs dist docs/_build docs/_generated .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # torch goes first and alone, at its tested version: an open range makes pip try, and download, several of gigabytes.
@@ -89,6 +94,10 @@ $(DEVELOPMENT): $(RUNTIME)
 
 $(REFEREES): $(DEVELOPMENT)
 	@$(PIP) install -c constraints.txt -e ".[referees]"
+	@touch $@
+
+$(DOCS): $(RUNTIME)
+	@$(PIP) install -c constraints.txt -e ".[all,docs]"
 	@touch $@
 
 $(MUTANTS): $(DEVELOPMENT)

@@ -151,7 +151,7 @@ def fit_fruit_map(matrix: ArrayLike, block: float = 0.3, cluster_size: int | Non
 
 
 def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Integers:
-    """Draw apples per block, shape (*shape, rows, columns), rows from top to bottom."""
+    """Draw apples per block ``(*shape, rows, columns)``, rows from top to bottom."""
     if columns < 1:
         raise InputError(f"a row of trees cannot be {columns} blocks long; give 1 or more")
     means = np.array(fruit_map.row_means)[:, None] / fruit_map.cluster_size

@@ -252,7 +252,7 @@ def page_lines(findings: list[Finding], sizes: Sizes) -> list[str]:
     ]
     for each in findings:
         lines += [f"## {each.title}", "", each.sentence, "", f"![{each.title}](images/findings-{each.image}.png)", ""]
-    lines += ["# Tables", ""]
+    lines += ["## Appendix: tables", ""]
     for each in findings:
         lines += [f"## {each.title}: numbers", "", *each.tables]
     return lines

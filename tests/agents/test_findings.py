@@ -41,7 +41,7 @@ def test_both_say_on_how_many_arms_and_fruit() -> None:
 
 
 def test_every_finding_is_one_sentence_and_one_figure_that_is_there() -> None:
-    findings = FINDINGS.split("\n# Tables")[0].split("\n## ")[1:]
+    findings = FINDINGS.split("\n## Appendix: tables")[0].split("\n## ")[1:]
     assert len(findings) >= 4
     for each in findings:
         _, sentence, picture = each.strip().split("\n\n")

@@ -1,0 +1,170 @@
+"""The site: `make docs` builds these pages, the reference and the environments' cards into docs/_build/html.
+
+The reference lists every public name of every room, and cards are the environments' own docstrings, which are Markdown:
+both are written into docs/_generated when the site is built, so that neither can be forgotten.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any, get_origin
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent))
+
+import gymnasium  # noqa: E402
+from pygments.lexers import TextLexer  # noqa: E402
+
+import pickenv  # noqa: E402
+
+project, author, release = "pickenv", "pickenv developers", pickenv.__version__
+copyright = "pickenv developers"
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+exclude_patterns = ["_build"]
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+html_theme = "furo"
+html_title = f"pickenv {release}"
+html_copy_source = False
+html_theme_options = {"sidebar_hide_name": False}
+default_role = "code"  # docstrings write `name`, as Markdown does
+nitpicky = False
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+autodoc_default_options = {"members": True}
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Scalar", "Pose", "Frame", "Compensate")}
+napoleon_google_docstring, napoleon_numpy_docstring = True, False
+napoleon_use_rtype = False
+napoleon_use_ivar, napoleon_attr_annotations = True, False
+suppress_warnings = ["autodoc.import_cycle"]
+copybutton_exclude = ".linenos, .gp"
+
+ROOMS = {
+    "pickenv": "The front door",
+    "pickenv.arm": "Arms and plants",
+    "pickenv.calibration": "Calibration",
+    "pickenv.envs": "Environments",
+    "pickenv.wrappers": "Wrappers",
+    "pickenv.agents": "Policies, training, evaluation",
+    "pickenv.inspect": "Recordings, figures, reports",
+    "pickenv.study": "Tolerance studies",
+    "pickenv.orchard": "Fruit, canopy, camera, gripper",
+    "pickenv.harvester": "The machine of Li 2016",
+}
+"""Rooms with a face, and their titles."""
+
+
+CARDS = {
+    str(spec.entry_point).partition(":")[2]: name.partition("/")[2]
+    for name, spec in sorted(gymnasium.registry.items())
+    if name.startswith("pickenv/")
+}
+"""Card of each environment, by the name of its class."""
+
+
+def offered(module: ModuleType) -> dict[str, Any]:
+    """Functions, classes and other objects that a room offers; rooms inside it have pages of their own."""
+    names = [name for name in dir(module) if not name.startswith("_")]
+    found = {name: getattr(module, name) for name in names}
+    return {name: thing for name, thing in found.items() if not inspect.ismodule(thing)}
+
+
+def reference_page(room: str, first: dict[int, str]) -> str:
+    """A room's page: each thing that it offers, described where it is offered first."""
+    module = importlib.import_module(room)
+    title = f"{ROOMS[room]}: ``{room}``"
+    lines = [title, "=" * len(title), "", f".. currentmodule:: {room}", "", _first_line(module), ""]
+    for name, thing in offered(module).items():
+        home = first.setdefault(id(thing), f"{room}.{name}")
+        if home != f"{room}.{name}":
+            lines += [f".. py:data:: {room}.{name}", "   :no-index:", "", f"   See `{home}`.", ""]
+            continue
+        if get_origin(thing) or (inspect.isclass(thing) and thing.__name__ != name):  # a type by another name
+            lines += [f".. py:data:: {name}", "", f"   `{thing}`", ""]
+            continue
+        kind = "autoclass" if inspect.isclass(thing) else "autofunction" if inspect.isroutine(thing) else "autodata"
+        options = ["   :no-members:"] if _is_environment(thing) else []
+        lines += [f".. {kind}:: {room}.{name}", *options, ""]
+    return "\n".join(lines)
+
+
+def _first_line(module: ModuleType) -> str:
+    return (inspect.getdoc(module) or "").split("\n\n")[0].replace("\n", " ")
+
+
+def _is_environment(thing: Any) -> bool:
+    return inspect.isclass(thing) and issubclass(thing, gymnasium.Env | gymnasium.vector.VectorEnv)
+
+
+def environment_page(name: str) -> str:
+    """An environment's card: its own docstring, whose headings move one level down."""
+    entry = str(gymnasium.spec(name).entry_point)
+    module, _, attribute = entry.partition(":")
+    text = inspect.getdoc(getattr(importlib.import_module(module), attribute)) or ""
+    return (
+        f'# `{name}`\n\n```python\nimport gymnasium\nimport pickenv\n\nenv = gymnasium.make("{name}")\n```\n\n{text}\n'
+    )
+
+
+def write_generated() -> None:
+    """Write reference and cards; what is there unchanged keeps its time, so that a second build is quick."""
+    first: dict[int, str] = {}
+    pages = {}
+    for room in ("pickenv", *(room for room in ROOMS if room != "pickenv")):
+        pages[f"reference/{room}.rst"] = reference_page(room, first)
+    index = ["Reference", "=========", "", ".. toctree::", "   :maxdepth: 1", "", *(f"   {room}" for room in ROOMS), ""]
+    pages["reference/index.rst"] = "\n".join(index)
+    for card in CARDS.values():
+        pages[f"environments/{card}.md"] = environment_page(f"pickenv/{card}")
+    cards = "\n".join(CARDS.values())
+    pages["environments/index.md"] = f"# Environments\n\n```{{toctree}}\n:maxdepth: 1\n\n{cards}\n```\n"
+    for name, text in pages.items():
+        path = HERE / "_generated" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def plain(_app: Any, what: str, _name: str, thing: Any, _options: Any, lines: list[str]) -> None:
+    """Docstrings are written to be read as they are; what Sphinx would take for its own marks is quoted."""
+    if what == "class" and _is_environment(thing):
+        card = CARDS.get(thing.__name__)
+        lines[1:] = ["", f"Its card: :doc:`/_generated/environments/{card}`."] if card else []
+    for i, line in enumerate(lines):
+        parts = re.split(r"(``.*?``|`[^`]*`)", line)
+        lines[i] = "".join(part if part.startswith("`") else _quoted(part) for part in parts)
+
+
+def _quoted(text: str) -> str:
+    return re.sub(r"(?<=\w)_(?=[\s,.;)])", r"\\_", re.sub(r"([|])|(?<=\s)([*])(?=\w)", r"\\\g<0>", text))
+
+
+def skipped(_app: Any, _what: str, _name: str, thing: Any, skip: bool, _options: Any) -> bool | None:
+    """Fields of a named tuple stand in its docstring."""
+    return True if type(thing).__name__ == "_tuplegetter" else skip or None
+
+
+def short(
+    _app: Any, _what: str, _name: str, _thing: Any, _options: Any, signature: str | None, returned: str | None
+) -> tuple[str | None, str | None]:
+    """Types by their last name."""
+    texts = []
+    for text in (signature, returned):
+        plainer = re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text or "")
+        texts.append(re.sub(r"~(?:\w+\.)*(\w+)|\bpickenv(?:\.\w+)*\.(\w+)", r"\1\2", plainer) or None)
+    return texts[0], texts[1]
+
+
+def setup(app: Any) -> None:
+    """Generate pages before Sphinx looks for them."""
+    write_generated()
+    app.add_lexer("csv", TextLexer)
+    app.connect("autodoc-process-docstring", plain)
+    app.connect("autodoc-process-signature", short)
+    app.connect("autodoc-skip-member", skipped)

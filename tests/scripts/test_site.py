@@ -1,0 +1,79 @@
+"""The site builds without a warning; every public name has an entry, every link between its pages a target."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+from urllib.parse import unquote
+
+import gymnasium
+import pytest
+
+import pickenv
+
+pytestmark = pytest.mark.slow
+ROOT = Path(__file__).parents[2]
+ROOMS = ("arm", "calibration", "envs", "wrappers", "agents", "inspect", "study", "orchard", "harvester")
+HEAVY = 1_000_000
+"""Bytes of a page."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("sphinx", reason="the site needs the extra docs: make docs")
+    out = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", str(out)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def test_every_public_name_has_an_entry(site: Path) -> None:
+    from sphinx.util.inventory import InventoryFile
+
+    with (site / "objects.inv").open("rb") as file:
+        entries = {name for kind in InventoryFile.load(file, "", lambda _, path: path).values() for name in kind}
+    missing = []
+    for room in ("", *ROOMS):
+        module = importlib.import_module(f"pickenv.{room}".rstrip("."))
+        for name in dir(module):
+            thing = getattr(module, name)
+            if name.startswith("_") or inspect.ismodule(thing):
+                continue
+            homes = [f"pickenv.{other}.{name}".replace("..", ".") for other in (room, *ROOMS, "")]
+            missing += [f"{module.__name__}.{name}"] if not entries.intersection(homes) else []
+    assert missing == []
+    assert len(entries) > 200
+
+
+def test_every_environment_has_its_card(site: Path) -> None:
+    for name in (name for name in gymnasium.registry if name.startswith("pickenv/")):
+        card = (site / f"_generated/environments/{name.partition('/')[2]}.html").read_text(encoding="utf-8")
+        assert "Action Space" in card or "ReachIdeal" in name
+        assert name in card
+
+
+def test_every_link_between_pages_has_a_target_and_no_page_is_heavy(site: Path) -> None:
+    pages = {page: page.read_text(encoding="utf-8") for page in site.rglob("*.html")}
+    assert len(pages) > 25
+    anchors = {page: set(re.findall(r'\bid="([^"]+)"', text)) for page, text in pages.items()}
+    for page, text in pages.items():
+        assert len(text.encode()) < HEAVY, page
+        for link in re.findall(r'(?:href|src)="([^"]+)"', text):
+            if re.match(r"[a-z]+:|#$|//", link):
+                continue
+            path, _, anchor = unquote(link).partition("#")
+            target = (page.parent / path.partition("?")[0]).resolve() if path else page
+            assert target.exists(), f"{page.name}: {link}"
+            if anchor and target in anchors:
+                assert anchor in anchors[target] or page.name in ("search.html", "genindex.html"), (
+                    f"{page.name}: {link}"
+                )
+
+
+def test_the_version_is_shown(site: Path) -> None:
+    assert f"pickenv {pickenv.__version__}" in (site / "index.html").read_text(encoding="utf-8")
