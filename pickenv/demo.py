@@ -7,7 +7,7 @@ seeded fruit raw, with least squares (LS) and with least squares and network (LS
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 
 import pickenv
 from pickenv.agents import Reaches, ScriptedReach, episode_seeds, run_reaches
+from pickenv.agents.evaluation.blocked_gain import FIELD, MEASURED, ROWS, BlockedGain, blocked_gain, grid_joints
 from pickenv.arm import forward, load_plant, noncompensable_error, pose_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
@@ -60,6 +61,7 @@ class DemoSettings:
             within the 5 mm that Li's cup forgives.
         attitude_tolerance_deg: Attitude error that a success may have.
         grid_step: Cell size of the error field, m.
+        gain_poses: Poses of the grid on which gains are judged by blocks held out; none are judged when 0.
     """
 
     seed: int = 0
@@ -72,6 +74,7 @@ class DemoSettings:
     tolerance_mm: float = 1.0
     attitude_tolerance_deg: float = 10.0
     grid_step: float = 0.1
+    gain_poses: int = ROWS
 
     @staticmethod
     def quick(seed: int) -> DemoSettings:
@@ -99,6 +102,7 @@ class DemoResult:
         test_errors: Per policy, true against wanted pose at the test poses ``(N, 6)``, m and rad.
         reaches: Per policy, the reaches.
         comparison: For recording and figures.
+        gains: What a network gains on blocks held out, on arms drawn from this plant and from the plant `field`.
     """
 
     settings: DemoSettings
@@ -111,6 +115,7 @@ class DemoResult:
     test_errors: dict[str, Array]
     reaches: dict[str, Reaches]
     comparison: Comparison
+    gains: tuple[BlockedGain, ...]
 
 
 def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoResult:
@@ -122,7 +127,9 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     """
     report = progress or (lambda stage, done, total: None)
     plant = load_plant(settings.plant)
-    poses_rng, network_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2))
+    poses_rng, network_rng, *gain_rngs = (
+        np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(5)
+    )
     nominal = plant.arm.nominal
     counts = (settings.identification_poses, settings.network_poses, settings.test_poses)
     identification, network, test = (
@@ -165,6 +172,12 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         stage = f"reaching, {LABELS[key]}"
         reaches[key] = run_reaches(env, ScriptedReach(env), seeds, lambda done, s=stage: report(s, done, len(seeds)))  # type: ignore[misc]
         env.close()
+    gains: list[BlockedGain] = []
+    if settings.gain_poses:
+        joints = grid_joints(nominal, settings.gain_poses, gain_rngs[0])
+        for each, rng in zip((plant, load_plant(FIELD)), gain_rngs[1:], strict=True):
+            gains.append(blocked_gain(each, joints, rng))
+            report("gains on blocks held out", len(gains), 2)
     test_errors = {key: _errors(plant, test.joints, compensator) for key, compensator in compensators.items()}
     return DemoResult(
         settings=settings,
@@ -177,6 +190,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         test_errors=test_errors,
         reaches=reaches,
         comparison=_comparison(settings, plant, result, compensators, reaches),
+        gains=tuple(gains),
     )
 
 
@@ -245,6 +259,11 @@ def summarise(result: DemoResult) -> dict[str, Any]:
             "dropped": [item.name for item in found.dropped],
             "absorbed_by": {item.name: item.absorbed_by for item in found.dropped},
             "condition": found.condition,
+        },
+        "blocked": {
+            "ranges": "over drawn arms, or over pairs of blocks of a measured one",
+            "simulated": [asdict(gain) for gain in result.gains],
+            "measured": [asdict(arm) for arm in MEASURED],
         },
         "bpnn_r2": {axis: float(v) for axis, v in zip(axes, result.predicted_r2, strict=True)},
     }

@@ -53,7 +53,7 @@ def main(
     """Run them and print a line for each policy."""
     means: dict[str, list[float]] = {key: [] for key in LABELS}
     for seed in track(np.random.SeedSequence(SEED).generate_state(calibrations), description="calibrations"):
-        result = run_demo(DemoSettings(seed=int(seed), epochs=epochs, grid_step=0.5))
+        result = run_demo(DemoSettings(seed=int(seed), epochs=epochs, grid_step=0.5, gain_poses=0))
         for key, run in result.reaches.items():
             means[key].append(float(run.position_error_mm.mean()))
     found = {key: spread(np.array(values)) for key, values in means.items()}

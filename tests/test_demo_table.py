@@ -1,12 +1,17 @@
-"""The demonstration's table on the terminal: every cell is the summary's, and it says what it is of."""
+"""The demonstration's tables on the terminal: every cell is the summary's; what a network gains on blocks held out."""
 
 import numpy as np
 import pytest
 
-from pickenv.calibration import error_statistics
+from pickenv.agents.evaluation.blocked_gain import ROWS, blocked_gain, blocks_apart, grid_joints
+from pickenv.arm import load_plant
+from pickenv.calibration import error_statistics, simulated_tracker
 from pickenv.cli import _print_demo
 from pickenv.commands.showing import print_table
+from pickenv.errors import InputError
 from pickenv.intervals import share_interval
+
+SMOOTH = load_plant("qiao2026")
 
 
 def summary(reaches):
@@ -24,6 +29,13 @@ def summary(reaches):
     return {
         "policies": {"raw": policy(2.0, 0), "ls": policy(0.5, reaches - 1), "ls_bpnn": policy(0.1, reaches)},
         "identifiability": {"rank": 16, "parameters": 24, "dropped": ["a2"]},
+        "blocked": {
+            "simulated": [{"arm": "smooth", "ls_mm": 0.5, "removed": 0.75, "lowest": 0.6, "highest": 0.87}],
+            "measured": [
+                {"arm": "A", "ls_mm": 0.2, "removed": 0.25, "lowest": None, "highest": None},
+                {"arm": "B", "ls_mm": 2.0, "removed": -0.05, "lowest": -0.2, "highest": 0.04},
+            ],
+        },
         "reaches": reaches,
         "plant": "qiao2026",
         "seed": 0,
@@ -58,6 +70,12 @@ def test_every_cell_is_the_summarys(capsys, reaches):
         assert low < high
     words = " ".join(text.split())
     assert "all of this one calibration: intervals are over fruit" in words and "within 1 mm and 10 deg" in words
+    for label, cells in {
+        "smooth, simulated": ["0.50", "75 % (60 to 87)"],
+        "A, measured": ["0.20", "25 %"],
+        "B, measured": ["2.00", "-5 % (-20 to 4)"],
+    }.items():
+        assert rows[label] == cells
     assert ("means have none with fewer than 20" in words) == (reaches < 20)
 
 
@@ -66,3 +84,35 @@ def test_units_in_brackets_stand_in_heads_cells_title_and_caption(capsys: pytest
     said = capsys.readouterr().out
     for words in ("errors [mm]", "mean [mm]", "a[0]", "[bold]1.5", "p95 [deg]"):
         assert words in said
+
+
+def test_blocks_held_out_are_two_tenths_of_the_file_and_the_rest_is_all_else():
+    rng = np.random.default_rng(0)
+    joints = grid_joints(SMOOTH.arm.nominal, 50, rng)
+    rows = simulated_tracker(SMOOTH, joints, rng)
+    train, test = blocks_apart(rows, (2, 7))
+    held = [10, 11, 12, 13, 14, 35, 36, 37, 38, 39]
+    np.testing.assert_array_equal(test.joints, joints[held])
+    np.testing.assert_array_equal(train.joints, np.delete(joints, held, axis=0))
+
+
+def test_the_grid_is_visited_line_by_line_within_the_joints_ranges():
+    nominal = SMOOTH.arm.nominal
+    joints = grid_joints(nominal, ROWS, np.random.default_rng(0))
+    assert joints.shape == (ROWS, 6)
+    assert np.all((joints >= nominal.lower) & (joints <= nominal.upper))
+    steps = np.linalg.norm(np.diff(joints[:, [1, 2]], axis=0), axis=1)
+    shuffled = np.linalg.norm(np.diff(np.random.default_rng(1).permutation(joints)[:, [1, 2]], axis=0), axis=1)
+    assert steps.mean() < 0.5 * shuffled.mean()
+    with pytest.raises(InputError, match="ask for no more"):
+        grid_joints(nominal, 10_000, np.random.default_rng(0))
+
+
+@pytest.mark.slow
+def test_a_smooth_arm_flatters_a_network_and_one_like_measured_arms_does_not():
+    pytest.importorskip("torch")
+    joints = grid_joints(SMOOTH.arm.nominal, ROWS, np.random.default_rng(0))
+    smooth, rough = (blocked_gain(load_plant(name), joints, np.random.default_rng(1)) for name in ("qiao2026", "field"))
+    for gain in (smooth, rough):
+        assert gain.lowest < gain.removed < gain.highest
+    assert smooth.removed > rough.removed + 0.2

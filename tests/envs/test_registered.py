@@ -23,6 +23,7 @@ IDS = sorted(name for name in gym.registry if name.startswith("pickenv/"))
 VARIANTS = [
     {},
     {"plant": "geometry_only"},
+    {"plant": "field"},
     {"feedback": "camera", "camera_noise_mm": 3.0},
     {"reward": "sparse", "tolerance_mm": 1.0, "without": ["boom_bending"]},
 ]

@@ -20,7 +20,10 @@ VARIANTS = {
     "plain": {},
     "camera, arm per episode": {"feedback": "camera", "camera_noise_mm": 3.0, "arms": "per_episode"},
     "orchard, arm per environment": {"plant": "orchard", "arms": "per_env"},
+    "field, arm per episode": {"plant": "field", "arms": "per_episode"},
 }
+SINGLE = {"field, arm per episode": 1e-6}
+"""Waves of a field are single precision in NumPy and double in torch: they agree to a nanometre (in mm here)."""
 STEPS = 9
 
 
@@ -227,7 +230,7 @@ def test_numpy_and_torch_agree(mode, variant):
                 close(a[key], b[key])
         else:
             assert isinstance(b, torch.Tensor)
-            atol = 1e-6 if a.dtype == np.float32 else 1e-8
+            atol = 1e-6 if a.dtype == np.float32 else SINGLE.get(variant, 1e-8)
             np.testing.assert_allclose(np.asarray(a, float), b.double().numpy(), rtol=0, atol=atol)
 
     for a, b in zip(one.reset(seed=3), other.reset(seed=3), strict=True):

@@ -96,12 +96,9 @@ def test_joints_at_points_are_near_and_leave_nanometres(comparison: Comparison) 
 
 
 def firm(comparison: Comparison) -> Comparison:
-    """The comparison on ground that never gives way, with an arm that is neither warm nor late."""
-    plant = load_plant("orchard").without(
-        ("thermal_growth", "base_tilt", "settling", "stick_band", "backlash", "servo")
-    )
+    """The comparison's own arm, neither warm nor late, on ground that never gives way."""
     ground = replace(load_plant("orchard").base_tilt, stiffness=(1e15, 1e15), settlement=0.0)
-    return replace(comparison, plant=replace(plant, base_tilt=ground))
+    return replace(comparison, plant=replace(comparison.plant, base_tilt=ground))
 
 
 def test_a_filter_learns_the_arm_that_a_policy_left(comparison: Comparison) -> None:

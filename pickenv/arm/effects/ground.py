@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import Annotated
 
-from pickenv.arm.effects.structure import Load, turn_horizontally
+from pickenv.arm.effects.structure import Weight, turn_horizontally
 from pickenv.arm.kinematics.backend import exponential
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, attach
+from pickenv.arm.kinematics.forward import Frame, Scalar
 from pickenv.toml_tables import GRAVITY, HOURS, MM, NUMBER, Unit, toml_table
 
 
@@ -35,24 +35,17 @@ class BaseTilt:
     time_constant: Annotated[Scalar, HOURS.positive]
 
 
-def immediate_tilt(tilt: BaseTilt, chain: Chain, frames: Sequence[Frame], load: Load) -> tuple[Scalar, Scalar]:
+def immediate_tilt(tilt: BaseTilt, weights: Sequence[Weight]) -> tuple[Scalar, Scalar]:
     """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once.
 
     Args:
         tilt: The ground.
-        chain: The chain.
-        frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
-        load: The masses of links and payload.
+        weights: What hangs on each link, from `pickenv.arm.effects.structure.weights_behind`.
     """
     x0, y0, _ = tilt.pivot
-    tool = attach(frames[-1], chain.tool)
-    moment_x, moment_y = load.payload * (tool[9] - x0), load.payload * (tool[10] - y0)
-    for frame, mass, (cx, cy, cz) in zip(frames[1:], load.mass, load.centre, strict=True):
-        xx, xy, _, yx, yy, _, zx, zy, _, px, py, _ = frame
-        moment_x = moment_x + mass * (px - x0 + cx * xx + cy * yx + cz * zx)
-        moment_y = moment_y + mass * (py - y0 + cx * xy + cy * yy + cz * zy)
+    mass, moment_x, moment_y = weights[0]
     about_x, about_y = tilt.stiffness
-    return -GRAVITY * moment_y / about_x, GRAVITY * moment_x / about_y
+    return -GRAVITY * (moment_y - mass * y0) / about_x, GRAVITY * (moment_x - mass * x0) / about_y
 
 
 def sunk(

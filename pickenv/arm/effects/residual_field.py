@@ -115,7 +115,8 @@ def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[S
         parts = _weighed(features, inputs, field.weight)
         return list(parts) if m is np else list(parts.tolist())
     shape = np.broadcast_shapes(inputs.shape[1:], field.weight.shape[:-3])
-    inputs = np.broadcast_to(inputs, (len(inputs), *shape))
+    ones = (1,) * (1 + len(shape) - inputs.ndim)  # one pose, many arms
+    inputs = np.broadcast_to(inputs.reshape(len(inputs), *ones, *inputs.shape[1:]), (len(inputs), *shape))
     weight = np.broadcast_to(field.weight, (shape[-1], *field.weight.shape[-3:]))
     found = np.empty((features.outputs, *shape))
     for first in range(0, shape[-1], CHUNK):

@@ -79,6 +79,10 @@ class RollerPlay:
     overlap: Annotated[Scalar, MM.positive]
 
 
+Weight = tuple[Scalar, Scalar, Scalar]
+"""What hangs on a link: its mass in kg, and mass times horizontal position (x, y) in the world, kg*m."""
+
+
 @dataclass(frozen=True)
 class Harmonic:
     """One periodic term of a drive's error, A sin(2 pi q / period + phase).
@@ -124,10 +128,40 @@ def driven_joints(m: ModuleType, error: TransmissionError, q: Sequence[Scalar]) 
         value if isinstance(lead, float) and not lead else value * (1.0 + lead)
         for value, lead in zip(q, error.lead, strict=True)
     ]
-    for term in error.harmonics:
+    return with_waves(m, error.harmonics, q, driven)
+
+
+def with_waves(
+    m: ModuleType, harmonics: Sequence[Harmonic], q: Sequence[Scalar], driven: Sequence[Scalar]
+) -> list[Scalar]:
+    """Joint displacements ``driven`` with the periodic errors at the motor positions ``q`` on top."""
+    found = list(driven)
+    for term in harmonics:
         angle = q[term.joint] * (math.tau / term.period) + term.phase
-        driven[term.joint] = driven[term.joint] + term.amplitude * m.sin(angle)
-    return driven
+        found[term.joint] = found[term.joint] + term.amplitude * m.sin(angle)
+    return found
+
+
+def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Weight]:
+    """What hangs on each link: itself and all behind it; last what the tool holds.
+
+    Args:
+        chain: The chain.
+        frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
+        load: The masses.
+    """
+    mass: Scalar = load.payload
+    tool = attach(frames[-1], chain.tool)
+    moment_x, moment_y = mass * tool[9], mass * tool[10]
+    weights: list[Weight] = [(mass, moment_x, moment_y)]
+    for i in reversed(range(len(chain.links))):
+        xx, xy, _, yx, yy, _, zx, zy, _, px, py, _ = frames[i + 1]
+        own, (cx, cy, cz) = load.mass[i], load.centre[i]
+        mass = mass + own
+        moment_x = moment_x + own * (px + cx * xx + cy * yx + cz * zx)
+        moment_y = moment_y + own * (py + cx * xy + cy * yy + cz * zy)
+        weights.append((mass, moment_x, moment_y))
+    return weights[::-1]
 
 
 def gravity_torques(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Scalar]:
@@ -138,20 +172,18 @@ def gravity_torques(chain: Chain, frames: Sequence[Frame], load: Load) -> list[S
         frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
         load: The masses.
     """
-    mass: Scalar = load.payload
-    tool = attach(frames[-1], chain.tool)
-    moment_x, moment_y = mass * tool[9], mass * tool[10]  # sum of mass times horizontal position
-    torques: list[Scalar] = [0.0] * len(chain.links)
-    for i in reversed(range(len(chain.links))):
-        xx, xy, _, yx, yy, _, zx, zy, zz, px, py, _ = frames[i + 1]
-        own, (cx, cy, cz) = load.mass[i], load.centre[i]
-        mass = mass + own
-        moment_x = moment_x + own * (px + cx * xx + cy * yx + cz * zx)
-        moment_y = moment_y + own * (py + cx * xy + cy * yy + cz * zy)
-        if chain.links[i].prismatic:
-            torques[i] = -GRAVITY * mass * zz
+    return weights_torques(chain, frames, weights_behind(chain, frames, load))
+
+
+def weights_torques(chain: Chain, frames: Sequence[Frame], weights: Sequence[Weight]) -> list[Scalar]:
+    """`gravity_torques` of what hangs on each link."""
+    torques: list[Scalar] = []
+    for link, frame, (mass, moment_x, moment_y) in zip(chain.links, frames[1:], weights, strict=False):
+        zx, zy, zz, px, py, _ = frame[6:]
+        if link.prismatic:
+            torques.append(-GRAVITY * mass * zz)
         else:
-            torques[i] = GRAVITY * (zy * (moment_x - mass * px) - zx * (moment_y - mass * py))
+            torques.append(GRAVITY * (zy * (moment_x - mass * px) - zx * (moment_y - mass * py)))
     return torques
 
 

@@ -10,6 +10,7 @@ from dataclasses import make_dataclass
 from typing import Annotated, Any, cast
 
 from pickenv.arm.files.arm import Arm
+from pickenv.errors import InputError
 from pickenv.toml_tables import WHOLE, Kinds, Then, Unit, fault, toml_table
 
 
@@ -46,6 +47,17 @@ def _boom(number: int, context: Any) -> int:
 
 BOOM = Then(_boom)
 """The number of a prismatic joint, which becomes its index from 0."""
+
+
+def number_per_joint(table: Any, key: str, context: Any) -> tuple[float, ...]:
+    """One number per joint from the entries of a table, zero for joints that none names."""
+    found: dict[int, float] = {}
+    for entry in table.joints:
+        if entry.joint in found:
+            raise InputError(f"joint {entry.joint + 1} has two entries in one table; give each joint once")
+        found[entry.joint] = getattr(entry, key)
+    arm = arm_in(context)
+    return () if arm is None else tuple(found.get(joint, 0.0) for joint in range(arm.nominal.joints))
 
 
 class Entry(dict[str, Any]):

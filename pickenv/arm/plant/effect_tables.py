@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pickenv.arm.effects.drives import Encoder
 from pickenv.arm.effects.hysteresis import Backlash, StickBand
-from pickenv.arm.files.joint_keys import ByJoint, arm_in
+from pickenv.arm.files.joint_keys import ByJoint, number_per_joint
 from pickenv.errors import InputError
 from pickenv.toml_tables import ARCMIN, ARCSEC, MM, NEWTON, NEWTON_METRE, NUMBER, UM, Then, toml_table
 
@@ -42,32 +42,21 @@ class EncoderTable:
 
 def backlash_of(table: BacklashTable, context: Any) -> Backlash:
     """The effect of an arm."""
-    return Backlash(_per_joint(table, "width", context), _per_joint(table, "preload", context))
+    return Backlash(number_per_joint(table, "width", context), number_per_joint(table, "preload", context))
 
 
 def stick_band_of(table: StickBandTable, context: Any) -> StickBand:
     """The effect of an arm."""
-    forward, backward = (_per_joint(table, side, context) for side in ("forward", "backward"))
+    forward, backward = (number_per_joint(table, side, context) for side in ("forward", "backward"))
     return StickBand(forward, backward, table.scatter)
 
 
 def encoder_of(table: EncoderTable, context: Any) -> Encoder:
     """The effect of an arm."""
-    resolution = _per_joint(table, "resolution", context)
+    resolution = number_per_joint(table, "resolution", context)
     if 0.0 in resolution:
         raise InputError(f"joints of [encoder] does not name joint {resolution.index(0.0) + 1}; give each joint")
     return Encoder(resolution)
-
-
-def _per_joint(table: Any, key: str, context: Any) -> tuple[float, ...]:
-    """One number per joint from the entries of a table, zero for joints that none names."""
-    found: dict[int, float] = {}
-    for entry in table.joints:
-        if entry.joint in found:
-            raise InputError(f"joint {entry.joint + 1} has two entries in one table; give each joint once")
-        found[entry.joint] = getattr(entry, key)
-    arm = arm_in(context)
-    return () if arm is None else tuple(found.get(joint, 0.0) for joint in range(arm.nominal.joints))
 
 
 BY_JOINT = {

@@ -1,9 +1,10 @@
 """The true arm: what a joint command really does to the tool.
 
-Motor (counts, lag) -> drive error -> friction -> backlash -> compliance -> swing -> warm chain -> boom -> ground ->
-what a calibration found beside them. Each effect is None when switched off; with all of them off the plant is exactly
-the true geometry. Some effects depend on the joints alone; the others have a state, a tuple of components that runs on
-floats, arrays and tensors (`pickenv.arm.plant.dynamics`). Numbers may be arrays: one entry per arm, many arms at once.
+Motor (counts, lag) -> drive error -> friction -> backlash -> compliance -> swing -> warm chain -> slides and boom ->
+ground -> local structure -> what a calibration found beside them. Each effect is None when switched off; with all of
+them off the plant is exactly the true geometry. Some effects depend on the joints alone; the others have a state, a
+tuple of components that runs on floats, arrays and tensors (`pickenv.arm.plant.dynamics`). Numbers may be arrays: one
+entry per arm, many arms at once.
 """
 
 from __future__ import annotations
@@ -11,17 +12,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.effects import hysteresis, structure
+from pickenv.arm.effects import guides, hysteresis, structure
 from pickenv.arm.effects.drives import Encoder, Servo, followed, quantised
 from pickenv.arm.effects.gravity_yield import GravityYield, weighed_down
 from pickenv.arm.effects.ground import BaseTilt, immediate_tilt, long_run, sunk, tilted_frame
+from pickenv.arm.effects.own_waves import DriveHarmonics, LocalStructure
 from pickenv.arm.effects.residual_field import ResidualField, strayed
 from pickenv.arm.effects.settling import Settling, Swing, at_rest, swung
 from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain, grown_joints, warmed
@@ -44,6 +46,13 @@ from pickenv.arm.plant.posterior import Posterior
 from pickenv.toml_tables import DEG, MM, toml_table
 
 WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling", "servo")
+
+
+NEED_LOAD = ("joint_compliance", "boom_couple", "boom_torsion", "slide_compliance", "base_tilt")
+"""Effects that are nothing without masses."""
+
+WITH_LOAD = (*NEED_LOAD, "backlash")
+"""Effects that gravity's loads act on."""
 
 
 @toml_table
@@ -69,11 +78,16 @@ class Plant:
         name: Name of the preset.
         arm: The arm; its nominal geometry is what the controller believes in.
         geometry: True geometry.
-        load: Masses for gravity, needed by compliance and base tilt, and by backlash for its preload.
+        load: Masses for gravity, needed by `NEED_LOAD`, and by backlash for its preload.
         joint_compliance: Joint deflection under gravity, or None.
         boom_bending: Bending of the telescopic boom, or None.
         transmission_error: Errors of the drives, or None.
+        drive_harmonics: Waves of the drives that the arm has for itself, or None.
+        local_structure: Finer displacement of the tool that the arm has for itself, or None.
         measurement_noise: Noise of the instrument that measures the tool, or None; it never moves the arm.
+        boom_couple: Bending of the boom by what hangs beside its tip, or None.
+        boom_torsion: Its twist, or None.
+        slide_compliance: Bearings of slides that yield, or None.
         roller_play: Play in the boom's rollers, or None.
         backlash: Gaps in the joints' gears, or None.
         stick_band: Friction that stops joints short of their command, or None.
@@ -95,7 +109,12 @@ class Plant:
     joint_compliance: structure.JointCompliance | None = None
     boom_bending: structure.BoomBending | None = None
     transmission_error: structure.TransmissionError | None = None
+    drive_harmonics: DriveHarmonics | None = None
+    local_structure: LocalStructure | None = None
     measurement_noise: MeasurementNoise | None = None
+    boom_couple: guides.BoomCouple | None = None
+    boom_torsion: guides.BoomTorsion | None = None
+    slide_compliance: guides.SlideCompliance | None = None
     roller_play: structure.RollerPlay | None = None
     backlash: hysteresis.Backlash | None = None
     stick_band: hysteresis.StickBand | None = None
@@ -146,8 +165,8 @@ class Plant:
         gear = _gear(self, m, motor, None)
         rise = (self.thermal_growth.final_rise,) if self.thermal_growth is not None else ()
         sinkage: Components = ()
-        if self.base_tilt is not None and gear[3] is not None:
-            sinkage = long_run(self.base_tilt, gear[3])
+        if self.base_tilt is not None and gear.tilt is not None:
+            sinkage = long_run(self.base_tilt, gear.tilt)
         return _tool(self, m, self.warm_chain, motor, gear, (), rise, sinkage)
 
     def initial_state(self, m: ModuleType, q: Sequence[Scalar]) -> PlantState:
@@ -189,8 +208,8 @@ class Plant:
         if self.thermal_growth is not None:
             rise = (warmed(m, self.thermal_growth, rise[0], dt),)
             chain = grown_chain(self.thermal_growth, chain, rise[0])
-        if self.base_tilt is not None and gear[3] is not None:
-            sinkage = sunk(m, self.base_tilt, sinkage, gear[3], dt)
+        if self.base_tilt is not None and gear.tilt is not None:
+            sinkage = sunk(m, self.base_tilt, sinkage, gear.tilt, dt)
         new = _state(self, motor, gear, swings, rise, sinkage)
         return new, _tool(self, m, chain, motor, gear, swings, rise, sinkage)
 
@@ -232,18 +251,31 @@ EFFECTS = tuple(part.name for part in fields(Plant) if part.name not in _OTHERS)
 """Effects that plant files hold."""
 
 
-_Gear: TypeAlias = tuple[Sequence[Scalar], Sequence[Scalar], list[Scalar] | None, tuple[Scalar, Scalar] | None]
-"""Joint displacements behind friction and behind backlash, and the loads on them: torques, and the base's tilt."""
+class _Gear(NamedTuple):
+    """Where the drives hold the joints, and what gravity does there; None is what no effect asks for.
+
+    Attributes:
+        friction: Joint displacements behind friction.
+        backlash: Joint displacements behind backlash.
+        weights: What hangs on each link.
+        torques: Gravity's torques and forces on the joints.
+        tilt: The base's immediate tilt.
+    """
+
+    friction: Sequence[Scalar]
+    backlash: Sequence[Scalar]
+    weights: list[structure.Weight] | None
+    torques: list[Scalar] | None
+    tilt: tuple[Scalar, Scalar] | None
 
 
 def _state(
     plant: Plant, motor: Sequence[Scalar], gear: _Gear, swings: Sequence[Swing], rise: Components, sinkage: Components
 ) -> PlantState:
-    friction, backlash, *_ = gear
     return PlantState(
         motor=tuple(motor) if plant.servo is not None else (),
-        friction=tuple(friction) if plant.stick_band is not None else (),
-        backlash=tuple(backlash) if plant.backlash is not None else (),
+        friction=tuple(gear.friction) if plant.stick_band is not None else (),
+        backlash=tuple(gear.backlash) if plant.backlash is not None else (),
         profile=tuple(swing.profile for swing in swings),
         vibration=tuple(swing.vibration for swing in swings),
         rate=tuple(swing.rate for swing in swings),
@@ -257,14 +289,17 @@ def _gear(plant: Plant, m: ModuleType, motor: Sequence[Scalar], state: PlantStat
     driven = motor
     if plant.transmission_error is not None:
         driven = structure.driven_joints(m, plant.transmission_error, driven)
-    torques, tilt = None, None
-    if plant.load is not None and (plant.joint_compliance or plant.backlash or plant.base_tilt):
+    if plant.drive_harmonics is not None:
+        driven = structure.with_waves(m, plant.drive_harmonics.harmonics, motor, driven)
+    weights, torques, tilt = None, None, None
+    if plant.load is not None and any(getattr(plant, name) is not None for name in WITH_LOAD):
         # Loads are taken at the driven joints of the straight, cold arm: what is left out is of second order.
         straight = frames(m, plant.chain, driven)
+        weights = structure.weights_behind(plant.chain, straight, plant.load)
         if plant.joint_compliance is not None or plant.backlash is not None:
-            torques = structure.gravity_torques(plant.chain, straight, plant.load)
+            torques = structure.weights_torques(plant.chain, straight, weights)
         if plant.base_tilt is not None:
-            tilt = immediate_tilt(plant.base_tilt, plant.chain, straight, plant.load)
+            tilt = immediate_tilt(plant.base_tilt, weights)
     friction = driven
     if plant.stick_band is not None:
         if state is None:
@@ -275,7 +310,7 @@ def _gear(plant: Plant, m: ModuleType, motor: Sequence[Scalar], state: PlantStat
     if plant.backlash is not None:
         before = friction if state is None else state.backlash
         backlash = hysteresis.joints_behind_backlash(m, plant.backlash, torques, friction, before)
-    return friction, backlash, torques, tilt
+    return _Gear(friction, backlash, weights, torques, tilt)
 
 
 def _tool(
@@ -289,7 +324,7 @@ def _tool(
     sinkage: Components,
 ) -> Frame:
     """From displacements behind the gears to the tool."""
-    _, joints, torques, tilt = gear
+    joints, torques, tilt = gear.backlash, gear.torques, gear.tilt
     if plant.joint_compliance is not None and torques is not None:
         joints = structure.yielded_joints(plant.joint_compliance, torques, joints)
     if plant.gravity_yield is not None:
@@ -298,19 +333,29 @@ def _tool(
         joints = [value + swing.vibration for value, swing in zip(joints, swings, strict=True)]
     if plant.thermal_growth is not None:
         joints = grown_joints(plant.thermal_growth, chain, joints, rise[0])
-    frame = tool_frame(m, chain, joints, _flexure(plant, joints))
+    frame = tool_frame(m, chain, joints, _flexure(plant, m, joints, gear.weights))
     if plant.base_tilt is not None and tilt is not None:
         frame = tilted_frame(plant.base_tilt, tilt, sinkage, frame)
+    if plant.local_structure is not None:
+        frame = strayed(m, plant.local_structure.field, motor, frame)
     return frame if plant.residual is None else strayed(m, plant.residual, motor, frame)
 
 
-def _flexure(plant: Plant, joints: Sequence[Scalar]) -> Flexure | None:
-    """Bending of the boom and play in its rollers, one after the other."""
-    bend = slack = None
+def _flexure(
+    plant: Plant, m: ModuleType, joints: Sequence[Scalar], weights: Sequence[structure.Weight] | None
+) -> Flexure | None:
+    """What slides and boom do, one after the other: bearings, bending, couple, twist, play in the rollers."""
+    bends: list[Flexure] = []
+    if plant.slide_compliance is not None and weights is not None:
+        bends.append(guides.slide_flexure(m, plant.slide_compliance, weights, joints))
     if plant.boom_bending is not None:
-        bend = structure.boom_flexure(plant.boom_bending, plant.load.payload if plant.load else 0.0, joints)
+        bends.append(structure.boom_flexure(plant.boom_bending, plant.load.payload if plant.load else 0.0, joints))
+    if plant.boom_couple is not None and weights is not None:
+        bends.append(guides.couple_flexure(m, plant.boom_couple, weights, joints))
+    if plant.boom_torsion is not None and weights is not None:
+        bends.append(guides.torsion_flexure(m, plant.boom_torsion, weights, joints))
     if plant.roller_play is not None:
-        slack = structure.roller_flexure(plant.roller_play, joints)
-    if bend is None or slack is None:
-        return bend or slack
-    return lambda i, frame: slack(i, bend(i, frame))
+        bends.append(structure.roller_flexure(plant.roller_play, joints))
+    if len(bends) < 2:
+        return bends[0] if bends else None
+    return lambda i, frame: reduce(lambda bent, bend: bend(i, bent), bends, frame)

@@ -9,10 +9,11 @@ from dataclasses import make_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
+from pickenv.arm.effects.own_waves import OWN_WAVES
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.load import load_arm
 from pickenv.arm.plant.effect_tables import BY_JOINT
-from pickenv.arm.plant.plant import EFFECTS, Plant
+from pickenv.arm.plant.plant import EFFECTS, NEED_LOAD, Plant
 from pickenv.arm.plant.twin_file import read_twin
 from pickenv.errors import InputError
 from pickenv.toml_tables import LINE, Check, Then, file_named, read, shipped_in, toml_table
@@ -39,6 +40,8 @@ def one_link_per_joint(arm: Arm) -> Arm:
     return arm
 
 
+LAID_OUT = BY_JOINT | OWN_WAVES
+
 PlantFile: Any = toml_table(
     make_dataclass(
         "PlantFile",
@@ -46,7 +49,7 @@ PlantFile: Any = toml_table(
             ("arm", Annotated[Arm, Then(_arm, Annotated[str, NAMED])]),
             ("name", Annotated[str, LINE]),
             ("source", str),
-            *((effect, BY_JOINT.get(effect, get_type_hints(Plant)[effect]), None) for effect in ("load", *EFFECTS)),
+            *((effect, LAID_OUT.get(effect, get_type_hints(Plant)[effect]), None) for effect in ("load", *EFFECTS)),
         ],
         frozen=True,
     )
@@ -74,7 +77,7 @@ def read_plant(name: str | Path) -> Plant:
     del parts["source"]
     arm = parts["arm"]
     plant = Plant(geometry=arm.nominal if arm.true is None else arm.true, **parts)
-    for effect in ("joint_compliance", "base_tilt"):
+    for effect in NEED_LOAD:
         if parts[effect] is not None and plant.load is None:
             raise InputError(f"{path}: {effect} needs [load], the masses that gravity pulls at")
     if (play := plant.roller_play) is not None and play.overlap <= (limit := plant.arm.nominal.upper[play.joint]):
@@ -82,4 +85,12 @@ def read_plant(name: str | Path) -> Plant:
             f"{path}: overlap_mm of [roller_play] is {play.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
             f"that joint {play.joint + 1} runs out"
         )
+    if plant.slide_compliance is not None:
+        for bearing in plant.slide_compliance.bearings:
+            limit = plant.arm.nominal.upper[bearing.joint]
+            if bearing.overhang is not None and bearing.span <= limit:
+                raise InputError(
+                    f"{path}: span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}; "
+                    f"give more than the {limit * 1e3:g} mm that it runs out"
+                )
     return plant

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from scipy.special import ndtri
 
 from pickenv import toml_tables
+from pickenv.arm.effects.own_waves import drawn_harmonics, drawn_structure, standard_normal_of
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.twin_arms import twin_arms
@@ -26,6 +26,9 @@ TOLERANCES = Path(__file__).parent / "tolerance_classes"
 
 GRADES = {5: 7, 6: 10, 7: 16, 8: 25, 9: 40, 10: 64, 11: 100, 12: 160, 13: 250, 14: 400, 15: 640, 16: 1000, 17: 1600}
 """Tolerance in units i for each IT grade (ISO 286-1, table 1)."""
+
+SPARE = 64
+"""Places for so many waves of a drive are kept, so that what comes after them stays where it is without them."""
 
 LARGEST_DAMPING = 0.5
 """No structure is damped more; a draw from a wide spread stops here."""
@@ -182,7 +185,11 @@ def random_columns(plant: Plant) -> dict[str, range]:
     sizes = {"geometry": 4 * n, "temperature_rise": 1}
     sizes |= {"joint_stiffness": n, "backlash": n, "friction": 2 * n, "frequency": n, "damping": n}
     sizes |= {"ground_stiffness": 2, "sinkage": 2, "flexural_rigidity": 1, "roller_clearance": 1, "warm_up_time": 1}
-    sizes |= {"lead": n, "transmission_error": wave, "phase": wave}  # last: their number depends on the plant
+    sizes |= {"lead": n, "transmission_error": wave, "phase": wave, "kept free": 2 * max(SPARE - wave, 0)}
+    own = len(plant.drive_harmonics.spread) if plant.drive_harmonics is not None else 0
+    structure = plant.local_structure.weights if plant.local_structure is not None else 0
+    sizes |= {"bearing_stiffness": n, "drive_harmonics": 3 * own, "kept free too": 3 * max(SPARE - own, 0)}
+    sizes |= {"local_structure": structure}  # last: their number depends on the plant
     edges = np.cumsum([0, *sizes.values()]).tolist()
     return {key: range(a, b) for key, a, b in zip(sizes, edges, edges[1:], strict=False)}
 
@@ -200,17 +207,19 @@ class _Draws:
 
     def factors(self, key: str, spread: str | None = None) -> Array:
         """Factors about 1, (N, size)."""
-        return np.asarray(np.exp(getattr(self.tolerances.spread, spread or key) * _normal(self.even[key])))
+        return np.asarray(np.exp(getattr(self.tolerances.spread, spread or key) * standard_normal_of(self.even[key])))
 
-    def scaled(self, values: tuple[float, ...], key: str, first: int = 0) -> tuple[Array, ...]:
+    def scaled(
+        self, values: tuple[float, ...], key: str, first: int = 0, spread: str | None = None
+    ) -> tuple[Array, ...]:
         """Each value times the factors of its column."""
-        factors = self.factors(key)
+        factors = self.factors(key, spread)
         return tuple(value * factors[:, first + i] for i, value in enumerate(values))
 
 
 def _deviation(tolerances: Tolerances, even: Array) -> Array:
     """Numbers in the tolerance zone from -1 to 1."""
-    return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else _normal(even) / 3.0
+    return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else standard_normal_of(even) / 3.0
 
 
 def _length_zone(tolerances: Tolerances, length: Array) -> Array:
@@ -225,10 +234,6 @@ def _zone(plant: Plant, tolerances: Tolerances) -> Callable[[Array], Array]:
     lengths = np.concatenate([*(getattr(nominal, name) for name in LINK_PARAMETERS), np.zeros(12)])  # frames: least
     half = np.where(nominal.parameter_is_angle, tolerances.angle, _length_zone(tolerances, lengths))[unseen]
     return lambda even: half * _deviation(tolerances, even)
-
-
-def _normal(even: Array) -> Array:
-    return np.asarray(ndtri(np.clip(even, 1e-12, 1.0 - 1e-12)))
 
 
 def _geometry(draws: _Draws) -> Geometry:
@@ -247,7 +252,12 @@ def _geometry(draws: _Draws) -> Geometry:
 SIZES: Mapping[str, Mapping[str, str]] = {
     "joint_compliance": {"stiffness": "joint_stiffness"},
     "boom_bending": {"flexural_rigidity": "flexural_rigidity"},
+    "boom_couple": {"flexural_rigidity": "flexural_rigidity"},
+    "boom_torsion": {"torsional_rigidity": "flexural_rigidity"},
+    "slide_compliance": {},
     "transmission_error": {},
+    "drive_harmonics": {},
+    "local_structure": {},
     "roller_play": {"clearance": "roller_clearance"},
     "backlash": {"width": "backlash"},
     "stick_band": {"forward": "friction", "backward": "friction"},
@@ -261,6 +271,10 @@ SIZES: Mapping[str, Mapping[str, str]] = {
 def _drawn(draws: _Draws, effect: str) -> Any:
     """An effect of the plant with its sizes drawn about the plant's own."""
     own = getattr(draws.plant, effect)
+    if effect == "drive_harmonics":
+        return drawn_harmonics(own.spread, draws.even[effect])
+    if effect == "local_structure":
+        return drawn_structure(own, draws.even[effect])
     found: dict[str, Any] = {}
     used: Counter[str] = Counter()
     for name, spread in SIZES[effect].items():  # sizes of one spread take its columns one after another
@@ -274,6 +288,12 @@ def _drawn(draws: _Draws, effect: str) -> Any:
         found["final_rise"] = low + (high - low) * draws.even["temperature_rise"][:, 0]
     elif effect == "settling":
         found["damping"] = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in found["damping"])
+    elif effect == "slide_compliance":
+        sizes = draws.scaled(
+            tuple(each.stiffness for each in own.bearings), "bearing_stiffness", spread="joint_stiffness"
+        )
+        pairs = zip(own.bearings, sizes, strict=True)
+        found["bearings"] = tuple(replace(bearing, stiffness=size) for bearing, size in pairs)
     elif effect == "transmission_error":  # amplitudes and leads spread, phases are anything: no two gears are alike
         amplitudes = draws.scaled(tuple(term.amplitude for term in own.harmonics), effect)
         phases = 2.0 * math.pi * draws.even["phase"]

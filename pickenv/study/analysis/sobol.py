@@ -31,7 +31,10 @@ from pickenv.study.results.variance_indices import variance_indices
 GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "joint stiffness": ("joint_compliance", ("joint_stiffness",)),
     "flexural rigidity": ("boom_bending", ("flexural_rigidity",)),
+    "bearing stiffness": ("slide_compliance", ("bearing_stiffness",)),
     "transmission error": ("transmission_error", ("lead", "transmission_error", "phase")),
+    "drive harmonics": ("drive_harmonics", ("drive_harmonics",)),
+    "local structure": ("local_structure", ("local_structure",)),
     "roller clearance": ("roller_play", ("roller_clearance",)),
     "backlash": ("backlash", ("backlash",)),
     "friction": ("stick_band", ("friction",)),

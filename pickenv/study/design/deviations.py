@@ -18,6 +18,8 @@ from pickenv.arm.plant.plant import Plant
 SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
     "joint_stiffness": ("joint_compliance", lambda effect: effect.stiffness),
     "flexural_rigidity": ("boom_bending", lambda effect: (effect.flexural_rigidity,)),
+    "torsional_rigidity": ("boom_torsion", lambda effect: (effect.torsional_rigidity,)),
+    "bearing_stiffness": ("slide_compliance", lambda effect: tuple(each.stiffness for each in effect.bearings)),
     "lead": ("transmission_error", lambda effect: effect.lead),
     "roller_clearance": ("roller_play", lambda effect: (effect.clearance,)),
     "backlash": ("backlash", lambda effect: effect.width),

@@ -31,7 +31,11 @@ def test_an_arm_that_comes_with_a_plant_keeps_that_plants_effects(arm: str) -> N
     own, classed = load_plant(arm), load_plant(f"coarse:{arm}")
     assert classed.name == f"coarse:{arm}" and classed.arm.fingerprint() == own.arm.fingerprint()
     for part in ("load", *EFFECTS):
-        assert getattr(classed, part) == getattr(own, part)
+        mine, theirs = getattr(own, part), getattr(classed, part)
+        if part == "local_structure" and mine is not None:
+            np.testing.assert_array_equal(theirs.field.weight, mine.field.weight)
+        else:
+            assert theirs == mine
     assert class_of(f"coarse:{arm}") == load_tolerances("coarse") and class_of(arm) is None
 
 
