@@ -15,6 +15,7 @@ from pickenv.commands.bench import bench
 from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
+from pickenv.commands.conditions import conditions
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
 from pickenv.commands.showing import print_table, progress_bars
@@ -131,6 +132,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         twin,
         plants.effects,
         plants.iso9283,
+        conditions,
         learning.train,
         learning.evaluate,
         study,

@@ -19,6 +19,7 @@ LIMITS: Mapping[str, tuple[float, float, str]] = {
     "position_mm": (0.0, 100.0, "an instrument that scatters more measures no arm"),
     "attitude_deg": (0.0, 10.0, "an instrument that scatters more measures no arm"),
     "radius_mm": (0.0, 1000.0, "who calls a metre near enough needs no study"),
+    "weather_K": (0.0, 60.0, "no day in an orchard is that much cooler or warmer than usual"),
     "hours": (0.0, 10_000.0, "every machine is as warm as it gets long before"),
     "dwell_s": (0.0, 86_400.0, "every arm has come to rest long before"),
     "reaches": (2, 100_000, COST),

@@ -1,12 +1,14 @@
 """Li et al. 2016, number by number: printed in the paper, found here, and why they differ; then better than the paper.
 
-Tables 1 to 3, section 4.2, Figs 8 and 9 and the recovery experiment; then the same simulated trees with calibration,
-better pick points and better assignment. Simulated throughout: the paper's machine is not at hand.
+Tables 1 to 3, Figs 2, 5, 8 and 9, eqs (1) to (12), pick points and the recovery experiment of an apple machine with
+three slave arms; then the same simulated trees with calibration, better pick points and better assignment. Simulated
+throughout: the paper's machine is not at hand.
 
-Each table, figure and the rule for pick points has a verdict (reproduced, not reproduced, fitted) with its reason;
-`--json` holds {"tables": {"2": {"verdict", "reason", "rows"}, …}, "figures": {…}, "equations", "experiments"}.
+Each table, figure, equation and the experiment has a verdict (reproduced, not reproduced, fitted) with its reason;
+`--json` holds {"tables": {"2": {"verdict", "reason", "rows"}, …}, "figures": {…}, "equations", "experiments"}. The 46
+of 56 apples are a prediction over the constants that the paper leaves open (`papers.li2016_prediction`).
 
-Run: python scripts/reproduce_li2016.py [--json FILE] [--quick] [--trees N] [--out FOLDER]
+Run: python scripts/reproduce_li2016.py [--json FILE] [--quick] [--trees N] [--sessions N] [--out FOLDER]
 """
 
 from __future__ import annotations
@@ -20,9 +22,14 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from papers import li2016_verdicts as verdicts
-from papers.li2016_page import write_li_page
+from papers.li2016_equations import PAPER, equations, pick_points, reach_shares
+from papers.li2016_figures import reached_in_area, recovered, segmentation_steps, target_area, work_area
+from papers.li2016_page import print_li_tables, write_li_page
+from papers.li2016_prediction import prediction, sessions
+from papers.li2016_segmentation import Segmentation, figure_5, segmentation
 from papers.li2016_trace import trace_of
 from rich.console import Console
+from rich.progress import Progress
 from rich.table import Table
 
 from pickenv.arm import Plant
@@ -34,9 +41,8 @@ from pickenv.harvester.arm_paths import ultrasonic_hold
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.harvest import Harvest, Strategy
 from pickenv.harvester.harvest_summary import Measure, funnel, funnel_shares, summary
-from pickenv.harvester.joint_motion import workspace
 from pickenv.harvester.machine import Machine, load_machine
-from pickenv.harvester.pick_point import METHODS, pick_point
+from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.picking import load_picking
 from pickenv.harvester.rules import lower_bound
 from pickenv.harvester.strategies import work_images, work_trees
@@ -44,23 +50,17 @@ from pickenv.harvester.trees import load_lab, load_orchard, sample_image
 from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine, tip_errors
 from pickenv.harvester.work import timetable, zone_work
 from pickenv.harvester.zones import load_grid
-from pickenv.inspect.figures.run_drawings import write_drawings
+from pickenv.inspect.figures.run_drawings import Drawing, write_drawings
 from pickenv.inspect.recordings.harvest_recording import inspect_harvest
 from pickenv.inspect.reports.harvest_report import drawings, page
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.run_folder import recorded_run, save_part
 from pickenv.orchard import VISIONS
 
-TARGETS_MM = {"left": (420, -1400, 1000), "middle": (96, -1450, 1280), "right": (-500, -1386, 1500)}
-PICK_POINT_MM = (-80, -660, 1220)
-TABLE2 = {
-    "master": (-1.4561, 500, 381.5099),
-    "left": (80, -0.05120, 273.328),
-    "middle": (360, 0.11170, 289.6709),
-    "right": (580, -0.08080, 155.204),
-}
-TABLE3_MM = {"master": (3.0, 5.9), "left": (6.6, 8.4), "middle": (6.4, 8.2), "right": (6.9, 8.5)}
 ARMS = ("left", "middle", "right")
+TARGETS_MM = {name: tuple(PAPER["section4_2"][f"{name}_target"]) for name in ARMS}
+PICK_POINT_MM = tuple(PAPER["section4_2"]["pick_point"])
+TABLE2, TABLE3_MM = PAPER["table2"], PAPER["table3"]
 POSES = 60
 SEED = 2016
 EXACT = 0.45
@@ -121,13 +121,11 @@ class Study:
         trees: Harvests of trees by strategy.
         measures: Their measures by strategy.
         images: Measures of Li's experiment by strategy.
-        runs: Recovered fruit of the first eight raw images.
     """
 
     trees: dict[str, list[Harvest]]
     measures: dict[str, dict[str, Measure]]
     images: dict[str, dict[str, Measure]]
-    runs: tuple[int, int]
 
 
 def compare(
@@ -136,29 +134,12 @@ def compare(
     """The same trees, leafy, and images of Li's bare tree under each strategy, seen as ``vision`` says."""
     model, orchard, grid = load_picking(), load_orchard(), load_grid()
     worked, measures, seen = {}, {}, {}
-    first = (0, 0)
     for way in ways:
         shown = {"vision": vision, "seed": SEED}
         worked[way.name] = work_trees(true, way, model, orchard, grid, count=trees, workers=workers, **shown)
         measures[way.name] = summary(true.machine, worked[way.name])
-        pictures = work_images(true, way, model, count=images, **shown)
-        seen[way.name] = summary(true.machine, pictures)
-        if way.name == "raw":
-            found = funnel(pictures[: load_lab().runs])
-            first = found["collected"], found["reachable"]
-    return Study(worked, measures, seen, first)
-
-
-def reach_shares(machine: Machine, zones: int, rng: np.random.Generator) -> dict[str, float]:
-    """Share of twelve fruit a zone that the arms reach from each pick point."""
-    found = dict.fromkeys(METHODS, 0.0)
-    for _ in range(zones):
-        corner = np.array([rng.uniform(-0.5, 0.5) - 0.42, -1.4, rng.uniform(0.42, 1.82)])
-        fruit = corner + np.array([0.84, 0.4, 0.6]) * rng.random((12, 3))
-        for method in METHODS:
-            point = pick_point(machine, fruit, method)
-            found[method] += point.count / 12 / zones if np.isfinite(point.master).all() else 0.0
-    return found
+        seen[way.name] = summary(true.machine, work_images(true, way, model, count=images, **shown))
+    return Study(worked, measures, seen)
 
 
 def assignments(machine: Machine, zones: int, fruit: int, rng: np.random.Generator) -> dict[str, float]:
@@ -179,38 +160,7 @@ def assignments(machine: Machine, zones: int, fruit: int, rng: np.random.Generat
     return found
 
 
-def printed_against_ours(console: Console, true: TrueMachine, errors: dict[str, Array], study: Study) -> None:
-    """The paper's numbers beside ours."""
-    machine = true.machine
-    table = Table("quantity", "paper", "ours", "why", title="Li et al. 2016: printed and found")
-    exact = table2(0.45)
-    for name, printed in TABLE2.items():
-        shown = ", ".join(f"{v:.5g}" for v in exact[name])
-        why = "exact" if name == "master" else "exact for a slave spacing of 450 mm; text and Table 1 say 350"
-        table.add_row(f"Table 2 {name}", str(printed), shown, why)
-    point = pick_point(machine, np.array(list(TARGETS_MM.values())) * 1e-3, "equations").position * 1e3
-    table.add_row("pick point, mm", str(PICK_POINT_MM), ", ".join(f"{v:.0f}" for v in point), "eqs (7)-(12) give this")
-    lifts = machine.d1 + machine.lower[[1, 3]].sum(), machine.d1 + machine.upper[[1, 3]].sum()
-    heights = " to ".join(f"{(v + machine.base_height) * 1e3:.0f}" for v in lifts)
-    table.add_row("work height, mm", "800 to 2900", heights, "Table 1's d2 read as the height of frame 3")
-    cloud = workspace(machine, 20_000, np.random.default_rng(SEED)).reshape(-1, 3) * 1e3
-    for axis, printed_range in enumerate(("-1500 to 1500", "-1700 to -500", "400 to 2600")):
-        low, high = np.percentile(cloud[:, axis], [5, 95])
-        table.add_row(
-            f"Fig. 8 {'xyz'[axis]}, mm", printed_range, f"{low:.0f} to {high:.0f}", "5 % to 95 % of the cloud"
-        )
-    for i, (name, span) in enumerate(TABLE3_MM.items()):
-        low, high = errors["raw"][:, i].min(), errors["raw"][:, i].max()
-        table.add_row(
-            f"Table 3 {name}, mm", f"{span[0]} to {span[1]}", f"{low:.1f} to {high:.1f}", "plant sized to match"
-        )
-    recovered, located = study.runs
-    rate = study.images["raw"]["recovery"]
-    table.add_row("recovered of located", "46 of 56", f"{recovered} of {located}", f"8 images; over all: {rate}")
-    console.print(table)
-
-
-def our_comparison(console: Console, study: Study, reach: dict[str, float], plans: dict[int, dict[str, float]]) -> None:
+def our_comparison(console: Console, study: Study, plans: dict[int, dict[str, float]]) -> None:
     """What calibration, pick points and assignment are worth."""
     table = Table(
         "measure", *study.measures, title="The same trees; 95 % intervals over trees where there are ten or more"
@@ -223,10 +173,6 @@ def our_comparison(console: Console, study: Study, reach: dict[str, float], plan
         table.add_row(stage, *(str(funnel(harvests)[stage]) for harvests in study.trees.values()))
     for stage in funnel(study.trees["raw"]):
         table.add_row(f"{stage}, share", *(str(funnel_shares(harvests)[stage]) for harvests in study.trees.values()))
-    console.print(table)
-    table = Table("pick point", "reached", title="Twelve fruit a zone, spacing 350 mm")
-    for name, share in reach.items():
-        table.add_row(name, f"{share:.1%}")
     console.print(table)
     table = Table("assignment", *(f"{n} fruit" for n in plans), title="Mean makespan of a zone, s")
     for name in plans[next(iter(plans))]:
@@ -252,84 +198,116 @@ def by_arms(trees: int) -> dict[str, dict[int, Measure]]:
 
 def main(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the numbers here.")] = None,
-    quick: Annotated[bool, typer.Option(help="Few trees: to see that it runs.")] = False,
+    quick: Annotated[bool, typer.Option(help="Few trees and sessions: to see that it runs.")] = False,
     trees: Annotated[int, typer.Option(min=1, help="Simulated trees.")] = 200,
+    count: Annotated[int, typer.Option("--sessions", min=40, help="Sessions of the experiment.")] = 1000,
     out: Annotated[Path, typer.Option(help="Folder of figures and the recording.")] = Path("runs/li2016"),
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     vision: Annotated[str, typer.Option(help="How fruit is seen: measured_errors, rendered or ideal.")] = VISIONS[1],
 ) -> None:
     """Print the tables, draw the figures, write the recording and the JSON."""
-    console, begin = Console(), time.perf_counter()
-    trees, images = (min(trees, 12), 40) if quick else (trees, 400)
-    rng = np.random.default_rng(SEED)
-    machine = load_machine()
+    console, begin = Console(width=160), time.perf_counter()
+    trees, images, count = (min(trees, 12), 40, min(count, 100)) if quick else (trees, 400, count)
+    of_rest, of_equations, of_picture, of_sessions = np.random.SeedSequence(SEED).spawn(4)
+    rng, machine = np.random.default_rng(of_rest), load_machine()
+    exact = load_machine(spacing=EXACT)  # Fig. 9 is of section 4.2, as Table 2 is
     true = load_true_machine(machine)
     raw, calibrated = Controller(machine), calibrated_controller(true, rng)
     known = {"raw": raw, "calibrated": calibrated}
     known["positions only"] = calibrated_controller(true, rng, positions_only=True)
-    errors = {name: table3(true, way, load_lab().runs, np.random.default_rng(SEED)) for name, way in known.items()}
+    errors = {name: table3(true, way, load_lab().runs, rng) for name, way in known.items()}
+    with Progress() as bars:
+        task = bars.add_task("56 apples", total=count)
+        found = sessions(true, Strategy("raw", raw), count, of_sessions, lambda: bars.advance(task))
     study = compare(true, strategies(raw, calibrated), trees, images, workers, vision)
     reach = reach_shares(machine, 20 if quick else 200, rng)
     plans = {n: assignments(machine, 2 if quick else 10, n, rng) for n in (7, 20)}
-    printed_against_ours(console, true, errors, study)
-    for name, values in errors.items():
-        console.print(
-            f"Tip errors, mm, {name}: "
-            + ", ".join(f"{a:.2f} to {b:.2f}" for a, b in zip(values.min(0), values.max(0), strict=True))
-        )
-    our_comparison(console, study, reach, plans)
+    our_comparison(console, study, plans)
     throughput = by_arms(2 if quick else 12)
-    shown = load_machine(spacing=EXACT)  # Fig. 9 is of section 4.2, as Table 2 is
-    trace = trace_of(machine, shown, study.trees, study.measures, throughput, TARGETS_MM, PICK_POINT_MM)
-    judged = verdicts_of(true, errors, study, reach, trace)
-    for kind, parts in judged.items():
-        for name, part in parts.items():
-            console.print(f"{kind[:-1]} {name}: {part['verdict'].upper()}. {part['reason']}")
+    trace = trace_of(machine, exact, study.trees, study.measures, throughput, TARGETS_MM, PICK_POINT_MM)
+    picture_rng = np.random.default_rng(of_picture)
+    picture = segmentation(sample_image(machine, picture_rng), picture_rng)
+    judged = verdicts_of(machine, errors, trace, np.random.default_rng(of_equations))
+    judged["equations"]["pick points"] = verdicts.pick_points(
+        PICK_POINT_MM, pick_points(machine, exact, np.array(list(TARGETS_MM.values())) * 1e-3), reach
+    )
+    judged["figures"] = dict(sorted((judged["figures"] | {"5": figure_5(picture)}).items()))
+    judged["experiments"] = {"46 of 56": prediction(PAPER["picking"], found)}
+    print_li_tables(console, judged)
     dense = max(study.trees["optimised"], key=lambda h: max(len(r.fruit) for r in h.rounds))
-    command = "python scripts/reproduce_li2016.py" + (" --quick" if quick else f" --trees {trees}")
+    command = "python scripts/reproduce_li2016.py"
+    command += " --quick" if quick else f" --trees {trees} --sessions {count}"
     command += "" if vision == VISIONS[1] else f" --vision {vision}"
     with recorded_run(out, "harvest", command, SEED) as run:
         save_part(out, trace, SEED)
-        for path in write_drawings(drawings(run), out / "figures"):
+        shown = [d for d in drawings(run) if d.name in ("workspace", "joint_curves")]
+        shown = figures_of(machine, picture, judged, shown)
+        for path in write_drawings([*drawings(run), *shown[:2], shown[-1]], out / "figures"):
             console.print(f"figure {path}")
         console.print(f"recording {inspect_harvest(machine, dense, out / 'zone.rrd')}")
         console.print(f"report {write_text(out / 'report.html', page(run))}")
-        console.print(f"page {write_li_page(judged, drawings(run), command, out / 'reproduction.html')}")
+        console.print(f"page {write_li_page(judged, shown, command, out / 'reproduction.html')}")
     if json_file is not None:
-        found = {**judged, **report(study, plans, throughput, trees)}
-        write_text(json_file, json.dumps(found, indent=2) + "\n")
+        whole = {**judged, "simulated": True, **report(study, plans, throughput, trees)}
+        write_text(json_file, json.dumps(whole, indent=2) + "\n")
     console.print(f"{time.perf_counter() - begin:.0f} s")
 
 
+def figures_of(
+    machine: Machine, picture: Segmentation, judged: dict[str, dict[str, Any]], shared: list[Drawing]
+) -> list[Drawing]:
+    """Figures 2, 5, 8 and 9 with their verdicts, and the prediction of the experiment."""
+    figures, experiment = judged["figures"], judged["experiments"]["46 of 56"]
+
+    def titled(number: str, text: str) -> str:
+        return f"Figure {number} ({figures[number]['verdict']}): {text}"
+
+    cloud, curves = shared
+    return [
+        Drawing("work_area", titled("2", "the area that the machine is made for."), lambda: work_area(machine, PAPER)),
+        Drawing(
+            "segmentation",
+            titled("5", "from a picture to centroids, on a rendered picture."),
+            lambda: segmentation_steps(picture),
+        ),
+        replace(cloud, caption=titled("8", cloud.caption)),
+        replace(curves, caption=titled("9", f"{curves.caption} Slaves {1e3 * EXACT:.0f} mm apart.")),
+        Drawing(
+            "prediction",
+            f"The experiment ({experiment['verdict']}): what sessions recover over the open constants.",
+            lambda: recovered(experiment),
+        ),
+    ]
+
+
 def verdicts_of(
-    true: TrueMachine, errors: dict[str, Array], study: Study, reach: dict[str, float], trace: HarvestTrace
-) -> dict[str, dict[str, dict[str, Any]]]:
-    """Verdicts on tables, equations, figures and the experiment, each by name."""
-    machine = true.machine
+    machine: Machine, errors: dict[str, Array], trace: HarvestTrace, rng: np.random.Generator
+) -> dict[str, dict[str, Any]]:
+    """Verdicts on tables, equations and figures, each by name."""
     by_spacing = {spacing: table2(spacing * 1e-3) for spacing in (300, 350, 450)}
     lifts = [machine.d1 + ends[[1, 3]].sum() for ends in (machine.lower, machine.upper)]
-    heights = [float((lift + machine.base_height) * 1e3) for lift in lifts]
+    low, high = (float((lift + machine.base_height) * 1e3) for lift in lifts)
     # As printed: d2 from 720 and d4 from 0 mm, on top of frame 1.
     literal = [float((machine.d1 + machine.base_height) * 1e3 + d2 + d4) for d2, d4 in ((720, 0), (2220, 600))]
-    cloud = workspace(machine, 20_000, np.random.default_rng(SEED)).reshape(-1, 3) * 1e3
-    point = pick_point(machine, np.array(list(TARGETS_MM.values())) * 1e-3, "equations").position * 1e3
+    joints = rng.uniform(machine.lower, machine.upper, (20_000, machine.joints))
+    cloud = machine.tips(joints[:, :3], joints[:, 3:].reshape(-1, machine.arms, 3)) * 1e3
+    headings = np.repeat(np.degrees(joints[:, 0]) + 90.0, machine.arms)
     # Curves stand arm by arm, three joints each, in Table 2's order for the master: theta, z, r.
     last = [curve[-1] * (1.0 if "theta" in name else 1e3) for name, curve in trace.curves.moved.items()]
     ends = {name: [float(v) for v in last[3 * i : 3 * i + 3]] for i, name in enumerate(TABLE2)}
-    rate = study.images["raw"]["recovery"]
+    theta = PAPER["figure2"]["theta_deg"]
+    length = float(1e3 * (machine.master.nominal.upper[2] + machine.a4 + machine.slave.upper[2]))
     return {
         "tables": {
-            "1": verdicts.table_1((heights[0], heights[1]), (literal[0], literal[1])),
+            "1": verdicts.table_1((low, high), (literal[0], literal[1])),
             "2": verdicts.table_2(TABLE2, by_spacing),
             "3": verdicts.table_3(TABLE3_MM, errors, ("master", *ARMS)),
         },
-        "equations": {"7-12": verdicts.pick_points(PICK_POINT_MM, point, reach)},
+        "equations": equations(machine, load_machine(spacing=EXACT), rng),
         "figures": {
-            "8": verdicts.figure_8(cloud),
+            "2": verdicts.figure_2(PAPER, length, (low, high), reached_in_area(machine, target_area(PAPER)[2], theta)),
+            "8": verdicts.figure_8(cloud.reshape(-1, 3), headings, theta),
             "9": verdicts.figure_9(TABLE2, ends, round(EXACT * 1e3)),
-        },
-        "experiments": {
-            "46 of 56": verdicts.recovery((46, 56), study.runs, rate.value, (rate.low, rate.high)),
         },
     }
 
@@ -359,7 +337,6 @@ def report(
         "picks_per_hour_by_arms": {
             label: {n: [m.value, m.low, m.high] for n, m in measures.items()} for label, measures in throughput.items()
         },
-        "paper": {"located": 56, "recovered": 46, "rate": 0.8214},
         "trees": trees,
     }
 

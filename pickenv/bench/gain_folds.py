@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, Array, Plant, draw_plants, load_tolerances, plant_at
-from pickenv.calibration import Choices, Measurements, Result, calibrate
+from pickenv.calibration import Choices, Measurements, Result, calibrate, simulated_tracker
 from pickenv.calibration.model.splits import Rows, contiguous_folds
 from pickenv.calibration.pipeline.fitting import fit_remainder
 from pickenv.errors import InputError
@@ -116,5 +116,5 @@ def left_by_models(
 
 def seen_of(plant: Plant, rows: Measurements, rng: np.random.Generator) -> Measurements:
     """What the instrument sees of an arm at the joints of these rows."""
-    pose = plant.measured_pose(rows.joints, rng)
-    return replace(rows, position=pose.position, rotation=None if rows.rotation is None else pose.rotation)
+    seen = simulated_tracker(plant, rows.joints, rng)
+    return replace(rows, position=seen.position, rotation=None if rows.rotation is None else seen.rotation)

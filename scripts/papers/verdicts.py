@@ -24,7 +24,7 @@ def said(name: str, table: Mapping[str, Any]) -> str:
 
 def headline(result: Mapping[str, Any]) -> str:
     """How many of tables, equations and figures came out again."""
-    kinds = [kind for kind in ("tables", "equations", "figures", "experiments") if kind in result]
+    kinds = [kind for kind in ("tables", "equations", "claims", "figures", "experiments") if kind in result]
     each = [part["verdict"] for kind in kinds for part in result[kind].values()]
     return (
         f"Of {len(each)} {', '.join(kinds[:-1])} and {kinds[-1]} {each.count('reproduced')} are reproduced, "

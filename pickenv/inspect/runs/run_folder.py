@@ -36,6 +36,7 @@ PARTS: Mapping[type, str] = {
 
 Part = TypeVar("Part", Comparison, CalibrationTrace, HarvestTrace)
 ISO9283 = "iso9283.json"
+CONDITIONS = "conditions.json"
 REPORT = "report.html"
 STUDY = "study.toml"
 """The configuration in a study's folder, which has no `run.json`."""
@@ -61,6 +62,7 @@ KINDS: Mapping[str, RunKind] = {
     "calibration": RunKind("pickenv calibrate FILE --arm ARM --run RUN", "pickenv.inspect.reports.calibration_report"),
     "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.agents.evaluation.grid_report"),
     "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
+    "conditions": RunKind("pickenv conditions PLANT --out RUN", "pickenv.inspect.reports.conditions_report"),
     "harvest": RunKind("python scripts/reproduce_li2016.py --out RUN", "pickenv.inspect.reports.harvest_report"),
     "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.study.analysis.study_report"),
 }
@@ -246,10 +248,23 @@ def load_iso9283(run: Run) -> dict[str, Any]:
     Raises:
         InputError: If the file is missing or damaged.
     """
-    path = unedited(run, ISO9283)
-    with refusing_damage(path, "an ISO 9283 result", f"`{run.made_by}` makes it anew"):
+    found = _load_result(run, ISO9283, "an ISO 9283 result", ("raw", "settings", "plant", "standard"))
+    with refusing_damage(run.folder / ISO9283, "an ISO 9283 result", f"`{run.made_by}` makes it anew"):
+        found["raw"]["poses"]
+    return found
+
+
+def load_conditions(run: Run) -> dict[str, Any]:
+    """The result of a study of conditions, as it was written; raises `InputError` if it is missing or damaged."""
+    return _load_result(run, CONDITIONS, "a study of conditions", ("sweeps", "settings", "plant", "interval_over"))
+
+
+def _load_result(run: Run, name: str, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
+    path = unedited(run, name)
+    with refusing_damage(path, what, f"`{run.made_by}` makes it anew"):
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        found["raw"]["poses"], found["settings"], found["plant"], found["standard"]
+        for key in keys:
+            found[key]
     return found
 
 

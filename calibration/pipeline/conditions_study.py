@@ -1,0 +1,346 @@
+"""How a calibration's accuracy changes with payload, temperature and hour of day: the future work of Qiao 2026.
+
+An arm is calibrated in two ways: as usual, at the reference (empty, cool, in the morning), and over sessions under
+other conditions, which are recorded. What is recorded can be an input of terms (payload: weight; temperature: growth)
+and of a learnt residual (payload, temperature, hour). All are judged on poses and conditions that no fit has seen.
+
+The arm is moved to every pose from another one and held for a minute, so friction and backlash are in what is measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm import Plant, displace_pose, load_tolerances
+from pickenv.arm.effects.thermal import ThermalGrowth, warmed
+from pickenv.arm.kinematics.forward import pose_of, split_joints
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm.plant.tolerances import draw_plants
+from pickenv.calibration.identification.least_squares import identify_converged
+from pickenv.calibration.identification.term_choice import identify_terms, plain_term
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.error_model import geometric_model
+from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements, random_joints
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.calibration.residuals.residual_models import FITTERS, NEEDS, LearntResidual, fit_residual
+from pickenv.errors import InputError
+from pickenv.extras import require
+from pickenv.intervals import LEAST, mean_interval
+
+HELD = 60.0
+"""s for which the arm is held before it is measured."""
+LEVELS = 5
+"""Levels of each condition that a calibration is judged at."""
+SWEEPS = {"payload": "payload (kg)", "temperature": "weather (K)", "hour": "time since the start of work (h)"}
+"""Conditions that are varied one at a time, the others as at the reference."""
+HELD_OUT = "held-out sessions"
+"""Sessions drawn as the training sessions were, and not among them."""
+REFERENCE, BLIND, TOLD, TERMS, BOTH = (
+    "calibrated at the reference",
+    "over sessions, not told",
+    "network told",
+    "terms told",
+    "terms and network told",
+)
+METHODS = ("raw", REFERENCE, BLIND, TOLD, TERMS, BOTH)
+
+
+@dataclass(frozen=True)
+class ConditionRanges:
+    """What may happen to an arm at work.
+
+    Attributes:
+        payload: Largest mass held at the tool, kg.
+        weather: How much cooler or warmer than usual a day may be, K.
+        hours: Length of a working day, h.
+    """
+
+    payload: float = 0.5
+    weather: float = 10.0
+    hours: float = 8.0
+
+
+@dataclass(frozen=True)
+class ConditionsSettings:
+    """How much is measured.
+
+    Attributes:
+        ranges: What may happen.
+        arms: Arms drawn from the tolerance class.
+        tolerances: The class.
+        sessions: Training sessions, each under conditions of its own.
+        poses: Poses of a session; at the reference an arm is measured at as many as in all sessions together.
+        residual: Residual model by name.
+        seed: Of everything random.
+    """
+
+    ranges: ConditionRanges = ConditionRanges()
+    arms: int = 10
+    tolerances: str = "medium"
+    sessions: int = 12
+    poses: int = 25
+    residual: str = "rbf"
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Conditions of poses, each ``(N,)``.
+
+    Attributes:
+        payload: kg.
+        weather: Warmer than usual, K.
+        hour: Since the start of work, h.
+    """
+
+    payload: Array
+    weather: Array
+    hour: Array
+
+    @staticmethod
+    def same(count: int, **known: float) -> State:
+        """The reference, but for what is named."""
+        return State(*(np.full(count, known.get(name, 0.0)) for name in ("payload", "weather", "hour")))
+
+    @staticmethod
+    def drawn(ranges: ConditionRanges, sessions: int, poses: int, rng: np.random.Generator) -> State:
+        """Sessions, each with one state; its days are spread evenly over every range (a Latin hypercube)."""
+        share = (np.array([rng.permutation(sessions) for _ in range(3)]) + rng.random((3, sessions))) / sessions
+        low = np.array([0.0, -ranges.weather, 0.0])[:, None]
+        high = np.array([ranges.payload, ranges.weather, ranges.hours])[:, None]
+        return State(*np.repeat(low + (high - low) * share, poses, axis=1))
+
+
+def warming(plant: Plant) -> Plant:
+    """The plant, with the growth of its tolerance class "medium" where it has none of its own."""
+    if plant.thermal_growth is not None:
+        return plant
+    usual = load_tolerances("medium")
+    assert usual.sizes is not None
+    expansion = (usual.sizes.expansion,) * plant.geometry.joints
+    return replace(plant, thermal_growth=ThermalGrowth(expansion, 0.0, usual.temperature_rise[1], usual.sizes.warm_up))
+
+
+def rises(plant: Plant, state: State) -> Array:
+    """Temperature of the links above the reference ``(N,)``, K: the day's warm-up, and the weather."""
+    thermal = plant.thermal_growth
+    assert thermal is not None
+    return np.asarray(warmed(np, thermal, thermal.initial_rise, 3600.0 * state.hour) + state.weather)
+
+
+def under(plant: Plant, state: State) -> Plant:
+    """A plant that is in the state of each pose: one entry per pose where something changes."""
+    thermal, tilt = plant.thermal_growth, plant.base_tilt
+    assert thermal is not None
+    rise = rises(plant, state)
+    parts: dict[str, Any] = {"thermal_growth": replace(thermal, initial_rise=rise, final_rise=rise)}
+    if plant.load is not None:
+        parts["load"] = replace(plant.load, payload=state.payload)
+    if tilt is not None:  # sunk as far as it is by then, and no further while a pose is measured
+        sunk = 1.0 - np.exp(-3600.0 * state.hour / tilt.time_constant)
+        parts["base_tilt"] = replace(
+            tilt, creep=tilt.creep * sunk, settlement=tilt.settlement * sunk, time_constant=1e-3 * HELD
+        )
+    return replace(plant, **parts)
+
+
+def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Measurements:
+    """What a tracker sees of the plant in these states, each pose reached from another, payload and heat recorded."""
+    nominal, count = plant.arm.nominal, len(state.payload)
+    joints, before = random_joints(nominal, count, rng), random_joints(nominal, count, rng)
+    there = under(plant, state)
+    at_rest = there.initial_state(np, split_joints(nominal.joints, before))
+    _, frame = there.advance(np, at_rest, split_joints(nominal.joints, joints), HELD)
+    spread = np.repeat([POSITION_STD, ATTITUDE_STD], 3) if plant.measurement_noise is not None else np.zeros(6)
+    seen = displace_pose(pose_of(frame), rng.normal(size=(count, 6)) * spread)
+    return Measurements(
+        joints,
+        seen.position,
+        seen.rotation,
+        nominal.prismatic,
+        source=f"simulated tracker on plant {plant.name}",
+        conditions=Conditions(payload=state.payload, temperature=rises(plant, state)),
+        frames="known",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """A calibrated arm, and what its residual is told.
+
+    Attributes:
+        model: Geometry and terms.
+        learnt: Learnt residual, or None.
+        told: Whether the residual takes payload, temperature and hour.
+    """
+
+    model: ArmModel
+    learnt: LearntResidual | None = None
+    told: bool = False
+
+    def errors_mm(self, data: Measurements, state: State) -> Array:
+        """What is left of the position at each pose ``(N,)``, mm."""
+        left = data.difference(self.model)[:, :3]
+        if self.learnt is not None:
+            left = left - self.learnt.predict(data.joints, told(data, state) if self.told else None)[:, :3]
+        return np.asarray(1e3 * np.linalg.norm(left, axis=1))
+
+
+def told(data: Measurements, state: State) -> Array:
+    """Payload, temperature and hour as columns ``(N, 3)``."""
+    inputs = data.conditions.inputs()
+    assert inputs is not None
+    return np.column_stack([inputs, state.hour])
+
+
+def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Generator) -> dict[str, Believed]:
+    """The arm believed in every way, each from as many poses."""
+    arm, nominal = plant.arm, plant.arm.nominal
+    apart = State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
+    varied, usual = measured_under(plant, apart, rng), measured_under(plant, State.same(len(apart.hour)), rng)
+    model = geometric_model(nominal, True)
+    cold, bare = (identify_converged(model, ArmModel.of(nominal), [data]) for data in (usual, varied))
+    terms = tuple(plain_term(name, arm, varied) for name in ("gravity", "thermal"))
+    knowing = identify_terms(terms, bare, varied, known=True).arm_model
+
+    def learnt(believed: ArmModel, data: Measurements, inputs: Array | None = None) -> LearntResidual:
+        left = data.difference(believed)
+        return fit_residual(settings.residual, data.joints, left, data.prismatic, rng, conditions=inputs)
+
+    inputs = told(varied, apart)
+    return {
+        "raw": Believed(ArmModel.of(nominal)),
+        REFERENCE: Believed(cold.arm_model, learnt(cold.arm_model, usual)),
+        BLIND: Believed(bare.arm_model, learnt(bare.arm_model, varied)),
+        TOLD: Believed(bare.arm_model, learnt(bare.arm_model, varied, inputs), True),
+        TERMS: Believed(knowing),
+        BOTH: Believed(knowing, learnt(knowing, varied, inputs), True),
+    }
+
+
+def levels_of(ranges: ConditionRanges) -> dict[str, Array]:
+    """Levels of each condition that is varied; one whose range is zero is left out."""
+    ends = {"payload": (0.0, ranges.payload), "temperature": (-ranges.weather, ranges.weather)}
+    ends["hour"] = (0.0, ranges.hours)
+    return {name: np.linspace(low, high, LEVELS) for name, (low, high) in ends.items() if high > low}
+
+
+def state_at(condition: str, level: float, count: int) -> State:
+    """The reference with one condition at this level."""
+    return State.same(count, **{"weather" if condition == "temperature" else condition: level})
+
+
+def judged_on(
+    plant: Plant, believed: Mapping[str, Believed] | Calibration, settings: ConditionsSettings, rng: np.random.Generator
+) -> dict[str, dict[str, list[Array]]]:
+    """What is left at new poses under held-out conditions, mm: by sweep, method and level ``(poses,)``."""
+    found: dict[str, dict[str, list[Array]]] = {}
+
+    def judge(sweep: str, state: State) -> None:
+        data = measured_under(plant, state, rng)
+        if isinstance(believed, Calibration):
+            errors = {
+                "raw": Believed(ArmModel.of(plant.arm.nominal)).errors_mm(data, state),
+                "this calibration": 1e3 * np.linalg.norm(believed.errors(data)[:, :3], axis=1),
+            }
+        else:
+            errors = {name: each.errors_mm(data, state) for name, each in believed.items()}
+        for name, values in errors.items():
+            found.setdefault(sweep, {}).setdefault(name, []).append(np.asarray(values))
+
+    for condition, levels in levels_of(settings.ranges).items():
+        for level in levels:
+            judge(condition, state_at(condition, float(level), 2 * settings.poses))
+    judge(HELD_OUT, State.drawn(settings.ranges, settings.sessions, settings.poses, rng))
+    return found
+
+
+def conditions_study(
+    plant: Plant,
+    settings: ConditionsSettings,
+    calibration: Calibration | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> dict[str, Any]:
+    """How accuracy changes with payload, temperature and hour, as numbers for table, figure and page.
+
+    Args:
+        plant: The design, whose arms are drawn; or with a calibration the very arm.
+        settings: What is measured.
+        calibration: Judged instead of the calibrations made here.
+        progress: Told the stage, how many arms are done, and of how many.
+
+    Returns:
+        ``{"plant", "settings", "interval_over", "sweeps": {name: {"levels", "methods": {method: [{"mean_mm",
+        "ci95_mm"}]}}}}``.
+
+    Raises:
+        InputError: If the plant has no masses for a payload to join, the residual model is unknown, or the calibration
+            is another arm's.
+    """
+    if plant.load is None and settings.ranges.payload > 0.0:
+        raise InputError(
+            f"plant '{plant.name}' has no link masses, so a payload changes nothing; give --payload 0, or a plant with "
+            "a [load]"
+        )
+    if settings.residual not in FITTERS:
+        raise InputError(f"unknown residual model '{settings.residual}'; give one of {', '.join(FITTERS)}")
+    if settings.residual in NEEDS:
+        require(NEEDS[settings.residual])
+    heated, seed = warming(plant), np.random.SeedSequence(settings.seed)
+    if calibration is None:
+        of_draws, *of_arms = seed.spawn(1 + settings.arms)
+        drawn = draw_plants(
+            heated, load_tolerances(settings.tolerances), settings.arms, np.random.default_rng(of_draws)
+        )
+        by_arm = []
+        for i, own in enumerate(of_arms):
+            rng, arm = np.random.default_rng(own), plant_at(drawn, i)
+            by_arm.append(judged_on(arm, calibrated(arm, settings, rng), settings, rng))
+            if progress is not None:
+                progress("arms", i + 1, settings.arms)
+        values = _over_arms(by_arm)
+    else:
+        calibration.refuse_another(plant.arm)
+        values = judged_on(heated, calibration, settings, np.random.default_rng(seed))
+        if progress is not None:
+            progress("arms", 1, 1)
+    levels = {name: each.tolist() for name, each in levels_of(settings.ranges).items()} | {HELD_OUT: [0.0]}
+    sweeps = {
+        sweep: {
+            "levels": levels[sweep],
+            "methods": {name: [_figure(each) for each in by_level] for name, by_level in methods.items()},
+        }
+        for sweep, methods in values.items()
+    }
+    return {
+        "plant": plant.name,
+        "simulated": True,
+        "settings": asdict(settings),
+        "growth": "the plant's own" if plant.thermal_growth is not None else "as in the tolerance class medium",
+        "interval_over": "arms" if calibration is None else "poses of one arm",
+        "no_interval": ""
+        if calibration is not None or settings.arms >= LEAST
+        else f"none: {settings.arms} of at least {LEAST} arms",
+        "sweeps": sweeps,
+    }
+
+
+def _over_arms(by_arm: list[dict[str, dict[str, list[Array]]]]) -> dict[str, dict[str, list[Array]]]:
+    """The same with one mean per arm ``(arms,)`` in place of poses."""
+    first = by_arm[0]
+    return {
+        sweep: {
+            name: [np.array([arm[sweep][name][k].mean() for arm in by_arm]) for k in range(len(by_level))]
+            for name, by_level in methods.items()
+        }
+        for sweep, methods in first.items()
+    }
+
+
+def _figure(values: Array) -> dict[str, Any]:
+    return {"mean_mm": float(values.mean()), "ci95_mm": mean_interval(values)}

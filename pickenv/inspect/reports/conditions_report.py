@@ -1,0 +1,80 @@
+"""Figure and page of a study of payload, temperature and hour of day."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pickenv.calibration.pipeline.conditions_study import HELD_OUT, SWEEPS
+from pickenv.inspect.figures import plot_conditions
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings
+from pickenv.inspect.reports.plain_report import plain_report
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict
+from pickenv.inspect.reports.report_words import estimated
+from pickenv.inspect.runs.run_folder import Run, TakePicture, load_conditions
+
+
+def drawings(run: Run) -> Drawings:
+    """The figure of a study's run folder."""
+    sweeps = load_conditions(run)["sweeps"]
+    return [
+        Drawing(
+            "error_by_condition",
+            "Mean position error under each condition, the others as at the reference; bands are 95 % intervals.",
+            lambda: plot_conditions.error_by_condition(sweeps, SWEEPS),
+        )
+    ]
+
+
+def page(run: Run, picture: TakePicture | None = None) -> str:
+    """The page of a study's run folder."""
+    result = load_conditions(run)
+    verdict = PageVerdict("note", *conditions_in_words(result))
+    tables = [PageTable(*table, look="dense") for table in condition_tables(result)]
+    ranges, settings = result["settings"]["ranges"], result["settings"]
+    subtitle = (
+        f"Simulated arm {result['plant']}; up to {ranges['payload']:g} kg, {ranges['weather']:g} K cooler to warmer, "
+        f"{ranges['hours']:g} h of work; {settings['sessions']} sessions of {settings['poses']} poses; growth with "
+        f"temperature: {result['growth']}"
+    )
+    return plain_report(run, "Payload, temperature and hour of day", subtitle, verdict, tables, drawings(run))
+
+
+def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
+    """What a reader should take away: a headline, and what it rests on."""
+    methods = result["sweeps"][HELD_OUT]["methods"]
+    figures = {name: each[0] for name, each in methods.items()}
+    usual = next(name for name in figures if name != "raw")
+    best = min(figures, key=lambda name: float(figures[name]["mean_mm"]))
+    least = min(
+        each["mean_mm"] for sweep in result["sweeps"].values() for each in sweep["methods"][usual]
+    )  # what it leaves where it was made
+    said = "; ".join(f"{name} {_mean(each)} mm" for name, each in figures.items())
+    headline = (
+        f"{usual.capitalize()}: {least:.2f} mm at its best, {figures[usual]['mean_mm']:.2f} mm over a working day"
+    )
+    if best not in ("raw", usual):
+        headline += f"; {best}: {figures[best]['mean_mm']:.2f} mm"
+    return headline, f"In sessions that no fit has seen: {said}. Intervals are over {_over(result)}."
+
+
+def condition_tables(result: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
+    """A table for each condition: title, heads and rows, means with 95 % intervals, mm."""
+    found = []
+    for name, sweep in result["sweeps"].items():
+        rows = [[method, *(_mean(each) for each in by_level)] for method, by_level in sweep["methods"].items()]
+        if name == HELD_OUT:
+            title, heads = "Sessions drawn as those of the training, and not among them", ["mean error (mm)"]
+        else:
+            title, heads = f"By {SWEEPS[name]}", [f"{level:g}" for level in sweep["levels"]]
+        found.append((f"{title}; 95 % intervals over {_over(result)}", ["method", *heads], rows))
+    return found
+
+
+def _over(result: Mapping[str, Any]) -> str:
+    return f"{result['interval_over']}" + (f" ({result['no_interval']})" if result["no_interval"] else "")
+
+
+def _mean(figure: Mapping[str, Any]) -> str:
+    low, high = figure["ci95_mm"] or (None, None)
+    return estimated(figure["mean_mm"], low, high, 3)
