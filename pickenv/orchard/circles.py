@@ -138,7 +138,6 @@ def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
 def _voted(search: CircleSearch, edges: _Edges, shape: tuple[int, int]) -> list[tuple[float, float, float]]:
     """Column, row and radius of circles whose rim is in sight for more than the least arc, the fullest first."""
     from scipy import ndimage
-
     from skimage.feature import peak_local_max
 
     height, width = shape
