@@ -147,7 +147,8 @@ def agreement_words(found: Bench) -> str:
         f"{robot} {rows}" + (f" of {total}" if total > rows else "") for robot, (total, rows) in found.used.items()
     )
     signs, refused = said["sign_right"], sum(gains[0].refused for gains in found.gains.values())
-    right = "" if signs is None else f" The sign of what a learnt residual does on blocks is right in {100.0 * signs:.0f} %."
+    sign = "The sign of what a learnt residual does on blocks is right in"
+    right = "" if signs is None else f" {sign} {100.0 * signs:.0f} %."
     sets = "set" if said["sets"] == 1 else "sets"
     anew = f" ({refused} could not be calibrated, and others were drawn in their place)" if refused else ""
     return (
