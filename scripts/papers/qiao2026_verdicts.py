@@ -180,7 +180,7 @@ def judged_reduction(row: Mapping[str, Any]) -> dict[str, str]:
     elif row["method"] in BLIND:
         why = "learns geometry and dynamics together, from the 300 poses that every method has"
     elif row.get("plant") == "field":
-        why = "what LS leaves of this plant changes within less than the distance of the poses: a network removes little"
+        why = "what LS leaves of this plant changes within less than the poses are apart: a network removes little"
     else:
         why = "what our arm's dynamic error holds that joints predict, a network removes; the paper's arm held less"
     return {"why": why, "verdict": REPRODUCED if near else NOT}
