@@ -6,7 +6,8 @@ throughout: the paper's machine is not at hand.
 
 Each table, figure, equation and the experiment has a verdict (reproduced, not reproduced, fitted) with its reason;
 `--json` holds {"tables": {"2": {"verdict", "reason", "rows"}, …}, "figures": {…}, "equations", "experiments"}. The 46
-of 56 apples are a prediction over the constants that the paper leaves open (`papers.li2016_prediction`).
+of 56 apples are a prediction over the constants that the paper leaves open (`papers.li2016_prediction`), and beside it
+stands what the machine recovers with stereo eyes of its own.
 
 Run: python scripts/reproduce_li2016.py [--json FILE] [--quick] [--trees N] [--sessions N] [--out FOLDER]
 """
@@ -232,7 +233,16 @@ def main(
         PICK_POINT_MM, pick_points(machine, exact, np.array(list(TARGETS_MM.values())) * 1e-3), reach
     )
     judged["figures"] = dict(sorted((judged["figures"] | {"5": figure_5(picture)}).items()))
-    judged["experiments"] = {"46 of 56": prediction(PAPER["picking"], found)}
+    judged["experiments"] = {
+        "46 of 56": prediction(PAPER["picking"], found),
+        "own eyes": verdicts.own_eyes(
+            PAPER["picking"],
+            {name: measures["recovery"] for name, measures in study.images.items()},
+            load_lab().canopy,
+            vision,
+            images,
+        ),
+    }
     print_li_tables(console, judged)
     dense = max(study.trees["optimised"], key=lambda h: max(len(r.fruit) for r in h.rounds))
     command = "python scripts/reproduce_li2016.py"

@@ -1,13 +1,15 @@
 """What a network gains where it has not been: on a grid of poses of which two tenths are held out of all fitting.
 
 A network interpolates between neighbours, so poses beside those it learnt from flatter it. On measured arms it removes
-a seventh of what least squares leaves of such blocks; on a smooth simulated arm most of it. Units: m, rad; mm where
-names say so.
+little or nothing of what least squares leaves of such blocks; on a smooth simulated arm most of it. Units: m, rad; mm
+where names say so.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -44,9 +46,9 @@ class BlockedGain:
     Attributes:
         arm: Name of the arms.
         ls_mm: What least squares leaves, mm RMS, mean.
-        removed: Share of it that the network removes, mean over arms, or over pairs of blocks of a measured one.
-        lowest: Lowest of them; None where there was one.
-        highest: Highest.
+        removed: Share of it that a model removes, mean over arms, or over all rows of a measured one.
+        lowest: The least of any arm, or the lower 95 % end over ten blocks of a measured one; None where there is none.
+        highest: The largest, or the upper end.
     """
 
     arm: str
@@ -56,14 +58,20 @@ class BlockedGain:
     highest: float | None = None
 
 
-MEASURED = (
-    BlockedGain("UR5", 0.121, 0.14, 0.07, 0.22),
-    BlockedGain("UR10, series A", 0.459, 0.08),
-    BlockedGain("UR10, series B", 0.463, 0.16, 0.08, 0.20),
-    BlockedGain("UR10, series D", 0.424, 0.20),
-    BlockedGain("WAM", 2.49, -0.05, -0.17, 0.04),
-)
-"""UR5 and WAM: Jacobi 2025; UR10: Landgraf et al. 2021. The paper's network, not gated; 1 to 8 pairs of blocks each."""
+MEASURED = Path(__file__).with_name("measured_gains.json")
+"""What `pickenv bench calibration` found, as it writes it: arms, rows, folds and date."""
+
+
+def measured_gains(model: str = "LS + BPNN") -> tuple[BlockedGain, ...]:
+    """What a model removes of measured arms' rows, each contiguous fifth of the file held out of all fitting in turn.
+
+    UR5 and WAM: Jacobi 2025; UR10: Landgraf et al. 2021. The models are not gated.
+
+    Args:
+        model: Also "LS + GP" or "LS + terms".
+    """
+    found = json.loads(MEASURED.read_text(encoding="utf-8"))
+    return tuple(BlockedGain(each["arm"], each["ls_mm"], *each["removed"][model]) for each in found["arms"])
 
 
 def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from pickenv.bench.gain_folds import LS
 from pickenv.bench.gains import Gain, agreement
 from pickenv.bench.real_sets import SETS
 from pickenv.bench.run_bench import OURS, PEER_SET, Bench
@@ -52,6 +53,31 @@ def bench_json(found: Bench) -> dict[str, Any]:
         "settings": asdict(found.settings),
         "skipped": dict(found.skipped),
     }
+
+
+def blocked_json(found: Bench, made: str) -> dict[str, Any]:
+    """What models remove of rows in blocks, for the demonstration's table: its `measured_gains.json`.
+
+    Args:
+        found: What was found.
+        made: The date.
+    """
+    arms = [
+        {
+            "arm": robot,
+            "rows": found.used[robot][1],
+            "rows_in_file": found.used[robot][0],
+            "ls_mm": round(next(gain.held_out_mm for gain in gains if gain.model == LS), 3),
+            "removed": {
+                gain.model: [round(value, 3) for value in (gain.measured, *(gain.measured_ci95 or ()))]
+                for gain in gains
+                if gain.model != LS
+            },
+        }
+        for (robot, split), gains in found.gains.items()
+        if split != "random"
+    ]
+    return {"made_by": "pickenv bench calibration", "made": made, "folds": found.settings.folds, "arms": arms}
 
 
 def _row(

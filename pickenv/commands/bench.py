@@ -38,14 +38,22 @@ def calibration(
 ) -> None:
     """What calibrations leave of every measured robot, what twins of other rows predicted, and what peers leave."""
     from dataclasses import replace
+    from datetime import date
 
-    from pickenv.bench.bench_tables import GAIN_HEADS, agreement_words, bench_json, bench_page, gain_cells
+    from pickenv.bench.bench_tables import (
+        GAIN_HEADS,
+        agreement_words,
+        bench_json,
+        bench_page,
+        blocked_json,
+        gain_cells,
+    )
     from pickenv.bench.run_bench import QUICK, ROWS, Bench, BenchSettings, run_bench
     from pickenv.bench.spread_rows import spread_table
     from pickenv.extras import require
 
-    page = out / "bench.md"
-    separate({}, {"--out": page, "--json": json_file})
+    page, blocked = out / "bench.md", out / "measured_gains.json"
+    separate({}, {"--out": [page, blocked], "--json": json_file})
     require("torch", *(["joblib"] if workers > 1 else []))
     settings = replace(BenchSettings.quick() if quick else BenchSettings(), seed=seed)
     names = list(dict.fromkeys(only or (QUICK if quick else ROWS)))
@@ -69,6 +77,7 @@ def calibration(
             found = run_bench(names, settings, data, out, peers, workers=workers, progress=told)
         saves = [
             (page, lambda path: write_text(path, bench_page(found))),
+            (blocked, lambda path: write_json(path, blocked_json(found, date.today().isoformat()))),
             (json_file, lambda path: write_json(path, bench_json(found))),
         ]
         deliver(saves, lambda: show(found))

@@ -49,8 +49,14 @@ class Open:
 
 
 OPEN: Mapping[str, Open] = {
-    "sideways": Open(0.3, 4.0, "mm", "centroid of a bare fruit to one behind leaves, as our own cameras see it", True),
-    "depth": Open(1.6, 12.0, "mm", "0.1 to 0.75 px of disparity; a pixel is 16 mm at 1 m", True),
+    "sideways": Open(
+        0.3,
+        4.0,
+        "mm",
+        "what our own stereo eyes miss by, from a bare fruit to one in leaves: which hung in the lab is not said",
+        True,
+    ),
+    "depth": Open(1.6, 12.0, "mm", "the same, 0.1 to 0.75 px of disparity; a pixel is 16 mm at 1 m", True),
     "gather": Open(0.0, 10.0, "mm", "'nearly 10 mm' with or without the cup's 5 mm of clearance, or more"),
     "push": Open(2.0, 32.0, "mm", "from a twig to 'severely displaced' by half a fruit, section 5.2", True),
     "push_spread": Open(0.25, 0.75, "1", "log-normal; nothing is said"),

@@ -12,6 +12,8 @@ import numpy as np
 from papers.verdicts import FITTED, NOT, REPRODUCED, judged
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.harvester.harvest_summary import Measure
+from pickenv.intervals import share_interval
 
 DIGITS = 2e-3
 """Joint displacements agree within this share, which is the last digit that Table 2 prints of its smallest."""
@@ -19,6 +21,8 @@ BOX_MM = ((-1500.0, 1500.0), (-1700.0, -500.0), (400.0, 2600.0))
 """The workspace as the text of Fig. 8 has it: x, y, z."""
 NEAR_MM = 10.0
 """A pick point is the paper's within this."""
+TELLING = 0.05
+"""An interval of a recovery that is wider says nothing."""
 
 
 def table_1(heights_mm: tuple[float, float], literal_mm: tuple[float, float]) -> dict[str, Any]:
@@ -168,3 +172,36 @@ def figure_9(paper: Mapping[str, Sequence[float]], ends: Mapping[str, Sequence[f
     same = all(agrees(paper[name], ends[name]) for name in paper)
     reason = f"with {spacing} mm between slaves the curves end {'at' if same else 'beside'} what Table 2 prints"
     return judged(REPRODUCED if same else NOT, reason, rows, files=["joint_curves"])
+
+
+def own_eyes(
+    paper: Mapping[str, Any], recovery: Mapping[str, Measure], canopy: str, vision: str, images: int
+) -> dict[str, Any]:
+    """Recovery in the lab where the machine sees for itself: how many apples it finds, and how far off, is an output.
+
+    Args:
+        paper: The paper's numbers of its experiment.
+        recovery: Recovered share of the fruit in reach by strategy, with its interval over images.
+        canopy: What hangs in the lab, which is assumed.
+        vision: How fruit is seen.
+        images: How many were worked.
+    """
+    taken, located = int(paper["fruits_recovered"]), int(paper["fruits_located"])
+    own, raw = taken / located, recovery["raw"]
+    rows = [
+        {"strategy": name, "paper_percent": 100 * own if name == "raw" else None, "ours_percent": 100 * each.value}
+        | {"ci95_percent": None if each.low is None or each.high is None else [100 * each.low, 100 * each.high]}
+        for name, each in recovery.items()
+    ]
+    low, high = (raw.value, raw.value) if raw.low is None or raw.high is None else (raw.low, raw.high)
+    says = 0.0 < high - low <= TELLING
+    within = low <= own <= high
+    first, last = share_interval(taken, located)
+    reason = (
+        f"in {images} images (canopy {canopy}, vision {vision}) raw arms recover {raw.value:.1%} ({low:.1%} to "
+        f"{high:.1%}) of the apples in reach; the paper's {own:.1%} lies {'within' if within else 'outside'}"
+        + ("" if says else f", but an interval wider than {100 * TELLING:.0f} points says nothing")
+        + f"; {taken} of {located} by themselves are {first:.0%} to {last:.0%}. Recall and errors of the eyes are "
+        "outputs; which leaves hung in the lab is not said, and how far a push moves a fruit is ours"
+    )
+    return judged(REPRODUCED if within and says else NOT, reason, rows, canopy=canopy, vision=vision, images=images)

@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from pickenv.agents.evaluation.blocked_gain import ROWS, blocks_apart, grid_joints
+from pickenv.agents.evaluation.blocked_gain import ROWS, blocks_apart, grid_joints, measured_gains
 from pickenv.arm import Array, Plant, draw_plants, load_plant, load_tolerances, plant_at
 from pickenv.calibration import BpnnSettings, Choices, Measurements, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.model.splits import BLOCKS
@@ -41,8 +41,8 @@ LEARNT = {"BPNN": "bpnn", "GP": "gp", "trees": "trees"}
 LEAST_ARMS = 8
 """Fewer arms have no interval."""
 MODELS = (*TERMS, *LEARNT)
-MEASURED = {"gravity": "2 to 28", "harmonics": "34 to 73", "BPNN": "-5 to 20", "GP": "5 to 50", "trees": "4 to 29"}
-"""Means of UR5, UR10 and WAM, blocks held out: `scripts/studies/remainder.py`, and a study of the same sets by hand."""
+MEASURED = ("terms", "BPNN", "GP")
+"""What `pickenv bench calibration` found of measured arms, blocks held out."""
 
 
 def measured_set(plant: Plant, protocol: str, rng: np.random.Generator) -> Measurements:
@@ -106,9 +106,16 @@ def table_of(found: Mapping[str, Mapping[str, Any]]) -> str:
             said = "" if ends is None else f" ({100 * ends[0]:.0f} to {100 * ends[1]:.0f})"
             cells.append(f"{100 * one[model]['mean']:.0f}{said}")
         lines.append(f"| {name}, simulated | {' | '.join(cells)} |")
-    measured = " | ".join(MEASURED.get(model, "") for model in MODELS)
-    lines.append(f"| measured: UR5, UR10, WAM | 0.12 to 2.5 | {measured} |")
+    left = [arm.ls_mm for arm in measured_gains()]
+    cells = [f"{min(left):.2f} to {max(left):.2f}", *(_measured_range(model) for model in MODELS)]
+    lines.append(f"| {len(left)} sets, measured | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _measured_range(model: str) -> str:
+    """From the least to the largest of the measured arms, %."""
+    removed = [100 * arm.removed for arm in measured_gains(f"LS + {model}")] if model in MEASURED else []
+    return f"{min(removed):.0f} to {max(removed):.0f}" if removed else ""
 
 
 def main(

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pickenv.agents.evaluation.blocked_gain import MEASURED
 from pickenv.bench import peers
 from pickenv.bench import run_bench as module
-from pickenv.bench.bench_tables import bench_json
+from pickenv.bench.bench_tables import bench_json, blocked_json
 from pickenv.bench.gain_folds import BEFORE, NOMINAL
 from pickenv.bench.peers import PEERS, Peer, judged_peer, last_words, peer_python
 from pickenv.bench.run_bench import GAINS, QUICK, ROWS, BenchSettings, run_bench
@@ -102,6 +103,21 @@ def test_every_row_has_the_keys_that_programs_read(worked) -> None:
         assert row.keys() >= KEYS
         assert row["measured_reduction"] == pytest.approx(1.0 - row["held_out_mm"] / row["before_mm"])
         assert row["ci95"][0] < row["measured_reduction"] < row["ci95"][1]
+
+
+def test_the_demonstrations_file_is_what_the_command_writes_of_blocks(worked) -> None:
+    found = worked[1](["gain_ur5_random", "gain_ur5_blocks"])
+    made, shipped = blocked_json(found, "2026-01-01"), json.loads(MEASURED.read_text(encoding="utf-8"))
+    assert made.keys() == shipped.keys() and made["made"] == "2026-01-01" and made["folds"] == 5
+    (arm,) = made["arms"]
+    assert all(
+        arm.keys() == other.keys() and arm["removed"].keys() == other["removed"].keys() for other in shipped["arms"]
+    )
+    blocks = {row["model"]: row for row in bench_json(found)["rows"] if row["split"] == "blocks"}
+    assert arm["ls_mm"] == pytest.approx(blocks["LS"]["held_out_mm"], abs=5e-4)
+    for model, (removed, low, high) in arm["removed"].items():
+        told = blocks[model]
+        assert [removed, low, high] == pytest.approx([told["measured_reduction"], *told["ci95"]], abs=5e-4)
 
 
 def test_a_peer_that_is_not_installed_is_named_with_the_way_to_install_it(tmp_path: Path) -> None:

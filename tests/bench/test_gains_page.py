@@ -1,15 +1,19 @@
 """The page's table of predicted and measured gains is whole, adds up, and bears out what the page says of it."""
 
+import json
 import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from pickenv.agents.evaluation.blocked_gain import MEASURED, measured_gains
 from pickenv.bench.bench_tables import GAIN_HEADS, HELD
 from pickenv.bench.gain_folds import BEFORE, LEARNT, LS
 from pickenv.bench.run_bench import GAINS, SETS
 
-PAGE = (Path(__file__).parents[2] / "docs/twin.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs/twin.md").read_text(encoding="utf-8")
 POINTS, SIGNS = 8.0, 0.8
 """What is asked: the median difference in percentage points at most, and how often the sign is right at least."""
 
@@ -49,3 +53,32 @@ def test_twins_predict_as_well_as_is_asked() -> None:
     learnt = [row for row in rows() if row[1] == HELD["blocks"] and row[2] in {f"{LS} + {name}" for name in LEARNT}]
     assert len(learnt) >= 10
     assert np.mean([(share(row[5])[0] > 0.0) == (share(row[6])[0] > 0.0) for row in learnt]) >= SIGNS
+
+
+@pytest.mark.parametrize("model", [f"{LS} + terms", f"{LS} + BPNN", f"{LS} + GP"])
+def test_the_demonstrations_measured_arms_are_those_of_the_page(model: str) -> None:
+    blocks = [row for row in rows() if row[1] == HELD["blocks"] and row[2] == model]
+    assert [(arm.arm, f"{arm.ls_mm:.3f}") for arm in measured_gains(model)] == [(row[0], row[3]) for row in blocks]
+    for arm, row in zip(measured_gains(model), blocks, strict=True):
+        assert [100 * arm.removed, 100 * arm.lowest, 100 * arm.highest] == pytest.approx(share(row[6]))
+    content = json.loads(MEASURED.read_text(encoding="utf-8"))
+    used = [
+        f"{a['arm']} {a['rows']}" + f" of {a['rows_in_file']}" * (a["rows_in_file"] > a["rows"])
+        for a in content["arms"]
+    ]
+    assert f"Rows used, equally spaced in the file: {', '.join(used)}." in PAGE
+    assert f"{content['folds']} folds" in PAGE and f"`{content['made_by']}`" in PAGE
+
+
+def test_the_readmes_measured_arms_are_those_of_the_page() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = [
+        [cell.strip() for cell in row.split("|")] for row in re.findall(r"^\| (.*, measured \|.*) \|$", readme, re.M)
+    ]
+    by_model = [measured_gains(f"{LS} + {name}") for name in ("BPNN", "GP", "terms")]
+    told = [
+        [f"{arm.arm}, measured", f"{arm.ls_mm:.2f}"]
+        + [f"{100 * g.removed:.0f} % ({100 * g.lowest:.0f} to {100 * g.highest:.0f})" for g in (arm, *others)]
+        for arm, *others in zip(*by_model, strict=True)
+    ]
+    assert shown == told
