@@ -25,7 +25,7 @@ TRAININGS: dict[str, dict[str, Any]] = {
     "randomised": {"arguments": {"arms": "per_episode", "tolerances": "coarse"}},
 }
 """Trainings; the first is the shipped baseline's."""
-COMPENSATIONS = ("raw", "ls", "best")
+COMPENSATIONS = ("raw", "best")
 
 
 def trained_policies(runs: Path, seeds: int, steps: int) -> tuple[str, ...]:
@@ -66,13 +66,20 @@ def transfer_figure(grid: PolicyGrid) -> Figure:
         axes = figure.add_subplot(xlabel="mean error less that of training on calibrated arms (mm)")
         axes.axvspan(-MARGIN_MM, MARGIN_MM, color="0.92", zorder=0, label=f"margin of {MARGIN_MM:g} mm")
         for y, each in enumerate(found.values()):
-            if each.ci95 is not None:
-                axes.plot(each.ci95, [y, y], color="tab:blue", linewidth=3.0, alpha=0.55)
-            axes.plot([each.value], [y], "|", color="tab:blue", markersize=8, mew=1.6)
+            whisker(axes, y, each.value, each.ci95, "tab:blue")
         axes.set_yticks(range(len(found)), [f"{name} arms, used on {LABELS[key]}" for name, key in found])
         axes.set_ylim(len(found) - 0.5, -0.5)
         figure.legend(loc="outside lower center")
     return figure
+
+
+def whisker(
+    axes: Any, y: float, value: float, ends: tuple[float | None, float | None] | None, colour: Any, mark: str = "|"
+) -> None:
+    """A number at height ``y``, and its interval if it has one."""
+    if ends is not None:
+        axes.plot([value if end is None else end for end in ends], [y, y], color=colour, linewidth=3.0, alpha=0.55)
+    axes.plot([value], [y], mark, color=colour, markersize=8, mew=1.6)
 
 
 def transfer_sentence(grid: PolicyGrid) -> str:
