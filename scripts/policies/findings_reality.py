@@ -70,9 +70,7 @@ def _draw_models(axes: Any, grid: PolicyGrid, colours: dict[str, Any]) -> None:
     plants = (SMOOTH, HARD)
     for y, plant in enumerate(plants):
         for place, key in zip((-0.15, 0.15), MODELS, strict=True):
-            found = removed(grid, key, plant)
-            ends = None if found.ci95 is None else tuple(end if end is None else 100.0 * end for end in found.ci95)
-            whisker(axes, y + place, 100.0 * found.value, ends, colours[key])  # type: ignore[arg-type]
+            whisker(axes, y + place, removed(grid, key, plant), colours[key], 100.0)
     axes.axvline(0.0, color="0.8", zorder=0)
     axes.set_yticks(range(len(plants)), plants)
     axes.set(ylim=(len(plants) - 0.5, -0.5), xlim=(None, 100.0), xlabel="removed of LS's error (%)")
@@ -91,7 +89,7 @@ def _draw_instruments(axes: Any, grid: PolicyGrid, ideal: PolicyGrid, colours: d
         )
     ]
     for y, (_, found, colour) in enumerate(rows):
-        whisker(axes, y, found.value, found.ci95, colour)
+        whisker(axes, y, found, colour)
     axes.set_yticks(range(len(rows)), [name for name, _, _ in rows])
     axes.set(ylim=(len(rows) - 0.5, -0.5), xlim=(0.0, None), xlabel="mean position error (mm)")
     axes.set_title("What the instrument changes")
@@ -103,16 +101,15 @@ def reality_sentence(grid: PolicyGrid, ideal: PolicyGrid) -> str:
         " and ".join(f"{LABELS[key]} {_percent(removed(grid, key, plant))}" for key in MODELS)
         for plant in (SMOOTH, HARD)
     )
-    measured = " and ".join(
-        f"{_mm(errors_of(grid, 'ls', plant))} mm instead of {_mm(errors_of(ideal, 'ls', plant))} mm on `{plant}` "
-        f"({_change(changed(grid, ideal, plant))} mm)"
-        for plant in IDEAL_ON
+    ideally, in_time = (
+        " and ".join(f"{_mm(errors_of(of, 'ls', plant))} mm on `{plant}`" for plant in IDEAL_ON) for of in (ideal, grid)
     )
+    changes = " and ".join(_change(changed(grid, ideal, plant)) for plant in IDEAL_ON)
     return (
-        f"Of the error that LS leaves the scripted policy on the smooth `{SMOOTH}`, {smooth} remove; of that on "
-        f"`{HARD}`, {hard}; behind LS, an arm that was measured in time ends at {measured} where the ideal instrument "
-        "measured it, which waits until the arm is warm and the ground at rest, while every pick starts cold. Poses "
-        "and fruit come from the same ranges here; in blocks held out models remove less (README)."
+        f"Of the error that LS leaves the scripted policy on the smooth `{SMOOTH}`, {smooth} remove, and of that on "
+        f"`{HARD}`, {hard}; behind LS, arms measured by the ideal instrument, which waits until arm and ground have "
+        f"come to rest, while every pick starts cold, end at {ideally}, and arms measured in time at {in_time}, changes "
+        f"of {changes} mm. Poses and fruit come from the same ranges here; README has blocks that are held out."
     )
 
 
@@ -156,5 +153,5 @@ def _mm(errors: Array) -> str:
 
 
 def _change(found: Estimate) -> str:
-    ends = interval_words(found.ci95, 2, sign="+") or found.missing
-    return f"{found.value:+.2f} ({ends})"
+    ends = interval_words(found.ci95, 3, sign="+") or found.missing
+    return f"{found.value:+.3f} ({ends})"

@@ -26,6 +26,7 @@ TRAININGS: dict[str, dict[str, Any]] = {
 }
 """Trainings; the first is the shipped baseline's."""
 COMPENSATIONS = ("raw", "best")
+"""Used raw and behind the best calibration; least squares lies between."""
 
 
 def trained_policies(runs: Path, seeds: int, steps: int) -> tuple[str, ...]:
@@ -66,20 +67,19 @@ def transfer_figure(grid: PolicyGrid) -> Figure:
         axes = figure.add_subplot(xlabel="mean error less that of training on calibrated arms (mm)")
         axes.axvspan(-MARGIN_MM, MARGIN_MM, color="0.92", zorder=0, label=f"margin of {MARGIN_MM:g} mm")
         for y, each in enumerate(found.values()):
-            whisker(axes, y, each.value, each.ci95, "tab:blue")
+            whisker(axes, y, each, "tab:blue")
         axes.set_yticks(range(len(found)), [f"{name} arms, used on {LABELS[key]}" for name, key in found])
         axes.set_ylim(len(found) - 0.5, -0.5)
         figure.legend(loc="outside lower center")
     return figure
 
 
-def whisker(
-    axes: Any, y: float, value: float, ends: tuple[float | None, float | None] | None, colour: Any, mark: str = "|"
-) -> None:
+def whisker(axes: Any, y: float, found: Estimate, colour: Any, scale: float = 1.0) -> None:
     """A number at height ``y``, and its interval if it has one."""
-    if ends is not None:
-        axes.plot([value if end is None else end for end in ends], [y, y], color=colour, linewidth=3.0, alpha=0.55)
-    axes.plot([value], [y], mark, color=colour, markersize=8, mew=1.6)
+    if found.ci95 is not None:
+        ends = [scale * (found.value if end is None else end) for end in found.ci95]
+        axes.plot(ends, [y, y], color=colour, linewidth=3.0, alpha=0.55)
+    axes.plot([scale * found.value], [y], "|", color=colour, markersize=8, mew=1.6)
 
 
 def transfer_sentence(grid: PolicyGrid) -> str:
