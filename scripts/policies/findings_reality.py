@@ -108,8 +108,8 @@ def reality_sentence(grid: PolicyGrid, ideal: PolicyGrid) -> str:
     return (
         f"Of the error that LS leaves the scripted policy on the smooth `{SMOOTH}`, {smooth} remove, and of that on "
         f"`{HARD}`, {hard}; behind LS, arms measured by the ideal instrument, which waits until arm and ground have "
-        f"come to rest, while every pick starts cold, end at {ideally}, and arms measured in time at {in_time}, changes "
-        f"of {changes} mm. Poses and fruit come from the same ranges here; README has blocks that are held out."
+        f"come to rest, while every pick starts cold, end at {ideally}, and arms measured in time at {in_time}, by "
+        f"{changes} mm. Poses and fruit come from the same ranges here; README has blocks that are held out."
     )
 
 
