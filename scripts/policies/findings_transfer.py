@@ -67,7 +67,7 @@ def transfer_figure(grid: PolicyGrid) -> Figure:
         axes = figure.add_subplot(xlabel="mean error less that of training on calibrated arms (mm)")
         axes.axvspan(-MARGIN_MM, MARGIN_MM, color="0.92", zorder=0, label=f"margin of {MARGIN_MM:g} mm")
         for y, each in enumerate(found.values()):
-            whisker(axes, y, each, "tab:blue")
+            whisker(axes, y, each, "0.2")
         axes.set_yticks(range(len(found)), [f"{name} arms, used on {LABELS[key]}" for name, key in found])
         axes.set_ylim(len(found) - 0.5, -0.5)
         figure.legend(loc="outside lower center")
