@@ -147,10 +147,12 @@ def agreement_words(found: Bench) -> str:
         f"{robot} {rows}" + (f" of {total}" if total > rows else "") for robot, (total, rows) in found.used.items()
     )
     signs, refused = said["sign_right"], sum(gains[0].refused for gains in found.gains.values())
-    right = "" if signs is None else f" The sign of what a learnt residual does on blocks is right in {signs:.0%}."
+    sign = "The sign of what a learnt residual does on blocks is right in"
+    right = "" if signs is None else f" {sign} {100.0 * signs:.0f} %."
+    sets = "set" if said["sets"] == 1 else "sets"
     anew = f" ({refused} could not be calibrated, and others were drawn in their place)" if refused else ""
     return (
-        f"{said['gains']} gains on {said['sets']} sets of rows: predicted and measured are "
+        f"{said['gains']} gains on {said['sets']} {sets} of rows: predicted and measured are "
         f"{said['median_absolute_difference_points']:.1f} percentage points apart in the median, "
         f"{said['ninth_decile_points']:.1f} in the worst tenth.{right} {found.settings.folds} folds, "
         f"{found.settings.draws} arms drawn for each{anew}. Rows used, equally spaced in the file: {used}."

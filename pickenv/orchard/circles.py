@@ -14,7 +14,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from pickenv.extras import require
 from pickenv.orchard import checks, preset_files
@@ -91,6 +90,8 @@ def load_circle_search(name: str | Path) -> CircleSearch:
 
 def fruit_circles(search: CircleSearch, image: ArrayLike) -> Circles:
     """Circles of fruit in one image (height, width, 3)."""
+    from scipy import ndimage
+
     require("skimage")
     difference = red_minus_green(image)
     mask = np.asarray(ndimage.gaussian_filter(difference, search.blur) > fruit_threshold(difference), dtype=bool)
@@ -110,6 +111,8 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> Circles:
 
 def _edges(search: CircleSearch, difference: Array, mask: Flags) -> _Edges:
     """Where the slope of the colour is steepest, near the rim of the mask."""
+    from scipy import ndimage
+
     down, right = (ndimage.gaussian_filter(difference, search.blur, order) for order in ((1, 0), (0, 1)))
     steep = np.hypot(down, right)
     rim = ndimage.binary_dilation(mask) & ~ndimage.binary_erosion(mask, border_value=1) & (steep > 0)
@@ -134,6 +137,7 @@ def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
 
 def _voted(search: CircleSearch, edges: _Edges, shape: tuple[int, int]) -> list[tuple[float, float, float]]:
     """Column, row and radius of circles whose rim is in sight for more than the least arc, the fullest first."""
+    from scipy import ndimage
     from skimage.feature import peak_local_max
 
     height, width = shape
@@ -219,6 +223,8 @@ def _matched(
     circle: tuple[float, float, float],
 ) -> tuple[float, float]:
     """Disparity of a circle, px, and how much of it agrees: mean squared difference, obstacles cut at the contrast."""
+    from scipy import ndimage
+
     column, row, radius = circle
     down, across, distance = _window(mask.shape, column, row, radius + search.surroundings + 1)
     fruit = mask[down, across] & (distance < radius)

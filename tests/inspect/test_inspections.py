@@ -88,7 +88,8 @@ def test_a_calibration_at_measured_poses(
     )
     assert len(np.unique(index, axis=0)) == len(index) <= len(held_out)
     missed = 1e3 * np.linalg.norm(arrows(reading, "raw"), axis=1)
-    assert missed.min() <= values.min() <= values.max() <= missed.max()
+    rounding = 1.0 + 1e-6  # both are of single precision
+    assert missed.min() / rounding <= values.min() <= values.max() <= missed.max() * rounding
 
 
 def test_positions_alone_are_shown_without_attitudes(

@@ -85,4 +85,4 @@ def test_every_file_that_the_page_names_exists() -> None:
     links = re.findall(r"\]\(([^)\s#]+)\)", PAGE)
     assert [link for link in links if not (ROOT / "docs" / link).exists()] == []
     scripts = set(re.findall(r"scripts/[\w/]+\.py", PAGE))
-    assert len(scripts) == 3 and [name for name in scripts if not (ROOT / name).is_file()] == []
+    assert len(scripts) == 2 and [name for name in scripts if not (ROOT / name).is_file()] == []
