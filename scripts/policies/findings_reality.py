@@ -26,7 +26,7 @@ SMOOTH, HARD = "qiao2026", "field"
 MODELS = ("ls_bpnn", "best")
 """What is added to least squares."""
 IDEAL_ON = ("orchard", "field")
-"""Plants that are measured by both instruments; on `qiao2026`, which the joints alone decide, both see the same."""
+"""Plants that are measured by both instruments; on `qiao2026` they differ by their noise alone."""
 
 
 def errors_of(grid: PolicyGrid, key: str, plant: str) -> Array:
