@@ -17,7 +17,8 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.calibration import Compensator, complete_model, random_joints
 from pickenv.calibration.identification.extended_kalman_filter import predict, random_walk, start_filter, update
-from pickenv.inspect.figures.style import WIDTH, new_figure
+from pickenv.inspect.colours import policy_colours
+from pickenv.inspect.figures.style import LINES, WIDTH, new_figure, rgb
 from pickenv.seeds import stream
 
 if TYPE_CHECKING:
@@ -92,10 +93,11 @@ def day_figure(day: Day) -> Figure:
     with new_figure(WIDTH, 3.2) as figure:
         axis: Any = figure.subplots()
         width = max(1, len(day.hours) // 16)
-        for errors, line in zip(day.errors_mm.items(), ("-", "--", "-."), strict=True):
-            name, values = errors
+        raw, fixed, _, adapted = rgb(policy_colours(["raw", "ls", "best", "adapted"]))
+        lines = zip((raw, fixed, adapted), LINES, strict=False)
+        for (name, values), (colour, line) in zip(day.errors_mm.items(), lines, strict=True):
             smooth = np.convolve(values.mean(axis=0), np.ones(width) / width, mode="valid")
-            axis.plot(day.hours[width - 1 :], smooth, line, label=name)
+            axis.plot(day.hours[width - 1 :], smooth, linestyle=line, color=colour, label=name)
         axis.set_xlabel("time since the machine was switched on (h)")
         axis.set_ylabel("mean position error (mm)")
         axis.set_ylim(bottom=0.0)

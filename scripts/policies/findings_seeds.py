@@ -1,6 +1,6 @@
 """Do other seeds agree? `python scripts/policies/findings_seeds.py` holds the intervals against five fresh seeds.
 
-The scripted policy on both plants, raw, with least squares and with a Gaussian process, on as many arms as in
+The scripted policy on every plant, raw, with least squares and with a Gaussian process, on as many arms as in
 `findings.py`. Every 95 % interval (mean, median and 95th percentile over arms, success by gripper, paired differences)
 of each of six seeds is asked whether it holds the other seeds' numbers. Two estimates of a true 95 % interval differ by
 sqrt(2) of their spread, so about 83 % should be held. Options: `--compensations`, `--arms`, `--runs`.

@@ -19,18 +19,20 @@ def table(text: str, head: str) -> list[dict[str, str]]:
     return [dict(zip(heads, row, strict=True)) for row in rows]
 
 
-def test_readme_shows_what_the_findings_found() -> None:
+@pytest.mark.parametrize("plant", ["qiao2026", "field"])
+def test_readme_shows_what_the_findings_found(plant: str) -> None:
     found = {
         (row["policy"], row["feedback"], row["calibration"]): row["mean"]
         for row in table(FINDINGS, "plant | policy | feedback | calibration")
-        if row["plant"] == "qiao2026"
+        if row["plant"] == plant
     }
-    rows = table(README, "policy | feedback | raw")
+    rows = table(README, f"policy on `{plant}` | feedback | raw")
     assert rows
     for row in rows:
-        name = POLICIES["PPO, camera" if (row["policy"], row["feedback"]) == ("PPO", "camera") else row["policy"]]
+        policy = row.pop(f"policy on `{plant}`")
+        name = POLICIES["PPO, camera" if (policy, row["feedback"]) == ("PPO", "camera") else policy]
         for label, cell in row.items():
-            if label not in ("policy", "feedback"):
+            if label != "feedback":
                 assert cell == found[name, row["feedback"], CALIBRATIONS.get(label, label)]
 
 
