@@ -97,19 +97,14 @@ def _draw_instruments(axes: Any, grid: PolicyGrid, ideal: PolicyGrid, colours: d
 
 def reality_sentence(grid: PolicyGrid, ideal: PolicyGrid) -> str:
     """What the figure says."""
-    smooth, hard = (
-        " and ".join(f"{LABELS[key]} {_percent(removed(grid, key, plant))}" for key in MODELS)
-        for plant in (SMOOTH, HARD)
-    )
-    ideally, in_time = (
-        " and ".join(f"{_mm(errors_of(of, 'ls', plant))} mm on `{plant}`" for plant in IDEAL_ON) for of in (ideal, grid)
-    )
-    changes = " and ".join(_change(changed(grid, ideal, plant)) for plant in IDEAL_ON)
+    shares = {key: [_percent(removed(grid, key, plant)) for plant in (SMOOTH, HARD)] for key in MODELS}
+    (first, added), (second, both) = ((LABELS[key], shares[key]) for key in MODELS)
+    changes = [f"{_change(changed(grid, ideal, plant))} mm on `{plant}`" for plant in IDEAL_ON]
     return (
-        f"Of the error that LS leaves the scripted policy on the smooth `{SMOOTH}`, {smooth} remove, and of that on "
-        f"`{HARD}`, {hard}; behind LS, arms measured by the ideal instrument, which waits until arm and ground have "
-        f"come to rest, while every pick starts cold, end at {ideally}, and arms measured in time at {in_time}, by "
-        f"{changes} mm. Poses and fruit come from the same ranges here; README has blocks that are held out."
+        f"Of what LS leaves the scripted policy, {first} removes {added[0]} on the smooth `{SMOOTH}` and {added[1]} on "
+        f"`{HARD}`, {second} {both[0]} and {both[1]}; an instrument that measures arms in time, rather than when arm "
+        f"and ground have come to rest, changes the error behind LS by {' and '.join(changes)}. Poses and fruit come "
+        "from the same ranges here; README has blocks that are held out."
     )
 
 
