@@ -6,8 +6,9 @@ import hashlib
 import os
 import platform
 import shlex
+from contextlib import suppress
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,12 @@ import pickenv
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Versions of what computed the numbers: pickenv, NumPy, Python and the named packages."""
+    """Versions of what computed the numbers: pickenv, NumPy, Python, and those of the named packages that are there."""
     found = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
-    return found | {name: version(name) for name in packages}
+    for name in packages:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def command_line(*words: object, **options: object) -> str:
