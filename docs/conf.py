@@ -33,7 +33,6 @@ html_title = f"pickenv {release}"
 html_copy_source = False
 html_theme_options = {"sidebar_hide_name": False}
 default_role = "code"  # docstrings write `name`, as Markdown does
-nitpicky = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
@@ -57,7 +56,7 @@ ROOMS = {
     "pickenv.orchard": "Fruit, canopy, camera, gripper",
     "pickenv.harvester": "The machine of Li 2016",
 }
-"""Rooms with a face, and their titles."""
+"""Rooms with a face, and their titles; a thing is described where it is offered first."""
 
 
 CARDS = {
@@ -103,7 +102,7 @@ def _is_environment(thing: Any) -> bool:
 
 
 def environment_page(name: str) -> str:
-    """An environment's card: its own docstring, whose headings move one level down."""
+    """An environment's card: its own docstring under its name."""
     entry = str(gymnasium.spec(name).entry_point)
     module, _, attribute = entry.partition(":")
     text = inspect.getdoc(getattr(importlib.import_module(module), attribute)) or ""
@@ -116,7 +115,7 @@ def write_generated() -> None:
     """Write reference and cards; what is there unchanged keeps its time, so that a second build is quick."""
     first: dict[int, str] = {}
     pages = {}
-    for room in ("pickenv", *(room for room in ROOMS if room != "pickenv")):
+    for room in ROOMS:
         pages[f"reference/{room}.rst"] = reference_page(room, first)
     index = ["Reference", "=========", "", ".. toctree::", "   :maxdepth: 1", "", *(f"   {room}" for room in ROOMS), ""]
     pages["reference/index.rst"] = "\n".join(index)

@@ -16,7 +16,8 @@ from pickenv.agents.policies.policy import ObservationParts, camera_of, read_obs
 from pickenv.agents.policies.scripted import ScriptedReach
 from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration import Compensator, link_model, random_joints
+from pickenv.calibration import link_model, random_joints
+from pickenv.calibration.compensation.filtered_arms import aimed
 from pickenv.calibration.identification import extended_kalman_filter
 
 ARRIVED = 0.02
@@ -96,10 +97,7 @@ class AdaptiveReach(ScriptedReach):
 
     def _corrected(self, joints: Array) -> Array:
         """Joint targets that bring each arm, as its filter knows it, to the nominal arm's place at ``joints``."""
-        corrected = (
-            Compensator(self.geometry, state.geometry)(row) for state, row in zip(self.filters, joints, strict=True)
-        )
-        return np.stack(list(corrected))
+        return aimed(self.geometry, self.filters, joints)
 
     def _learnt(
         self, state: extended_kalman_filter.FilterState, joints: Array, total: Array, count: int

@@ -12,24 +12,18 @@ from pickenv.agents.evaluation.grid import GridSettings, population
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
 from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms
 from pickenv.arm import forward
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
-from pickenv.calibration import Compensator, complete_model, random_joints
-from pickenv.calibration.identification.extended_kalman_filter import predict, random_walk, start_filter, update
+from pickenv.calibration import complete_model, random_joints, start_filter
+from pickenv.calibration.compensation.filtered_arms import aimed, taught
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import LINES, WIDTH, new_figure, rgb
+from pickenv.inspect.recordings.field_day import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK
 from pickenv.seeds import stream
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-HOURS = 8.0
-DRIFTS = ("thermal_growth", "base_tilt")
-CAMERA_STD = 1e-3
-"""Of the camera's view of the tool, per axis, m."""
-PRIOR, WALK = 0.2, 0.3
-"""Of the filter: what a calibration leaves, in tolerances, and how far parameters wander per root hour."""
 METHODS = ("raw", "calibrated in the workshop", "and adapted online")
 
 
@@ -54,7 +48,7 @@ def run_day(settings: GridSettings, picks: int) -> Day:
     rng = np.random.default_rng(stream(settings.seed, "picks"))
     goals = random_joints(nominal, picks * arms, rng).reshape(picks, arms, -1)
     noise = rng.normal(size=(picks, arms, 3)) * CAMERA_STD
-    dt = HOURS * 3600.0 / picks
+    dt = DAY_HOURS * 3600.0 / picks
     # The workshop: firm ground, and the temperature at which the arm was built.
     fitted = compensators(plants.without(DRIFTS), "ls", settings.protocol) or []
     errors: dict[str, Any] = {}
@@ -71,7 +65,7 @@ def run_day(settings: GridSettings, picks: int) -> Day:
             target = goals[k]
             wanted = forward(nominal, target).position
             if filters is not None:
-                target = np.stack([Compensator(nominal, f.geometry)(q) for f, q in zip(filters, target, strict=True)])
+                target = aimed(nominal, filters, target)
             command = target
             if method != METHODS[0]:
                 command = np.stack([f(q) for f, q in zip(fitted, target, strict=True)])
@@ -79,11 +73,7 @@ def run_day(settings: GridSettings, picks: int) -> Day:
             tool = np.stack(np.broadcast_arrays(*frame[9:12]), axis=-1)
             rows.append(np.linalg.norm(tool - wanted, axis=-1) * 1e3)
             if filters is not None:
-                seen = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
-                filters = [
-                    update(predict(f, random_walk(f, WALK), dt), target[i], tool[i] + noise[k, i], seen)
-                    for i, f in enumerate(filters)
-                ]
+                filters = taught(filters, target, tool + noise[k], LOOK, WALK, dt)
         errors[method] = np.array(rows).T
     return Day((np.arange(picks) + 1.0) * dt / 3600.0, errors)
 
@@ -110,11 +100,9 @@ def day_sentence(day: Day) -> str:
     raw, fixed, adapted = (day.errors_mm[name][:, None] for name in METHODS)
     gained, saved = mean_over_arms(fixed - raw), mean_over_arms(adapted - fixed)
     return (
-        f"Over {HOURS:g} h in which the arms of `orchard` warm up and the machine tilts and sinks, a calibration in "
-        "the "
-        f"workshop changes the mean error by {_change(gained)} mm, and a filter that sees the tool once per pick "
-        "changes "
-        f"it by a further {_change(saved)} mm."
+        f"Over {DAY_HOURS:g} h in which the arms of `orchard` warm up and the machine tilts and sinks, a calibration "
+        f"in the workshop changes the mean error by {_change(gained)} mm, and a filter that sees the tool once per "
+        f"pick changes it by a further {_change(saved)} mm."
     )
 
 
@@ -122,15 +110,13 @@ def day_tables(day: Day) -> list[str]:
     """Parts of the day."""
     parts = {
         "whole day": np.ones(len(day.hours), dtype=bool),
-        "first hour": day.hours <= HOURS / 8,
-        "last two hours": day.hours > HOURS * 3 / 4,
+        "first hour": day.hours <= DAY_HOURS / 8,
+        "last two hours": day.hours > DAY_HOURS * 3 / 4,
     }
     lines = [
-        f"A day of {HOURS:g} h on `orchard`, {len(next(iter(day.errors_mm.values())))} arms, {len(day.hours)} picks "
-        "each; "
-        "calibrated by least squares on firm ground; the filter on geometry, base and tool takes one picture of the "
-        "tool "
-        f"per pick ({CAMERA_STD * 1e3:g} mm per axis). Mean error (mm), 95 % interval over arms.",
+        f"A day of {DAY_HOURS:g} h on `orchard`, {len(next(iter(day.errors_mm.values())))} arms, {len(day.hours)} "
+        "picks each; calibrated by least squares on firm ground; the filter on geometry, base and tool takes one "
+        f"picture of the tool per pick ({CAMERA_STD * 1e3:g} mm per axis). Mean error (mm), 95 % interval over arms.",
         "",
         "| | " + " | ".join(parts) + " | largest |",
         "|---|" + "---|" * (len(parts) + 1),

@@ -16,14 +16,8 @@ from pickenv.arm import Geometry, Plant, forward, joint_jacobian, load_plant
 from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.forward import split_joints
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration import Compensator, complete_model
-from pickenv.calibration.identification.extended_kalman_filter import (
-    FilterState,
-    predict,
-    random_walk,
-    start_filter,
-    update,
-)
+from pickenv.calibration import complete_model, start_filter
+from pickenv.calibration.compensation.filtered_arms import aimed, taught
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.seeds import stream
 
@@ -31,8 +25,10 @@ DRIFTS = ("thermal_growth", "base_tilt")
 DRIFTING_PLANT = "orchard"
 """The preset that tells how an arm drifts, where the plant itself does not drift."""
 DAY_HOURS = 8.0
-CAMERA_STD, UNMODELLED_STD = 1e-3, 0.5e-3
-"""Of one look at the tool, per axis, and of what a geometry cannot explain, m."""
+CAMERA_STD = 1e-3
+"""Of one look at the tool, per axis, m."""
+LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
+"""What a filter is told of it: with half a millimetre that a geometry cannot explain."""
 PRIOR, WALK = 0.2, 0.3
 """Of the filter: what a calibration leaves, in tolerances, and how far parameters wander per root hour."""
 FILTERED = 10
@@ -152,19 +148,18 @@ def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
     intended = joints_at(nominal, commands, comparison.fruit)
     starts = np.unique(np.linspace(0, count, FILTERED, endpoint=False).astype(np.int64))
     first = start_filter(complete_model(nominal), nominal, intended, full_pose=False, prior=PRIOR)
-    walk, noise = random_walk(first, WALK), MeasurementNoise(float(np.hypot(CAMERA_STD, UNMODELLED_STD)), 0.0)
-    filters: list[FilterState] = [first] * len(starts)
+    filters = [first] * len(starts)
     rng = np.random.default_rng(stream(comparison.seed, "day"))
     state = plant.initial_state(np, split_joints(nominal.joints, commands[starts]))
     errors = np.empty((count, len(starts)))
     for k in range(count):
         turn = (starts + k) % count
-        aimed = np.stack([Compensator(nominal, f.geometry)(q) for f, q in zip(filters, intended[turn], strict=True)])
-        given = np.clip(commands[turn] + aimed - intended[turn], nominal.lower, nominal.upper)
+        joints = aimed(nominal, filters, intended[turn])
+        given = np.clip(commands[turn] + joints - intended[turn], nominal.lower, nominal.upper)
         state, tool = _driven(plant, state, given, dt)
         errors[k] = 1e3 * np.linalg.norm(tool - comparison.fruit[turn], axis=-1)
         seen = tool + CAMERA_STD * rng.standard_normal(tool.shape)
-        filters = [update(predict(f, walk, dt), q, at, noise) for f, q, at in zip(filters, aimed, seen, strict=True)]
+        filters = taught(filters, joints, seen, LOOK, WALK, dt)
     return errors
 
 
