@@ -22,6 +22,7 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.observations import OneGroup, hash_of, selected
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
+from pickenv.errors import InputError
 from pickenv.files import write_whole
 
 POSITION_STD = 15e-6
@@ -210,8 +211,16 @@ def simulated_tracker(
         joints: Joint commands ``(N, n)`` in their order, rad or m.
         rng: Draws the readings' errors, and by a child the friction of each stop and the target's mounting.
         instrument: One of `pickenv.arm.shipped_instruments`, a path to a file, or an `Instrument`.
+
+    Raises:
+        InputError: If joints have another shape or are not finite, or the instrument is unknown.
     """
     joints = np.asarray(joints, dtype=float)
+    if joints.ndim != 2 or joints.shape[1] != plant.geometry.joints:
+        raise InputError(f"joints have shape {joints.shape}; give (N, {plant.geometry.joints}), one row per pose")
+    if not np.isfinite(joints).all():
+        row = int(np.argmin(np.isfinite(joints).all(axis=1)))
+        raise InputError(f"the joints of pose {row} are {joints[row].tolist()}; give finite ones, rad or m")
     chosen = instrument if isinstance(instrument, Instrument) else load_instrument(instrument)
     return tracked(plant, chosen, joints, normal_draws(plant, len(joints), rng))
 

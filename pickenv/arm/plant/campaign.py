@@ -34,21 +34,21 @@ class Instrument:
 
     Attributes:
         name: Its name.
+        stand: Where it stands, in the arm's world, m.
         source: Where the numbers come from.
         dwell: Waiting time between arrival and reading, s; None where it waits until nothing changes any more: the
             arm is then warm, the ground at rest, and friction and gaps in their middle.
         warm_up: Time on before the first pose, s, in the middle of the joints' ranges.
         period: Control period of the drives from pose to pose, s, at full speed.
-        stand: Where it stands, in the arm's world, m.
         noise: How it errs; None for the errors that the plant states of the instrument beside it.
     """
 
     name: str
+    stand: Annotated[tuple[float, float, float], MM]
     source: str = ""
     dwell: Annotated[float, SECONDS.not_negative] | None = None
     warm_up: Annotated[float, HOURS.not_negative] = 0.0
     period: Annotated[float, MILLISECONDS.positive] = Pace.period
-    stand: Annotated[tuple[float, float, float], MM] = (0.0, 0.0, 0.0)
     noise: MeasurementNoise | None = None
 
     def noise_on(self, plant: Plant) -> MeasurementNoise | None:

@@ -153,7 +153,7 @@ def test_noise_grows_with_the_range(distance):
 def test_a_target_mounted_once_errs_alike_in_all_its_readings_in_the_tools_axes():
     plant, joints = load_plant("geometry_only"), anywhere(60)
     true = plant.tool_pose(joints)
-    instrument = Instrument("ball", noise=MeasurementNoise(0.0, 0.0, centring_std=12.7e-6))
+    instrument = Instrument("ball", stand=(0.0, 0.0, 0.0), noise=MeasurementNoise(0.0, 0.0, centring_std=12.7e-6))
     offsets = []
     for seed in range(300):
         rows = seen(plant, joints, instrument, seed)

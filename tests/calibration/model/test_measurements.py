@@ -7,6 +7,7 @@ import pytest
 
 from pickenv.arm import load_arm, load_instrument, load_plant, rotation_vector
 from pickenv.calibration import Measurements, random_joints, read_measurements, simulated_tracker
+from pickenv.errors import InputError
 
 ULP = 4e-16  # degrees are written, radians kept: one rounding each way
 
@@ -94,3 +95,22 @@ def test_the_simulated_tracker_has_the_plants_noise(dynamic):
     assert seen.position_std == pytest.approx(std, rel=1e-3) and seen.attitude_std == pytest.approx(np.radians(0.012))
     exact = simulated_tracker(load_plant("geometry_only"), q, np.random.default_rng(1))
     assert np.ptp(exact.position, axis=0).max() == 0 and exact.position_std > 0
+
+
+@pytest.mark.parametrize(
+    ("joints", "said"),
+    [
+        (np.zeros((3, 5)), r"shape \(3, 5\); give \(N, 6\)"),
+        (np.zeros(6), "one row per pose"),
+        (np.vstack([np.zeros(6), [0, 0, np.nan, 0, 0, 0]]), "the joints of pose 1 are .*nan"),
+    ],
+)
+def test_no_campaign_visits_impossible_joints(dynamic, joints, said):
+    with pytest.raises(InputError, match=said):
+        simulated_tracker(dynamic, joints, np.random.default_rng(0))
+
+
+def test_an_empty_file_is_no_instrument(dynamic, tmp_path):
+    (tmp_path / "empty.toml").write_text("")
+    with pytest.raises(InputError, match="stand_mm"):
+        simulated_tracker(dynamic, np.zeros((1, 6)), np.random.default_rng(0), str(tmp_path / "empty.toml"))
