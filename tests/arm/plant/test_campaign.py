@@ -221,10 +221,13 @@ def test_shipped_instruments_load_under_their_own_names_and_others_are_refused(t
     with pytest.raises(InputError, match=r"unknown instrument 'ruler'.*ideal"):
         load_instrument("ruler")
     own = tmp_path / "camera.toml"
-    own.write_text("dwell_s = 1.0\n[noise]\nposition_std_mm = 0.5\nattitude_std_deg = 0.1\n", encoding="utf-8")
+    own.write_text(
+        "stand_mm = [0.0, 0.0, 0.0]\ndwell_s = 1.0\n[noise]\nposition_std_mm = 0.5\nattitude_std_deg = 0.1\n",
+        encoding="utf-8",
+    )
     camera = load_instrument(own)
     assert (camera.name, camera.dwell, camera.noise.position_std) == ("camera", 1.0, 5e-4)
     wrong = tmp_path / "wrong.toml"
-    wrong.write_text("dwell_s = -1.0\n", encoding="utf-8")
+    wrong.write_text("stand_mm = [0.0, 0.0, 0.0]\ndwell_s = -1.0\n", encoding="utf-8")
     with pytest.raises(InputError, match="dwell_s"):
         load_instrument(wrong)
