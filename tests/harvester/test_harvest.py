@@ -1,6 +1,7 @@
 """Whole harvests: better than Li's rule on the same trees, repeatable, and honest about what was out of reach."""
 
 import importlib
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -243,7 +244,7 @@ def test_a_second_look_meets_the_luck_of_the_first_as_far_as_it_lasts(machine, t
     way = replace(li(true), looks=2)
     harvest(true, way, MODEL, [tree_of(machine, fruit)], [np.random.default_rng(2)], load_grid(), wild)
     again = []
-    for (view, luck), (next_view, then) in zip(given, given[1:], strict=False):
+    for (view, luck), (next_view, then) in itertools.pairwise(given):
         again += [view == next_view] * len(luck.keys() & then.keys())
         assert all((luck[each] == then[each]) == (view == next_view) for each in luck.keys() & then.keys())
     assert 0 < sum(again) < len(again)
