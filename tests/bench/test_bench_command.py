@@ -159,16 +159,19 @@ def test_a_peer_is_given_the_rows_and_answers_for_those_held_out(
     workers = tmp_path / "workers"
     workers.mkdir()
     (workers / "run_none.py").write_text(
-        "import json, sys\n"
+        "import json, os, sys\n"
         "content = json.load(open(sys.argv[1]))\n"
         "n = {name: len(content[name]) for name in ('joints', 'held_out_joints', 'random_joints')}\n"
-        "answer = {'held_out_rms_mm': 0.5, 'random_poses_mean_mm': 0.4, 'remark': '', 'n': n}\n"
+        "answer = {'held_out_rms_mm': 0.5, 'random_poses_mean_mm': 0.4, 'remark': 'nor more', 'n': n}\n"
+        "answer['at_home'] = os.path.samefile('.', os.path.dirname(sys.argv[1]))\n"
+        "answer['ours'] = [name for name in os.environ if name.startswith('PYTHON')]\n"
         "json.dump(answer, open(sys.argv[2], 'w'))\n"
     )
     monkeypatch.setattr(peers, "WORKERS", workers)
     monkeypatch.setattr(peers, "peer_python", lambda peer, folder, install: Path(sys.executable))
     found = judged_peer(Peer("none", "1", "it does nothing", poses=50), data_folder, tmp_path)
     assert found["n"] == {"joints": 50, "held_out_joints": 200, "random_joints": 20}
+    assert found["at_home"] and found["ours"] == [] and found["note"] == "it does nothing; nor more"
     assert found["nominal"]["held_out_rms_mm"] > found["held_out_rms_mm"]
 
 
