@@ -358,8 +358,9 @@ def test_rounding_to_single_precision_takes_no_action_out_of_its_range():
     np.testing.assert_array_equal(one.step(most)[0], other.step(np.ones((2, 6)))[0])
 
 
-def test_pictures_of_all():
-    envs = native(2, render_mode="rgb_array", arms="per_env")
+@pytest.mark.parametrize("arms", ["per_env", "fixed"])
+def test_pictures_of_all(arms):
+    envs = native(2, render_mode="rgb_array", arms=arms)
     envs.reset(seed=0)
     pictures = envs.render()
     assert [picture.shape for picture in pictures] == [(360, 720, 3)] * 2
