@@ -254,7 +254,7 @@ def main(
     known_only: Annotated[bool, typer.Option("--known", help="Try nothing: the page of what is kept.")] = False,
     json_file: Annotated[Path, typer.Option("--json", help="Where verdicts and scores are kept.")] = KEPT,
     also: Annotated[list[Path] | None, typer.Option(help="What other runs kept, taken over.")] = None,
-    page: Annotated[Path, typer.Option(help="The page.")] = ROOT / "docs/mutants.md",
+    page: Annotated[Path, typer.Option(help="The page; written when no room is named.")] = ROOT / "docs/mutants.md",
 ) -> None:
     """Change the lines that make numbers, one at a time, and count what the tests notice."""
     from pickenv.files import write_text  # late: see WARM
@@ -274,7 +274,7 @@ def main(
     }
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
     WARM.set_forkserver_preload(["__main__", *LIBRARIES])
-    mutants = {name: shuffled(name, seed, equivalents) for name in ROOMS}
+    mutants = {name: shuffled(name, seed, equivalents) for name in names}
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) if known_only else copied_project(Path(folder))
         for name in () if known_only else names:
@@ -293,10 +293,11 @@ def main(
     tried = {name: {m.key: kept[m.key]["verdict"] for m in found if m.key in kept} for name, found in mutants.items()}
     now = [score_of(name, len(mutants[name]), list(verdicts.values())) for name, verdicts in tried.items() if verdicts]
     survivors = [key for verdicts in tried.values() for key, verdict in verdicts.items() if verdict == "passed"]
-    print(table([score for score in now if score.room in names]))
+    print(table(now))
     print(f"{len(survivors)} survive; each is a test to write, or a change that makes no difference")
     write_text(json_file, as_lines(samples, kept))
-    write_text(page, page_of(now, samples, survivors, equivalents))
+    if not room:
+        write_text(page, page_of(now, samples, survivors, equivalents))
 
 
 if __name__ == "__main__":
