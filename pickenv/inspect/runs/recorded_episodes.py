@@ -5,12 +5,15 @@ Saved and loaded whole as `episodes.npz` of a comparison's run folder (`pickenv.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,8 @@ class RecordedPolicy:
         attitude_error_deg: Angle between true and wanted attitude ``(E, T)``; nan where it is not known.
         success: Whether the environment calls it a success ``(E, T)``.
         picked: Fruit that the gripper has taken in this episode so far ``(E, T)``; a reach picks at its last moment.
+        miss_mm: Distance between tool and fruit where the gripper closes ``(E, T)``; nan at all other moments. A reach
+            closes at its last moment.
         reward: Reward of each step ``(E, T)``; 0 at the reset and after the end.
     """
 
@@ -46,6 +51,7 @@ class RecordedPolicy:
     attitude_error_deg: Array
     success: NDArray[np.bool_]
     picked: NDArray[np.int64]
+    miss_mm: Array
     reward: Array
 
 
@@ -83,3 +89,24 @@ class RecordedEpisodes:
 def last_of(policy: RecordedPolicy, values: Array | NDArray[np.int64] | NDArray[np.bool_]) -> Array:
     """The last moment of each episode of values ``(E, T, ...)``: ``(E, ...)``."""
     return np.asarray(values[np.arange(len(policy.moments)), policy.moments - 1])
+
+
+POSITIONS = ("tool_position", "fruit_position")
+"""What an environment's `info` must hold to be drawn and compared: three finite numbers each, m, in one frame."""
+
+
+def missing_positions(info: Mapping[str, Any]) -> str:
+    """What `info` lacks of `POSITIONS`, in a sentence that says what to do; empty where nothing is missing.
+
+    Raises:
+        InputError: If one of them is there, but no position.
+    """
+    for name in POSITIONS:
+        if name in info:
+            value = np.asarray(info[name])
+            if value.shape != (3,) or value.dtype.kind not in "fiu" or not np.isfinite(value).all():
+                raise InputError(f"info['{name}'] is {info[name]!r}; give three finite numbers in m")
+    absent = [f"'{name}'" for name in POSITIONS if name not in info]
+    if not absent:
+        return ""
+    return f"its info lacks {' and '.join(absent)}; let the environment give both, three numbers in m, at every step"
