@@ -25,7 +25,13 @@ from pickenv.errors import InputError
 from pickenv.inspect.colours import policy_key, policy_rank
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors, compared
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy, last_of, missing_positions
+from pickenv.inspect.runs.recorded_episodes import (
+    RecordedEpisodes,
+    RecordedPolicy,
+    believed_joints,
+    last_of,
+    missing_positions,
+)
 from pickenv.inspect.runs.run_folder import PARTS, RECORD, load_part, read_run
 from pickenv.limits import check_limit
 from pickenv.orchard.gripper import Gripper, capture_probability, lateral_tolerance, load_gripper, misalignment
@@ -146,7 +152,7 @@ def _run(
         policy = contender.make(env, seed_words(stream(seed, "policy", number), 1)[0])
         ways = []
         for done, each in enumerate(seeds, start=1):
-            ways.append([(moment, _target(env)) for moment in moments_of(env, policy, each)])
+            ways.append([(moment, believed_joints(env)) for moment in moments_of(env, policy, each)])
             if missing := missing_positions(ways[-1][0][0].info):
                 raise InputError(f"{env_id} cannot be compared: {missing}")
             report(f"{contender.label}, episodes", done, count)
@@ -181,12 +187,6 @@ def _made(env_id: str, arguments: Mapping[str, Any]) -> gym.Env[Any, Any]:
         return gym.make(env_id, **arguments)
     except (gym.error.Error, ModuleNotFoundError, TypeError) as error:
         raise InputError(f"cannot make the environment '{env_id}': {' '.join(str(error).split())}") from error
-
-
-def _target(env: gym.Env[Any, Any]) -> Array | None:
-    """Joints at which the controller believes the arm to be, copied; None where the environment does not tell."""
-    target = getattr(env.unwrapped, "joint_target", None)
-    return None if target is None else np.array(target, dtype=float)
 
 
 def _recorded_policy(

@@ -43,6 +43,7 @@ BY_KEY: dict[str, Rgb] = {
     "best": PURPLE,
 }
 OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (240, 228, 66), (150, 150, 150))
+NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
 """Policies stand in this order everywhere; others follow."""
 
@@ -101,6 +102,11 @@ def policy_rank(name: str) -> int:
     """Where a policy stands among others, given its key or label: 1 for raw, 2 for LS, 3 for LS+BPNN, 4 for others."""
     key = policy_key(name)
     return next((i for i, keys in enumerate(ORDER, start=1) if key in keys), len(ORDER) + 1)
+
+
+def policy_label(key: str) -> str:
+    """What people call a policy with a key that has no label of its own: LS+BPNN for ls_bpnn, ``my policy``."""
+    return NAMES.get(key, key.replace("_", " "))
 
 
 def lane(name: str) -> str:

@@ -110,3 +110,9 @@ def missing_positions(info: Mapping[str, Any]) -> str:
     if not absent:
         return ""
     return f"its info lacks {' and '.join(absent)}; let the environment give both, three numbers in m, at every step"
+
+
+def believed_joints(env: Any) -> Array | None:
+    """Joints at which an environment's controller believes the arm to be, copied; None where it does not tell."""
+    target = getattr(env.unwrapped, "joint_target", None)
+    return None if target is None else np.array(target, dtype=float)
