@@ -18,11 +18,8 @@ from pickenv.agents.training.hyperparams import class_named, tuned
 ROOT = Path(__file__).parents[2]
 ALGORITHMS = {"ppo": PPO, "sac": SAC, "tqc": TQC}
 FILES = sorted(path.stem for path in (ROOT / "pickenv" / "zoo" / "hyperparams").glob("[a-z]*.py"))
-ENTRIES = [
-    (name, env_id)
-    for name in FILES
-    for env_id in importlib.import_module(f"pickenv.zoo.hyperparams.{name}").hyperparams
-]
+PARAMETERS = {name: importlib.import_module(f"pickenv.zoo.hyperparams.{name}").hyperparams for name in FILES}
+ENTRIES = [(name, env_id) for name in FILES for env_id in PARAMETERS[name]]
 SHORT = {"ppo": {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1}}
 EARLY = {"n_envs": 2, "learning_starts": 130, "batch_size": 16, "gradient_steps": 1}
 
@@ -36,7 +33,7 @@ def test_every_file_has_parameters_for_every_environment_that_it_can_learn() -> 
 @pytest.mark.parametrize(("name", "env_id"), ENTRIES)
 def test_parameters_start_a_training_in_single_environments(name: str, env_id: str) -> None:
     """As RL Zoo makes it: wrapper and policy by name, environments one by one, plain classes of the algorithms."""
-    given = tuned(name, env_id) | (SHORT[name] if name in SHORT else EARLY)
+    given = tuned(name, env_id) | SHORT.get(name, EARLY)
     wrapper, arguments = given.pop("env_wrapper", None), given.pop("env_kwargs", {})
     given.pop("n_timesteps")
     envs = make_vec_env(
