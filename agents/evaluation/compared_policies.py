@@ -1,15 +1,10 @@
-"""What a name on the command line stands for: a kind of policy, a shipped one, a file, or a folder of trainings.
-
-A Python file (.py) is anybody's policy: it defines ``make(env, seed)``, which gives a `Policy` for a native
-`pickenv/Reach-v0`, and may say ``FEEDBACK = ("camera",)`` or ``("encoders",)``. It is executed.
-"""
+"""What a name on the command line stands for: a kind of policy, a shipped one, a file, or a folder of trainings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -92,13 +87,8 @@ def kind_of(name: str) -> Kind:
     """
     if name in KINDS:
         return KINDS[name]
-<<<<<<< HEAD
-    if name.endswith(".py"):
-        return Kind(tuple(getattr(_program(name), "FEEDBACK", FEEDBACK)), files=(name,))
-=======
     if Path(name).suffix in foreign.SUFFIXES:
         return Kind(files=(name,))
->>>>>>> main
     if Path(name).is_dir():
         files = tuple(str(path) for path in sorted(Path(name).glob("*/policy.npz")))
         return Kind(_feedback_of(name, files), files=files)
@@ -130,16 +120,9 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
         if name == "adaptive":
             prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
             return AdaptiveReach(env, AdaptiveSettings(camera_std=camera_noise_mm * 1e-3, prior=prior))
-<<<<<<< HEAD
-        if name.endswith(".py"):
-            made: Policy = _program(name).make(env, seed)
-            return made
-        return load_policy(name, env.task.plant.arm)
-=======
         if Path(name).suffix in foreign.SUFFIXES:
             return foreign.foreign_policy(name, env, seed)
         return load_policy(name, env.unwrapped.task.plant.arm)
->>>>>>> main
 
     return make
 
@@ -147,31 +130,11 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
 def policy_name(name: str) -> str:
     """How a policy is called in tables: files and folders by the end of their path."""
     path = Path(name)
-<<<<<<< HEAD
-    if name.endswith(".py"):
-=======
     if path.suffix in foreign.SUFFIXES:
->>>>>>> main
         return path.stem
     if name.endswith(".npz"):
         return "/".join(path.with_suffix("").parts[-3:])
     return path.name if len(path.parts) > 1 else name
-
-
-def _program(name: str) -> ModuleType:
-    """The module that a Python file makes.
-
-    Raises:
-        InputError: If it is missing or defines no ``make``.
-    """
-    if not Path(name).is_file():
-        raise InputError(f"policy {name} does not exist; give a Python file that defines make(env, seed)")
-    module = ModuleType(Path(name).stem)
-    module.__file__ = name
-    exec(compile(Path(name).read_text(encoding="utf-8"), name, "exec"), vars(module))
-    if not callable(getattr(module, "make", None)):
-        raise InputError(f"policy {name} defines no make(env, seed); let it give an object with reset() and act()")
-    return module
 
 
 def _feedback_of(folder: str, files: tuple[str, ...]) -> tuple[str, ...]:

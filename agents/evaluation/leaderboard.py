@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from pickenv.agents.evaluation.calibrated import COMPENSATIONS, CalibrationPlan
-from pickenv.agents.evaluation.compared_policies import kind_of
+from pickenv.agents.evaluation.compared_policies import kind_of, maker_of
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
 from pickenv.agents.evaluation.grid_tables import interval_words, read_grid, write_grid
 from pickenv.agents.evaluation.statistics import interquartile_mean
 from pickenv.agents.policies.learned import BASELINES, shipped_baselines
 from pickenv.arm.files.content import content_sha256
+from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.inspect.runs.run_folder import RECORD, read_run
 from pickenv.provenance import code_fingerprint, file_sha256
@@ -67,11 +68,12 @@ class LeaderboardSettings:
         policies = ("scripted", "servo", "ppo_encoders")
         return LeaderboardSettings(policies, ("qiao2026",), arms=1, episodes=4, epochs=20)
 
-    def grid(self, policy: str, seed: int) -> GridSettings:
+    def grid(self, policy: str, feedback: tuple[str, ...], seed: int) -> GridSettings:
         """The comparison of one policy with one seed."""
         return GridSettings(
             policies=(policy,),
             compensations=COMPENSATIONS,
+            feedback=feedback,
             plants=self.plants,
             grippers=GRIPPERS,
             arms=self.arms,
@@ -99,14 +101,33 @@ def run_leaderboard(
         InputError: If a policy is unknown or cannot be run, or a kept file was edited.
     """
     report = progress or (lambda stage, done, total: None)
-    for policy in settings.policies:
-        kind_of(policy)  # says what is wrong before hours have passed
+    feedback = {policy: fitting_feedback(policy) for policy in settings.policies}
     jobs = [(policy, seed) for policy in settings.policies for seed in settings.seeds]
     grids = []
     for done, (policy, seed) in enumerate(jobs):
-        grids.append(_kept_grid(settings.grid(policy, seed), out, workers))
+        grids.append(_kept_grid(settings.grid(policy, feedback[policy], seed), out, workers))
         report("policies and seeds", done + 1, len(jobs))
     return leaderboard_rows(grids)
+
+
+def fitting_feedback(policy: str) -> tuple[str, ...]:
+    """With what feedback a policy can be run; one of somebody else's making is tried.
+
+    Raises:
+        InputError: If it is unknown, or can be run with none.
+    """
+    kind, fits, refusal = kind_of(policy), [], ""
+    for feedback in kind.feedback:
+        env = ReachVectorEnv(1, feedback=feedback)
+        try:
+            maker_of(policy)(env, 0).act(env.reset(seed=0)[0])
+        except InputError as error:
+            refusal = str(error)
+            continue
+        fits.append(feedback)
+    if not fits:
+        raise InputError(refusal)
+    return tuple(fits)
 
 
 def leaderboard_rows(grids: Sequence[PolicyGrid]) -> list[dict[str, Any]]:

@@ -90,7 +90,7 @@ def policies(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="A policy to judge as well: a file of `pickenv train` (.npz), or Python (.py), which is executed."
+            help="A policy to judge as well: a file of `pickenv train` (.npz), a zip of SB3 or Python, both executed."
         ),
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
