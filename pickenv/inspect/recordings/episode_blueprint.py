@@ -28,7 +28,7 @@ EYE = np.array([0.75, -1.0, 0.55])
 """From the middle of the scene to the eye, in units of the arm's reach at mid-range."""
 SHOWN_TOLERANCES = 5.0
 """The view from the fruit shows errors up to this many tolerances, or those at the ends of episodes if larger."""
-DECADES = "log10 of mm: -1 is 0.1 mm, 0 is 1 mm, 1 is 10 mm, 2 is 100 mm"
+DECADES = "log10 of mm (-1: 0.1 mm, 0: 1 mm, 1: 10 mm)"
 """What the axis of distances says; the viewer has no logarithmic axes of its own."""
 
 

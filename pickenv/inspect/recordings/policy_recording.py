@@ -145,14 +145,14 @@ def _blueprint(episodes: RecordedEpisodes, comparison: Comparison | None) -> rrb
     low, high = _box(episodes)
     step, count = _step(low, high), len(episodes.policies)
     middle = (low + high) / 2.0 + (count - 1) / 2.0 * step
-    eye = middle + (0.75 * float(np.linalg.norm(high - low)) + 0.4 * (count - 1) * float(np.linalg.norm(step))) * EYE
+    eye = middle + (0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))) * EYE
     what = "Tool and fruit" if episodes.nominal is None else f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
     side = seen_from(eye, middle, "/side", ["+ /side/**", *_without_true(episodes)], f"{what}; last episode")
     largest = max(float(last_of(policy, policy.position_error_mm).max()) for policy in episodes.policies)
     verdict = rrb.TextDocumentView(origin="/verdict", contents=["+ /verdict"], name="Who is better")
     first = rrb.Horizontal(
         rrb.Vertical(side, verdict),
-        rrb.Vertical(distance_plot("Distance to the fruit, all episodes"), target_view(largest, episodes.tolerance_mm)),
+        rrb.Vertical(distance_plot("Distance to the fruit"), target_view(largest, episodes.tolerance_mm)),
         name="Who is better",
     )
     tabs: list[Any] = [first]
