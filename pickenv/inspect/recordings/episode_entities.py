@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_colours
@@ -141,12 +142,12 @@ def _send_numbers(stream: rr.RecordingStream, scene: Scene, entity: str, rows: S
     first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
     moments = np.array([row.moment for row in rows])
     seconds = scene.period * moments + GAP * np.array([row.order for row in rows])
-    whole = np.insert(values, first, np.nan, axis=0)
+    lengths = np.insert(np.full(len(rows), values.shape[1]), first, 0)  # a row without numbers ends a line
     times = [
         rr.TimeColumn("step", sequence=np.insert(moments, first, moments[first])),
         rr.TimeColumn("sim_time", duration=np.insert(seconds, first, seconds[first] - GAP / 2.0)),
     ]
-    _send_scalars(Scribe(stream, times), entity, whole)
+    _send_scalars(Scribe(stream, times), entity, values, lengths)
     ends = [i for i, row in enumerate(rows) if i + 1 == len(rows) or rows[i + 1].order != row.order]
     times = [rr.TimeColumn("episode", sequence=[rows[i].episode for i in ends])]
     _send_scalars(Scribe(stream, times), entity, values[ends])
@@ -158,9 +159,10 @@ def _send_numbers(stream: rr.RecordingStream, scene: Scene, entity: str, rows: S
         _send_scalars(Scribe(stream, times), f"{entity}/{order}", values[of])
 
 
-def _send_scalars(scribe: Scribe, entity: str, values: Array) -> None:
+def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike | None = None) -> None:
+    """Numbers ``(T, k)``, one row each, or with as many numbers a row as ``lengths`` says."""
     scalars = rr.Scalars.columns(scalars=values.ravel())
-    scribe.along(entity, scalars.partition([values.shape[1]] * len(values)))
+    scribe.along(entity, scalars.partition([values.shape[1]] * len(values) if lengths is None else lengths))
 
 
 def _send_level(stream: rr.RecordingStream, scene: Scene, rows: Sequence[Row], value: float) -> None:
