@@ -68,7 +68,7 @@ def distance_plot(name: str) -> Any:
         origin="/distance",
         contents=["+ /distance/**"],
         name=f"{name}, {DECADES}; legend: mean at the end",
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True),
     )
 
 

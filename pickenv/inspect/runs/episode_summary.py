@@ -62,11 +62,11 @@ def _policy_row(policy: RecordedPolicy) -> dict[str, Any]:
         "key": policy.key,
         "episodes": len(policy.moments),
         "mean_mm": _mean(misses),
-        "ci95_mm": _ends(mean_interval(misses)),
+        "ci95_mm": _ends(mean_interval(misses), 0.0),
         "median_mm": None if not len(misses) else float(np.median(misses)),
         "p95_mm": None if not len(misses) else float(np.percentile(misses, 95)),
         "attitude_deg": _mean(attitudes),
-        "attitude_ci95_deg": _ends(mean_interval(attitudes)),
+        "attitude_ci95_deg": _ends(mean_interval(attitudes), 0.0),
         "picked": taken,
         "tried": tried,
         "share_picked": taken / tried if tried else None,
@@ -244,5 +244,6 @@ def _mean(values: Array) -> float | None:
     return float(values.mean()) if len(values) else None
 
 
-def _ends(ends: tuple[float, float] | None) -> list[float] | None:
-    return None if ends is None else list(ends)
+def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[float] | None:
+    """An interval for JSON, cut at the least that the number can be."""
+    return None if ends is None else [max(end, least) for end in ends]
