@@ -15,6 +15,7 @@ from pickenv.commands.bench import bench
 from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
+from pickenv.commands.comparing import SeveralValues, compare
 from pickenv.commands.conditions import conditions
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
@@ -136,6 +137,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         conditions,
         learning.train,
         learning.evaluate,
+        compare,
         study,
     ),
     "Look at what came out": (inspection.inspect, reports.figures, reports.report),
@@ -144,7 +146,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
-        app.command(rich_help_panel=_purpose)(_command)
+        app.command(rich_help_panel=_purpose, cls=SeveralValues if _command is compare else None)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 
 
