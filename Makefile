@@ -58,8 +58,9 @@ test-lowest:
 	@$(PYTHON) -m venv --clear $(VENV)-lowest
 	@$(VENV)-lowest/bin/python -m pip --disable-pip-version-check --quiet install packaging
 	@$(VENV)-lowest/bin/python scripts/lowest_versions.py > $(VENV)-lowest/lowest.txt
+	@$(VENV)-lowest/bin/python scripts/install_torch.py cpu $(VENV)-lowest/lowest.txt
 	@$(VENV)-lowest/bin/python -m pip --disable-pip-version-check --quiet install -c $(VENV)-lowest/lowest.txt \
-		".[inspect,camera,study,harvest]" pytest pytest-benchmark pytest-xdist hypothesis
+		".[all]" hypothesis "mujoco<3.12" pytest pytest-benchmark pytest-xdist
 	$(TEST_ENVIRONMENT) $(VENV)-lowest/bin/python -m pytest -n 2 -W default tests/arm tests/orchard $(ARGS)
 
 test-browser: $(BROWSER)

@@ -4,7 +4,7 @@ On Linux the build that pip takes by itself brings gigabytes of CUDA. The build 
 "+cpu" behind, which pip takes for the newer one where PyTorch's index is named besides the usual one. Where that index
 cannot be reached pip says so and takes what the usual one has.
 
-Run: python scripts/install_torch.py [auto|cpu|cuda]
+Run: python scripts/install_torch.py [auto|cpu|cuda] [CONSTRAINTS]
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 BUILDS = ("auto", "cpu", "cuda")
-PIP = ("-m", "pip", "install", "--disable-pip-version-check", "--quiet", "-c", "constraints.txt")
+PIP = ("-m", "pip", "install", "--disable-pip-version-check", "--quiet", "-c")
 
 
 def has_nvidia() -> bool:
@@ -45,19 +45,20 @@ def wanted(choice: str, nvidia: bool) -> tuple[str, str]:
     return "cpu", "no driver by NVIDIA runs here; TORCH=cuda takes the build with CUDA"
 
 
-def pip_calls(build: str, system: str) -> list[tuple[str, ...]]:
+def pip_calls(build: str, system: str, constraints: str = "constraints.txt") -> list[tuple[str, ...]]:
     """Arguments of Python, one call after the other; only on Linux are there two builds.
 
     torch goes alone, so that PyTorch's index is asked for nothing else; what it needs comes from the usual one.
     """
-    small = [(*PIP, "--retries", "1", "--no-deps", "--extra-index-url", CPU_INDEX, "torch")]
-    return [*(small if (build, system) == ("cpu", "Linux") else []), (*PIP, "torch")]
+    small = [(*PIP, constraints, "--retries", "1", "--no-deps", "--extra-index-url", CPU_INDEX, "torch")]
+    return [*(small if (build, system) == ("cpu", "Linux") else []), (*PIP, constraints, "torch")]
 
 
 def main() -> None:
     """Install, and say what was taken."""
-    build, why = wanted(*(sys.argv[1:2] or ["auto"]), nvidia=has_nvidia())
-    for call in pip_calls(build, platform.system()):
+    choice, constraints, *_ = (*sys.argv[1:], *("auto", "constraints.txt")[len(sys.argv) - 1 :])
+    build, why = wanted(choice, nvidia=has_nvidia())
+    for call in pip_calls(build, platform.system(), constraints):
         subprocess.run([sys.executable, *call], check=True)
     print(f"torch {version('torch')} ({why})")
 
