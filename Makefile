@@ -10,8 +10,8 @@
 #   make package              wheel and source archive, built twice and compared, and looked through: dist/
 #   make licences             the licence of every installed package that pickenv asks for, as a table
 #   make coverage-of-intervals  how often every 95 % interval holds the truth, on data of known truth
-#   make mutants              change the lines that make numbers, one at a time: runs/mutants.json says what the tests
-#                             did not notice, docs/mutants.md the score by room. An hour or two; goes on where it was;
+#   make mutants              change the lines that make numbers, one at a time: docs/mutants.md says what the tests
+#                             did not notice and the score by room. An hour or two; goes on where it was;
 #                             ARGS="--sample 9" for so many of each room, 0 for all, ARGS="--room plant" for one room
 #   make demo ARGS=--quick    options for the command
 #   make ... PYTHON=python3.12  another Python, for a new .venv
