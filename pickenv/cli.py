@@ -17,6 +17,7 @@ from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
 from pickenv.commands.comparing import SeveralValues, compare
 from pickenv.commands.conditions import conditions
+from pickenv.commands.examples import examples, pages_address
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
 from pickenv.commands.showing import print_table, progress_bars
@@ -28,6 +29,7 @@ from pickenv.locks import locked
 app = typer.Typer(
     name="pickenv",
     help="Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms.",
+    epilog=f"Pages: {pages_address()}/quickstart.md",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
@@ -146,7 +148,8 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
-        app.command(rich_help_panel=_purpose, cls=SeveralValues if _command is compare else None)(_command)
+        cls = SeveralValues if _command is compare else None
+        app.command(rich_help_panel=_purpose, epilog=examples(_command.__name__.replace("_", "-")), cls=cls)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 
 
