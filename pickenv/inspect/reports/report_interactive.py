@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import policy_colours, viridis
-from pickenv.inspect.figures.field_figure import arrow_gain, thinned
+from pickenv.inspect.figures.field_figure import field_gain, thinned
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
 from pickenv.inspect.runs.view import eye_direction
@@ -51,7 +51,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     """The error fields side by side in 3-D: an arrow's shaft per wanted position, and its end to hover over."""
     shown, spacing = thinned(comparison, MOST_ARROWS)
     top = colour_scale_mm(comparison)
-    gain = arrow_gain(spacing, top)
+    gain = field_gain(comparison.grid_step, top)
     points = comparison.field_points[shown]
     scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
     axes = _axes(points, spacing) | {"camera": {"eye": _xyz(EYE_DISTANCE * eye_direction(comparison))}}
