@@ -37,7 +37,7 @@ BY_KEY: dict[str, Rgb] = {
     "with_residual": GREEN,
     "model_used": GREEN,
 }
-OTHERS: tuple[Rgb, ...] = ((204, 121, 167), (86, 180, 233), (240, 228, 66), (150, 150, 150))
+OTHERS: tuple[Rgb, ...] = ((204, 121, 167), (86, 180, 233), (150, 140, 20), (150, 150, 150))
 
 ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
 """Of a harvester's arms, in turn."""

@@ -17,7 +17,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import Collection
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_hex, to_rgb, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
@@ -176,7 +176,7 @@ def _series(axes: Axes) -> list[Artist]:
         if patch.get_visible() and np.ptp(patch.get_path().vertices, axis=0).any():
             found.append(patch)
     for collection in axes.collections:
-        if collection.get_visible() and (len(collection.get_offsets()) or len(collection.get_paths())):
+        if collection.get_visible() and (np.size(collection.get_offsets()) or len(collection.get_paths())):
             found.append(collection)
     return found
 
@@ -221,7 +221,7 @@ def _look(handle: Artist) -> tuple[Any, ...]:
         pattern = vars(handle).get("_dash_pattern", handle.get_linestyle())  # of own dashes matplotlib says "--" only
         return str(pattern), handle.get_marker(), handle.get_linewidth() > BACKDROP
     if isinstance(handle, Collection):
-        return (type(handle).__name__, len(handle.get_paths()[0].vertices) if handle.get_paths() else 0)
+        return (type(handle).__name__, sum(np.size(path.vertices) for path in handle.get_paths()[:1]))
     return (type(handle).__name__, getattr(handle, "get_hatch", lambda: None)())
 
 
@@ -231,11 +231,11 @@ def _colours(artist: Artist) -> set[str]:
         bare = artist.get_linestyle() == "None"
         return {to_hex(artist.get_markerfacecolor() if bare else artist.get_color())}
     if isinstance(artist, Patch):
-        face = artist.get_facecolor()
+        face = to_rgba(artist.get_facecolor())
         return {to_hex(face if face[3] > 0.0 else artist.get_edgecolor())}
     if isinstance(artist, Collection):
         faces = np.asarray(artist.get_facecolor()).reshape(-1, 4)
-        return {to_hex(c) for c in (faces if len(faces) else np.asarray(artist.get_edgecolor()).reshape(-1, 4))}
+        return {to_hex(tuple(c)) for c in (faces if len(faces) else np.asarray(artist.get_edgecolor()).reshape(-1, 4))}
     return set()
 
 
@@ -264,7 +264,7 @@ def _foreign_colours(figure: Figure) -> Iterator[str]:
         for text, handle in _entries(legend):
             wanted = BY_KEY.get(policy_key(re.split(r"[:,(\n]", text.get_text())[0]))
             own = _colours(handle) - {to_hex(SOFT), to_hex(INK)}
-            if wanted is not None and own and own != {to_hex(np.array(wanted) / 255.0)}:
+            if wanted is not None and own and own != {"#{:02x}{:02x}{:02x}".format(*wanted)}:
                 yield f"'{_short(text)}' has the colour {own.pop()}, not its own"
 
 

@@ -147,6 +147,9 @@ def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
             axes.plot([0.0, 100.0], [row, row], color=RULE, linewidth=1.0, zorder=1.0)
             mark = np.tile([row - 0.3, row + 0.3, np.nan], len(place) // 3)
             axes.plot(place, mark, color=blue, linewidth=0.7, alpha=0.6)
+        spans = np.ptp(share, axis=0)
+        said = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (spans.min(), spans.max())))
+        style.headline(axes, f"Each joint moves over {said} % of its range", beside=1.2)
         ends = zip(geometry.joint_names, lower, upper, units, strict=True)
         named = [f"{name}  {low:.0f} to {high:.0f} {unit}".replace("-", "−") for name, low, high, unit in ends]
         axes.set_yticks(range(geometry.joints), named)

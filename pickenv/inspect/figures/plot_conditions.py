@@ -47,8 +47,8 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
         panels[0].set_yscale("log")
         plain_decades(panels[0].yaxis)
         least = min(names_of, key=lambda name: max(_means(shown, name)))
-        ends = " to ".join(short(end(_means(shown, least))) for end in (min, max))
-        said = f"{least}: {ends} mm under conditions that no fit has seen"
+        span = " to ".join(short(end(_means(shown, least))) for end in (min, max))
+        said = f"{least}: {span} mm under conditions that no fit has seen"
         figure.suptitle(said[:1].upper() + said[1:], x=0.01, ha="left", fontweight="bold", fontsize=9.0)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3)

@@ -88,10 +88,11 @@ def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
         axes = figure.add_subplot(ylabel="share of fruit present (%)")
         ends = {name: 100.0 * counts[stages[-1]] / max(counts[stages[0]], 1) for name, counts in funnels.items()}
         headline(axes, f"Of the fruit {stages[0]}, {stages[-1]}: {change(ends, '%')}")
+        drawn = rgb(colours.policy_colours(list(funnels)))
         for i, (name, counts) in enumerate(funnels.items()):
             share = np.array([100.0 * counts[stage] / max(counts[stages[0]], 1) for stage in stages])
             place = np.arange(len(stages)) + width * (i - (len(funnels) - 1) / 2.0)
-            axes.bar(place, share, 0.92 * width, color=_colour(i), label=f"{name}: {share[-1]:.1f} %")
+            axes.bar(place, share, 0.92 * width, color=drawn[i], label=f"{name}: {share[-1]:.1f} %")
         axes.set_xticks(range(len(stages)), stages)
         axes.set_ylim(0.0, 101.0)
         axes.grid(axis="x", visible=False)

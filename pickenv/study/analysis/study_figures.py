@@ -256,10 +256,11 @@ def _curves(
                 for label, curve in curves.items()
             }
             span = np.ptp(np.concatenate([np.zeros(1), *(v.ravel() for v in values.values())]))
-            for group in alike(values, NEAREST * span):
+            for group in alike({label: v[0] for label, v in values.items()}, NEAREST * span):
                 curve, label = curves[group[0]], _together(group)
                 x = [row[along] for row in curve]
                 middle, low, high = values[group[0]]
+                low, high = (end([values[k][i] for k in group], axis=0) for i, end in ((1, np.min), (2, np.max)))
                 told[name, label] = middle
                 drawn = look(curve[0])
                 axes.fill_between(x, low, high, color=drawn["color"], alpha=0.18, linewidth=0.0)

@@ -11,13 +11,23 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from pickenv.agents.evaluation.grid import GridSettings, run_grid
+from pickenv.agents.evaluation.grid_figures import grid_drawings
+from pickenv.bench.real_sets import SETS, learnable
+from pickenv.calibration import Choices, calibrate
+from pickenv.commands.calibrate import write_run
 from pickenv.inspect.figures import plot_calibration, style
 from pickenv.inspect.figures.figure_lint import contrast_of, figure_faults, linting
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports import report_svg
 from pickenv.inspect.reports.run_pages import drawings_of
-from pickenv.inspect.runs.run_folder import Run
+from pickenv.inspect.runs.run_folder import Run, read_run
+from pickenv.study.analysis.study_report import write_outputs
+from pickenv.study.design.config import load_study
+from pickenv.study.running.run_study import run_study
+from tests.agents.synthetic import FRUIT, grid_of
 from tests.inspect.figures.test_figures import PLOTS
+from tests.study.conftest import SMALL
 
 CSS = Path(report_svg.__file__).parent / "templates/report.css"
 RAW, LS, GREY = "#e69f00", "#0072b2", "#96969e"
@@ -157,3 +167,34 @@ def test_names_that_do_not_fit_are_thinned(monkeypatch: pytest.MonkeyPatch) -> N
     assert figure_faults(draw()) == []
     monkeypatch.setattr(style, "spaced", lambda labels, *_: list(labels))
     assert "'gravity3_2m' and 'gravity4_2m' overlap" in figure_faults(draw())
+
+
+def test_the_figures_of_an_evaluation_are_sound() -> None:
+    arms = np.linspace(1.0, 3.0, 12)[:, None, None] * np.ones((1, 1, len(FRUIT))) * FRUIT
+    assert faults(grid_drawings(grid_of(arms, 0.3 * arms, 0.1 * arms))) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ur5", "wam", "ur10_a"])
+def test_figures_and_page_of_a_measured_robot_are_sound(name: str, data_folder: Path, tmp_path: Path) -> None:
+    arm, rows, _ = SETS[name].load(data_folder)
+    result = calibrate(arm, learnable(arm, rows, 300), choices=Choices(residual="none"))
+    with linting() as found:
+        write_run(tmp_path / name, f"pickenv calibrate {name}.csv", 0, result, {"seed": 0})
+    assert found == []
+    assert faults(drawings_of(read_run(tmp_path / name))) == []
+
+
+@pytest.mark.slow
+def test_figures_of_a_small_study_are_sound(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(SMALL, encoding="utf-8")
+    run_study(load_study(tmp_path / "small.toml"), tmp_path / "study", executor="serial")
+    with linting() as found:
+        write_outputs(tmp_path / "study")
+    assert found == []
+
+
+@pytest.mark.slow
+def test_figures_of_compared_policies_are_sound() -> None:
+    settings = GridSettings(("scripted", "servo"), ("raw", "ls"), plants=("qiao2026", "orchard"), arms=10, episodes=4)
+    assert faults(grid_drawings(run_grid(settings))) == []

@@ -374,7 +374,8 @@ def test_pick_map_and_funnel() -> None:
         heights = [bar.get_height() for bar in group]  # type: ignore[attr-defined]
         assert heights == pytest.approx([100 * n / counts["present"] for n in counts.values()])
         assert group.get_label() == f"{name}: {100 * counts['collected'] / counts['present']:.1f} %"
-        assert same(to_rgb(group[0].get_facecolor()), arm(i))  # type: ignore[index]
+        wanted = tuple(c / 255 for c in policy_colours(list(funnels))[i])
+        assert same(to_rgb(group[0].get_facecolor()), wanted)  # type: ignore[index]
     assert [label.get_text() for label in axes.get_xticklabels()] == ["present", "reachable", "collected"]
 
 
