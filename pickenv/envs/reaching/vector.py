@@ -16,6 +16,7 @@ from pickenv.envs.reaching.batch import Batch, Flags, Start, Views
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared import spaces
+from pickenv.envs.shared.given_goals import given_goals
 from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import Compensate, Task, check_choice, check_count, make_task
@@ -39,8 +40,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
     | "Disabled"             | refused until `reset` has been called     | returned by the step that ended it          |
 
     `reset(options={"reset_mask": mask})` begins episodes where the mask is True and leaves the others alone;
-    "start_joints", "goal_joints" ``(6,)`` or ``(N, 6)`` and "arm" (one number or N) are as in `pickenv/Reach-v0`. Infos
-    are dicts of arrays with a mask ``_key`` for every key.
+    the other options are as in `pickenv/Reach-v0`, given once for all environments or once for each, as ``(6,)`` or
+    ``(N, 6)``. Infos are dicts of arrays with a mask ``_key`` for every key.
 
     Args:
         num_envs: N.
@@ -255,9 +256,11 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
     def _chosen(self, options: dict[str, Any], rows: NDArray[np.intp]) -> dict[str, Any]:
         """Options of `reset` for the environments ``rows``."""
         chosen: dict[str, Any] = {}
-        for key in ("start_joints", "goal_joints"):
-            if options.get(key) is not None:
-                chosen[key.split("_")[0]] = self.task.given_joints(key, options[key], self.num_envs)[rows]
+        if options.get("start_joints") is not None:
+            chosen["start"] = self.task.given_joints("start_joints", options["start_joints"], self.num_envs)[rows]
+        goals = given_goals(self.task, options, self.num_envs)
+        chosen["goal"] = None if goals.joints is None else goals.joints[rows]
+        chosen["wanted"] = None if goals.frames is None else goals.frames[rows]
         if options.get("arm") is not None:
             arms = np.asarray(options["arm"])
             if arms.shape not in ((), (self.num_envs,)):
