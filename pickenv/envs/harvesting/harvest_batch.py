@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
-from pickenv.envs.shared.circumstances import CONTROL_PERIOD
+from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import MOST_ACTION, Compensate, check_choice, check_number
 from pickenv.errors import InputError
 from pickenv.harvester.interference import arm_distances

@@ -15,8 +15,8 @@ from pickenv.envs.picking.pick_reach import reach_of
 from pickenv.envs.picking.pick_scene import PUBLISHED, PickScene, PickSetting, draw_scene, make_setting, upright_turn
 from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS
-from pickenv.envs.shared.circumstances import CONTROL_PERIOD
 from pickenv.envs.shared.simulation import move, nominal_frames, nominal_readings, scaled
+from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.spaces import box, given_options
 from pickenv.envs.shared.task import check_count, check_number, checked_action, make_task
 from pickenv.errors import InputError

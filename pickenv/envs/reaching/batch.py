@@ -16,8 +16,8 @@ from pickenv.arm import Array, Plant, PlantState, plants_on
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.arm.plant.tree import leaves, tree_map
 from pickenv.envs.shared.backends import Executor, Scalar
-from pickenv.envs.shared.circumstances import drawn_start
 from pickenv.envs.shared.simulation import ReachState, View, begin, drawn_arm, goal_attempt, look, nominal_frames
+from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task, bounds_of
 from pickenv.errors import InputError
@@ -99,7 +99,7 @@ class Batch(ABC):
         n, camera = self.task.joints, 3 * self.task.camera
         middle = list(self.numbers(np.array([self.task.middle]).T))
         self._plant_widths = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
-        self._widths = [n, 12, 3, *self.task.circumstances.widths(n, n + camera)]
+        self._widths = [n, 12, 3, *self.task.situation.widths(n, n + camera)]
         self.columns = list(self.numbers(np.zeros((sum(self._widths) + sum(self._plant_widths), self.count))))
 
     @property
@@ -110,7 +110,7 @@ class Batch(ABC):
     @property
     def remembers(self) -> bool:
         """Whether a step that never was would leave a trace."""
-        return self.plant.has_state or self.task.circumstances.late
+        return self.plant.has_state or self.task.situation.late
 
     def numbers(self, values: Array) -> Scalar:
         """NumPy's numbers where the executor computes, one component ``(count,)`` per row."""
@@ -182,8 +182,8 @@ class Batch(ABC):
         middle = np.broadcast_to(np.array(task.middle), (len(rows), n))
         for a, b in self.blocks(len(rows)):
             some, key = where[a:b], keys[a:b]
-            if how.start is None and task.circumstances.spread:
-                start = drawn_start(x, task.circumstances, key, task.lower, task.upper)
+            if how.start is None and task.situation.spread:
+                start = drawn_start(x, task.situation, key, task.lower, task.upper)
             else:
                 start = list(self.numbers((middle if how.start is None else how.start)[a:b].T))
             if how.wanted is None:
@@ -258,7 +258,7 @@ class Batch(ABC):
             parts.append(tuple(columns[first : first + width]))
             first += width
         own = len(self._widths)
-        return ReachState(*parts[:own], PlantState(*parts[own:]))
+        return ReachState(*parts[:own], plant=PlantState(*parts[own:]))
 
     def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
         """What the drives get for joint targets; a compensator works on NumPy."""

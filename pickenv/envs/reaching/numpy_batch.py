@@ -66,7 +66,7 @@ class NumpyBatch(Batch):
         for block, plant in zip(self._blocks, self._plants, strict=True):
             state = self.state_of([column[block] for column in self.columns])
             state = act(self.x, self.task, state, list(actions[:, block]))
-            period = self.task.circumstances.value("period", state.drawn)
+            period = self.task.situation.value("period", state.drawn)
             self._show(out, block, block, state, plant, compensate, moments[block], period)
         if len(rested):  # a plant with memory must not live through a step that never was
             self.write(self.columns, rested, before)

@@ -13,9 +13,9 @@ from pickenv.arm import Array, Frame, plant_at, plants_on
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
-from pickenv.envs.shared.circumstances import drawn_start
 from pickenv.envs.shared.exact import exact_plant
 from pickenv.envs.shared.given_goals import given_goals
+from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import action_space, flat_space, given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, check_choice, checked_action, make_task
@@ -220,7 +220,7 @@ class ReachEnv(ArmEnv):
             raise InputError("step was called before reset; call reset first")
         self._state = simulation.act(self._x, self.task, self._state, self._numbers(values.tolist()))
         self._step += 1
-        period = self.task.circumstances.value("period", self._state.drawn)
+        period = self.task.situation.value("period", self._state.drawn)
         observation, reward, information = self._look(period)
         if self.render_mode == "human":
             self.render()
@@ -310,8 +310,8 @@ class ReachEnv(ArmEnv):
         task = self.task
         if asked is not None:
             return self._numbers(task.given_joints("start_joints", asked).tolist())
-        if task.circumstances.spread:
-            return drawn_start(self._x, task.circumstances, self._key, task.lower, task.upper)
+        if task.situation.spread:
+            return drawn_start(self._x, task.situation, self._key, task.lower, task.upper)
         return self._numbers(task.middle)
 
     def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:

@@ -132,7 +132,7 @@ class TorchBatch(Batch):
 
     def advance(self, actions: Tensor, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
-        n, fixed, alive, given = self.task.joints, self.fixed, None, self.task.circumstances
+        n, fixed, alive, given = self.task.joints, self.fixed, None, self.task.situation
         rested, before = np.empty(0, dtype=np.intp), []
         dt: Scalar = given.period.low
         if live is not None:

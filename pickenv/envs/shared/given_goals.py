@@ -17,8 +17,8 @@ from pickenv.errors import InputError
 
 GOALS = ("goal_joints", "goal_position", "goal_pose")
 
-POOL, NEAREST, WITHIN = 2**14, 16, 1e-9
-"""Poses among which one near a position is sought, how many of them are tried, and how near it must end, m and rad."""
+POOL, NEAREST = 2**14, 16
+"""Poses among which one near a position is sought, and how many of them are tried."""
 
 
 class GivenGoals(NamedTuple):
@@ -65,7 +65,7 @@ def _reached(task: Task, position: Array) -> Array:
     away = np.linalg.norm(poses.position[upright] - position, axis=1)
     near = upright[np.argsort(away, kind="stable")[:NEAREST]]
     targets = Pose(np.broadcast_to(position, (len(near), 3)), poses.rotation[near])
-    found = inverse(geometry, targets, joints[near], position_tolerance=WITHIN, attitude_tolerance=np.inf, restarts=0)
+    found = inverse(geometry, targets, joints[near], position_tolerance=1e-9, attitude_tolerance=np.inf, restarts=0)
     fits = found.reached & (forward(geometry, found.joints).rotation[:, 2, 2] >= task.min_upright)
     if not fits.any():
         tilt = np.degrees(np.arccos(task.min_upright))

@@ -16,7 +16,7 @@ from pickenv.arm import Frame, Plant, PlantState
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar, attach, frames
 from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
-from pickenv.envs.shared import circumstances
+from pickenv.envs.shared import situation
 from pickenv.envs.shared.backends import Executor
 from pickenv.envs.shared.exact import inexact
 from pickenv.envs.shared.streams import ARM, CAMERA, FRUIT, episode_key, normal, stream_key, uniform
@@ -37,7 +37,7 @@ class ReachState(NamedTuple):
         target: Nominal joint target that the actions have built up, n.
         goal: Frame of the fruit with the wanted attitude.
         seen: Fruit position as the camera saw it, 3.
-        drawn: What was drawn for the episode, in the order of `Circumstances.drawn`.
+        drawn: What was drawn for the episode, in the order of `Situation.drawn`.
         sent: Actions under way, the latest first.
         sensed: Readings under way, the latest first.
         plant: What the true arm remembers.
@@ -166,14 +166,14 @@ def begin(
         wanted: Frame of the fruit with the wanted attitude.
         command: What the drives get for ``start``.
     """
-    given, seen = task.circumstances, wanted[9:]
+    given, seen = task.situation, wanted[9:]
     if task.fruit_noise:
         fruit = stream_key(x, key, FRUIT)
         seen = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(seen))
-    drawn = circumstances.drawn_values(x, given, key)
+    drawn = situation.drawn_values(x, given, key)
     _, sent, late = given.widths(task.joints, task.joints + 3 * task.camera)
     rest = start[0] * 0.0
-    memory = circumstances.warmed_up(x, given, drawn, plant, plant.initial_state(x.m, command), command)
+    memory = situation.warmed_up(x, given, drawn, plant, plant.initial_state(x.m, command), command)
     return ReachState(tuple(start), wanted, seen, drawn, (rest,) * sent, (rest,) * late, memory)
 
 
@@ -186,9 +186,9 @@ def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Sca
 
 def act(x: Executor, task: Task, state: ReachState, action: Sequence[Scalar]) -> ReachState:
     """The state after an action: its joint target is that of `move`, late where actions are."""
-    given, drawn = task.circumstances, state.drawn
-    action, sent = circumstances.acted(x, given, drawn, state.sent, action)
-    target = move(x, task, state.target, circumstances.in_period(x, given, drawn, action))
+    given, drawn = task.situation, state.drawn
+    action, sent = situation.acted(x, given, drawn, state.sent, action)
+    target = move(x, task, state.target, situation.in_period(x, given, drawn, action))
     return state._replace(target=target, sent=sent)
 
 
@@ -217,7 +217,7 @@ def look(
     Returns:
         The state afterwards, and everything that can be seen.
     """
-    m, target, goal, seen, given = x.m, state.target, state.goal, state.seen, task.circumstances
+    m, target, goal, seen, given = x.m, state.target, state.goal, state.seen, task.situation
     plant_state, ended = plant.advance(m, state.plant, command, dt)
     read, true = nominal_readings(x, plant, plant_state, target, command), inexact(ended)
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
@@ -229,9 +229,9 @@ def look(
             first = x.times(moment, 3)
             noise = (normal(x, stream, x.plus(first, x.word(i))) for i in range(3))
             camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
-    shown = circumstances.with_joint_noise(x, given, state.drawn, key, moment, read)
+    shown = situation.with_joint_noise(x, given, state.drawn, key, moment, read)
     begins = isinstance(dt, float) and dt == 0.0
-    arrived, late = circumstances.sensed(x, given, state.drawn, state.sensed, (*shown, *camera), begins)
+    arrived, late = situation.sensed(x, given, state.drawn, state.sensed, (*shown, *camera), begins)
     shown, camera = list(arrived[: task.joints]), tuple(arrived[task.joints :])
     links, believed = nominal_frames(x, task, shown)
     lag = rotation_between(m, believed, goal)

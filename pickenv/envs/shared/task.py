@@ -20,8 +20,8 @@ from pickenv.arm import Array, Geometry, Plant, draw_plants, forward, load_plant
 from pickenv.arm.kinematics.forward import Chain, chain_of, frames
 from pickenv.arm.plant.named_plants import class_of, draw_arms
 from pickenv.arm.plant.plant_batch import plant_count
-from pickenv.envs.shared.circumstances import Circumstances, Components, make_circumstances
 from pickenv.envs.shared.exact import exact_chain
+from pickenv.envs.shared.situation import Components, Situation, make_situation
 from pickenv.errors import InputError
 from pickenv.limits import check_limit, shown
 
@@ -75,7 +75,7 @@ class Task:
         lost_axes: Links whose z axes span the plane in which the tool cannot be turned freely, or None.
         most_action: Largest size of an action's numbers that is taken.
         region: Two opposite corners of the box that goals are drawn from, m, or None for wherever the arm gets.
-        circumstances: Timing, sensing and start of episodes.
+        situation: Timing, sensing and start of episodes.
     """
 
     plant: Plant
@@ -95,7 +95,7 @@ class Task:
     lost_axes: tuple[int, int] | None
     most_action: float
     region: tuple[Components, Components] | None
-    circumstances: Circumstances
+    situation: Situation
 
     @property
     def joints(self) -> int:
@@ -179,14 +179,14 @@ def make_task(
     fruit_noise_mm: float | None = None,
     out_of_range: str = "clip",
     goal_region: Sequence[Sequence[float]] | None = None,
-    **circumstances: Any,
+    **situation: Any,
 ) -> Task:
     """Check an environment's arguments (`pickenv/Reach-v0` explains them) and gather its constants.
 
     Raises:
         InputError: If an argument is impossible; one sentence says which.
     """
-    given = make_circumstances(**circumstances)
+    given = make_situation(**situation)
     check_choice("feedback", feedback, FEEDBACK)
     check_choice("reward", reward, REWARDS)
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
@@ -228,7 +228,7 @@ def make_task(
         lost_axes=lost_axes(geometry),
         most_action=MOST_ACTION[out_of_range],
         region=None if goal_region is None else checked_region(goal_region),
-        circumstances=given,
+        situation=given,
     )
 
 

@@ -46,7 +46,7 @@ class Span(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Circumstances:
+class Situation:
     """Timing, sensing and start of an environment's episodes; SI units.
 
     Attributes:
@@ -90,14 +90,14 @@ class Circumstances:
         return drawn[self.drawn.index(name)] if name in self.drawn else getattr(self, name).low
 
 
-def make_circumstances(
+def make_situation(
     control_period_s: Given = CONTROL_PERIOD,
     latency: Given = 0,
     action_delay: Given = 0,
     joint_noise: Given = 0.0,
     hours_on: Given = 0.0,
     start_spread: float = 0.0,
-) -> Circumstances:
+) -> Situation:
     """Check what `pickenv/Reach-v0` explains.
 
     Raises:
@@ -106,7 +106,7 @@ def make_circumstances(
     noise = _span("joint_noise", joint_noise, 0.0, 100.0)
     if isinstance(start_spread, Sequence):
         raise InputError(f"start_spread is {shown(start_spread)}; give one number from 0 to 1")
-    return Circumstances(
+    return Situation(
         period=_span("control_period_s", control_period_s, 1e-3, 10.0),
         latency=_span("latency", latency, 0, MOST_STEPS),
         delay=_span("action_delay", action_delay, 0, MOST_STEPS),
@@ -127,8 +127,8 @@ def _span(name: str, given: Any, least: float, most: float) -> Span:
     return Span(*(type(least)(end) for end in ends))
 
 
-def drawn_values(x: Executor, given: Circumstances, key: Scalar) -> Components:
-    """What is drawn for the episode ``key``, in the order of `Circumstances.drawn`; whole numbers keep a fraction."""
+def drawn_values(x: Executor, given: Situation, key: Scalar) -> Components:
+    """What is drawn for the episode ``key``, in the order of `Situation.drawn`; whole numbers keep a fraction."""
     values, stream = [], stream_key(x, key, DRAWN)
     for name in given.drawn:
         low, high = getattr(given, name)
@@ -138,7 +138,7 @@ def drawn_values(x: Executor, given: Circumstances, key: Scalar) -> Components:
 
 
 def drawn_start(
-    x: Executor, given: Circumstances, key: Scalar, lower: Sequence[float], upper: Sequence[float]
+    x: Executor, given: Situation, key: Scalar, lower: Sequence[float], upper: Sequence[float]
 ) -> list[Scalar]:
     """Joints from which the episode ``key`` starts, where starts are drawn."""
     stream, half = stream_key(x, key, START), 0.5 * given.spread
@@ -147,7 +147,7 @@ def drawn_start(
 
 
 def warmed_up(
-    x: Executor, given: Circumstances, drawn: Components, plant: Plant, state: PlantState, command: Sequence[Scalar]
+    x: Executor, given: Situation, drawn: Components, plant: Plant, state: PlantState, command: Sequence[Scalar]
 ) -> PlantState:
     """What a plant remembers that has been on for some hours, at its first command."""
     if not given.hours.high:
@@ -156,7 +156,7 @@ def warmed_up(
 
 
 def acted(
-    x: Executor, given: Circumstances, drawn: Components, sent: Components, action: Sequence[Scalar]
+    x: Executor, given: Situation, drawn: Components, sent: Components, action: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
     """The action that takes effect, and actions under way, the latest first."""
     if not given.delay.high:
@@ -164,7 +164,7 @@ def acted(
     return _late(x, given, "delay", drawn, sent, action)
 
 
-def in_period(x: Executor, given: Circumstances, drawn: Components, action: Sequence[Scalar]) -> Sequence[Scalar]:
+def in_period(x: Executor, given: Situation, drawn: Components, action: Sequence[Scalar]) -> Sequence[Scalar]:
     """An action as shares of the increments of the longest period: a shorter one moves the arm less."""
     if not given.period.varies:
         return action
@@ -173,7 +173,7 @@ def in_period(x: Executor, given: Circumstances, drawn: Components, action: Sequ
 
 
 def sensed(
-    x: Executor, given: Circumstances, drawn: Components, past: Components, fresh: Sequence[Scalar], first: bool
+    x: Executor, given: Situation, drawn: Components, past: Components, fresh: Sequence[Scalar], first: bool
 ) -> tuple[Sequence[Scalar], Components]:
     """Readings as they arrive, and those under way, the latest first; at the start all are the first ones."""
     if not given.latency.high:
@@ -182,7 +182,7 @@ def sensed(
 
 
 def _late(
-    x: Executor, given: Circumstances, name: str, drawn: Components, past: Components, fresh: Sequence[Scalar]
+    x: Executor, given: Situation, name: str, drawn: Components, past: Components, fresh: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
     """What comes out of a queue into which ``fresh`` goes, and the queue afterwards."""
     width, queue = len(fresh), (*fresh, *past)
@@ -197,7 +197,7 @@ def _late(
 
 
 def with_joint_noise(
-    x: Executor, given: Circumstances, drawn: Components, key: Scalar, moment: Scalar, readings: list[Scalar]
+    x: Executor, given: Situation, drawn: Components, key: Scalar, moment: Scalar, readings: list[Scalar]
 ) -> list[Scalar]:
     """Joint readings with the encoders' noise."""
     if not given.joint_noise.high:

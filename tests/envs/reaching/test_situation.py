@@ -172,7 +172,7 @@ def test_goals_that_cannot_be_are_refused(options, said):
     ],
     ids=str,
 )
-def test_impossible_circumstances_are_named(name, wrong):
+def test_impossible_situation_are_named(name, wrong):
     with pytest.raises(InputError, match=f"^{name} is .*; give ") as refused:
         ReachEnv(**{name: wrong})
     assert "\n" not in str(refused.value)
