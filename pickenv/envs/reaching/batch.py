@@ -252,13 +252,12 @@ class Batch(ABC):
 
     def state_of(self, columns: Columns) -> ReachState:
         """The state that columns hold."""
-        parts: list[Any] = []
-        first = 0
+        parts, first = [], 0
         for width in (*self._widths, *self._plant_widths):
             parts.append(tuple(columns[first : first + width]))
             first += width
-        own = len(self._widths)
-        return ReachState(*parts[:own], plant=PlantState(*parts[own:]))
+        target, goal, seen, drawn, sent, sensed, *memory = parts
+        return ReachState(target, goal, seen, drawn, sent, sensed, PlantState(*memory))
 
     def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
         """What the drives get for joint targets; a compensator works on NumPy."""

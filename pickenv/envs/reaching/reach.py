@@ -15,6 +15,7 @@ from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant
 from pickenv.envs.shared.given_goals import given_goals
+from pickenv.envs.shared.ladder import on_ladder
 from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import action_space, flat_space, given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
@@ -157,6 +158,9 @@ class ReachEnv(ArmEnv):
 
     Period, latency, delay, noise and hours may be ranges, [least, largest], from which every episode draws its own.
 
+    - `difficulty` (None, "ideal", "fine", "coarse", "orchard", "day" or "own_eyes"): a rung of the ladder
+      (`pickenv.envs.shared.ladder`), which fixes plant, arms, eyes and situation; and `split` ("train" or "test"),
+      which of its two populations of arms, that have none in common.
     - `executor` ("floats" or "numpy"): floats are fast; with "numpy" an environment gives the same bits as the native
       vector environment on NumPy.
     - `render_mode` (None, "human" or "rgb_array").
@@ -169,10 +173,18 @@ class ReachEnv(ArmEnv):
     * v0: First version.
     """
 
-    def __init__(self, *, executor: str = "floats", render_mode: str | None = None, **arguments: Any) -> None:
+    def __init__(
+        self,
+        *,
+        difficulty: str | None = None,
+        split: str = "train",
+        executor: str = "floats",
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         check_choice("executor", executor, tuple(EXECUTORS))
-        super().__init__(make_task(**arguments), render_mode)
+        super().__init__(make_task(**on_ladder("Reach", difficulty, split, arguments)), render_mode)
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)
         self._x: Executor = EXECUTORS[executor]

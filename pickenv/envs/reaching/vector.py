@@ -17,6 +17,7 @@ from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared import spaces
 from pickenv.envs.shared.given_goals import given_goals
+from pickenv.envs.shared.ladder import on_ladder
 from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import Compensate, Task, check_choice, check_count, make_task
@@ -45,6 +46,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
 
     Args:
         num_envs: N.
+        difficulty: A rung of the ladder, as in `pickenv/Reach-v0`.
+        split: Its arms to learn on, or to be judged on.
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         autoreset_mode: An `AutoresetMode` or its name, see the table.
         executor: "numpy", or "torch" for tensors in and out.
@@ -82,6 +85,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self,
         num_envs: int = 1,
         *,
+        difficulty: str | None = None,
+        split: str = "train",
         max_episode_steps: int | None = 60,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         executor: str = "numpy",
@@ -101,7 +106,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         if render_mode is not None:
             check_choice("render_mode", render_mode, ("rgb_array",))
             require("matplotlib")
-        self.task: Task = make_task(**arguments)
+        self.task: Task = make_task(**on_ladder("Reach", difficulty, split, arguments))
         self.num_envs, self.max_episode_steps, self.render_mode = int(num_envs), max_episode_steps, render_mode
         self.autoreset_mode = AutoresetMode(mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode, "torch": executor == "torch"}

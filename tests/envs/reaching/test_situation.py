@@ -181,3 +181,24 @@ def test_impossible_situation_are_named(name, wrong):
 def test_a_region_that_no_goal_lies_in_is_refused():
     with pytest.raises(InputError, match=r"no pose in goal_region .* or move goal_region"):
         ReachEnv(goal_region=[[5, 5, 5], [6, 6, 6]]).reset(seed=0)
+
+
+def test_fruit_is_picked_in_the_same_situations():
+    """The true arm of Pick goes where that of a plain one goes, later; its readings come later still."""
+
+    def picks(**arguments):
+        env = gym.make("pickenv/Pick-v0", **arguments).unwrapped
+        rng = np.random.default_rng(0)
+        taken = [env.reset(seed=2)]
+        taken += [env.step(rng.uniform(-1, 1, 7))[::4] for _ in range(8)]
+        return np.array([seen[:9] for seen, _ in taken]), commands([info for _, info in taken]), env
+
+    seen, sent, env = picks()
+    later, as_sent, _ = picks(latency=2)
+    assert among(range(4), seen, later) == [2] and np.array_equal(sent, as_sent)
+    assert among(range(4), sent, picks(action_delay=3)[1]) == [3]
+    noisy, as_sent, _ = picks(joint_noise=1.0)
+    assert np.array_equal(sent, as_sent) and not np.array_equal(seen, noisy)
+    _, _, warm = picks(hours_on=4.0, start_spread=0.5, control_period_s=[0.05, 0.2])
+    assert warm._state.rise[0] > env._state.rise[0] + 1.0
+    np.testing.assert_array_equal(warm.scene.rest, env.scene.rest)
