@@ -27,6 +27,8 @@ FAINT = 0.42
 """Opacity of the ghost."""
 THICKNESS = 0.028
 """Radius of the first link, as a share of the arm's length; the last one has `TAPER` of it."""
+CUP_RADIUS = 0.0375
+"""Of a cup that takes a fruit of 60 mm, where a picture is told of no other, m."""
 TAPER, TELESCOPE, CAP = 0.62, 0.55, 1.28
 
 
@@ -81,9 +83,8 @@ def arm_solids(look: ArmLook, points: Array, accent: Rgb | None = None) -> Solid
     inner = Rods(start, end, look.radius * np.where(look.slides, 0.62, 1.0), _by(look.slides, METAL, accent or LINK))
     outer = look.slides & (length > look.radius)
     reach = np.minimum(1.0, look.sleeve / length)[:, None]
-    tubes = Rods(
-        start[outer], (start + along * reach)[outer], look.radius[outer], rgba(accent or LINK, int(outer.sum()))
-    )
+    sleeve = (start + along * reach)[outer]
+    tubes = Rods(start[outer], sleeve, look.radius[outer], rgba(accent or LINK, len(sleeve)))
     joints = Balls(start, CAP * look.radius, rgba(JOINT, len(start)))
     return Solids((inner, tubes), (joints,))
 
@@ -158,4 +159,8 @@ _SIGNS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 def joined_solids(*parts: Solids) -> Solids:
     """All of several parts."""
-    return Solids(*(tuple(solid for part in parts for solid in part[k]) for k in range(3)))
+    return Solids(
+        tuple(rods for part in parts for rods in part.rods),
+        tuple(balls for part in parts for balls in part.balls),
+        tuple(mesh for part in parts for mesh in part.meshes),
+    )

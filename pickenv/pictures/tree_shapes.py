@@ -35,14 +35,15 @@ def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, stems: boo
     if not stems:
         return Solids(balls=(balls,))
     top = places + radius[:, None] * [0.0, 0.0, 0.9]
-    twigs = Rods(top, top + [0.012, 0.0, TWIG], np.full(len(places), 0.004), rgba(STEM, len(places)))
+    twigs = Rods(top, top + np.array([0.012, 0.0, TWIG]), np.full(len(places), 0.004), rgba(STEM, len(places)))
     return Solids((twigs,), (balls,))
 
 
 def sprig(place: Array, diameter: float) -> Solids:
     """A few leaves and a piece of branch above a single fruit."""
-    top = place + [0.012, 0.0, 0.9 * diameter / 2 + TWIG]
-    branch = Rods((top - [0.16, 0.05, 0.01])[None], (top + [0.14, 0.04, 0.03])[None], np.array([0.009]), rgba(BARK, 1))
+    top = place + np.array([0.012, 0.0, 0.9 * diameter / 2 + TWIG])
+    ends = top + np.array([[-0.16, -0.05, -0.01], [0.14, 0.04, 0.03]])
+    branch = Rods(ends[:1], ends[1:], np.array([0.009]), rgba(BARK, 1))
     rng = np.random.default_rng(0)
     return Solids((branch,), meshes=(_leaves(top + rng.normal(0.0, 1.0, (9, 3)) * [0.09, 0.05, 0.025], rng),))
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from vtkmodules import vtkRenderingOpenGL2
-from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
+from vtkmodules.util import numpy_support
 from vtkmodules.vtkCommonCore import vtkPoints, vtkUnsignedCharArray
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkRenderingCore import (
@@ -26,6 +26,7 @@ from vtkmodules.vtkRenderingCore import (
 from pickenv.pictures.solids import Triangles, all_triangles, ball_triangles, mesh_triangles, rod_triangles
 from pickenv.pictures.stage import Eye, Mesh, Pixels, Stage, backdrop
 
+_NUMPY: Any = numpy_support  # it carries no annotations
 MOST_KEPT = 16
 """Surfaces that are kept although a picture shows them no more."""
 
@@ -64,11 +65,9 @@ class VtkDrawer:
         self._keep(stage.still)
         parts = [rod_triangles(rods) for rods in stage.rods if len(rods.start)]
         parts += [ball_triangles(balls) for balls in stage.balls if len(balls.centre)]
-        parts += [mesh_triangles(surface) for surface in stage.meshes]
+        parts += [mesh_triangles(mesh) for mesh in stage.meshes]
         for body, opaque in ((self.solid, True), (self.clear, False)):
-            body.show(
-                all_triangles([part for part in map(lambda p, o=opaque: _some(p, o), parts) if len(part.triangles)])
-            )
+            body.show(all_triangles([_some(part, opaque) for part in parts]))
         upper, lower = backdrop(stage.dark)
         self.renderer.SetBackground(*(value / 255 for value in lower))
         self.renderer.SetBackground2(*(value / 255 for value in upper))
@@ -77,7 +76,7 @@ class VtkDrawer:
         self.window.Render()
         pixels: Any = vtkUnsignedCharArray()
         self.window.GetPixelData(0, 0, self.size[0] - 1, self.size[1] - 1, 0, pixels, 0)
-        flat: NDArray[np.uint8] = vtk_to_numpy(pixels)
+        flat: NDArray[np.uint8] = _NUMPY.vtk_to_numpy(pixels)
         return flat.reshape(self.size[1], self.size[0], 3)[::-1].copy()
 
     def _keep(self, still: tuple[Mesh, ...]) -> None:
@@ -118,16 +117,18 @@ class _Body:
     def show(self, triangles: Triangles) -> None:
         """Take these triangles in place of those before."""
         points: Any = vtkPoints()
-        points.SetData(numpy_to_vtk(np.ascontiguousarray(triangles.corners, dtype=np.float32), deep=1))
+        points.SetData(_NUMPY.numpy_to_vtk(np.ascontiguousarray(triangles.corners, dtype=np.float32), deep=1))
         cells: Any = vtkCellArray()
         count = len(triangles.triangles)
-        offsets = numpy_to_vtkIdTypeArray(np.arange(0, 3 * count + 1, 3, dtype=np.int64), deep=1)
+        offsets = _NUMPY.numpy_to_vtkIdTypeArray(np.arange(0, 3 * count + 1, 3, dtype=np.int64), deep=1)
         numbers = np.ascontiguousarray(triangles.triangles, dtype=np.int64).ravel()
-        cells.SetData(offsets, numpy_to_vtkIdTypeArray(numbers, deep=1))
+        cells.SetData(offsets, _NUMPY.numpy_to_vtkIdTypeArray(numbers, deep=1))
         self.data.SetPoints(points)
         self.data.SetPolys(cells)
-        self.data.GetPointData().SetNormals(numpy_to_vtk(np.ascontiguousarray(triangles.normals, np.float32), deep=1))
-        self.data.GetPointData().SetScalars(numpy_to_vtk(np.ascontiguousarray(triangles.colour), deep=1))
+        self.data.GetPointData().SetNormals(
+            _NUMPY.numpy_to_vtk(np.ascontiguousarray(triangles.normals, np.float32), deep=1)
+        )
+        self.data.GetPointData().SetScalars(_NUMPY.numpy_to_vtk(np.ascontiguousarray(triangles.colour), deep=1))
         self.data.Modified()
         self.actor.SetVisibility(count > 0)
 

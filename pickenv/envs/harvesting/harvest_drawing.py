@@ -9,12 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from pickenv.arm import Array
+from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting.harvest_batch import COLLECTED, HANGING, HarvestState, HarvestTask
 from pickenv.envs.shared.drawing import GHOST_WORDS, staged
 from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate
 from pickenv.harvester.machine import Machine
-from pickenv.orchard import load_gripper
 from pickenv.pictures.arm_shapes import (
+    CUP_RADIUS,
     FAINT,
     GAIN,
     GHOST,
@@ -40,16 +41,20 @@ from pickenv.pictures.tree_shapes import (
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def draw_harvest(task: HarvestTask, state: HarvestState, compensate: Compensate | None, dark: bool) -> Stage:
-    """The first machine of a state.
+def draw_harvest(
+    task: HarvestTask, states: HarvestState, compensate: Compensate | None, row: int = 0, dark: bool = False
+) -> Stage:
+    """One machine before its zone.
 
     Args:
         task: What stays the same.
-        state: One machine or more.
+        states: One machine or more.
         compensate: Maps nominal joints of whole machines to commands.
+        row: The machine's number.
         dark: Whether the background is dark.
     """
-    machine, target = task.machine, state.joints[:1]
+    state: HarvestState = tree_map(lambda values: values[row : row + 1], states)
+    machine, target = task.machine, state.joints
     command = target if compensate is None else compensate(target)
     believed = machine.tips(target[:, :3], _slaves(target, machine))[0]
     tips = task.true.tips(command[:, :3], _slaves(command, machine))[0]
@@ -61,7 +66,7 @@ def draw_harvest(task: HarvestTask, state: HarvestState, compensate: Compensate 
         _master(machine, command[0], pivots),
         slave_solids(pivots, tips, machine.body.radius / 2),
         _ghosts(pivots, tips + GAIN * (believed - tips), machine.body.radius / 2),
-        *(cup_solids(tip, UP, load_gripper("li_cup").opening / 2 + WALL) for tip in tips),
+        *(cup_solids(tip, UP, CUP_RADIUS) for tip in tips),
         zone_fruit(state),
         crate(np.array([0.25, -0.1, -machine.base_height]), picked, float(state.diameters[0].mean())),
         _cameras(task, command[0]),
@@ -143,7 +148,3 @@ def _eye(state: HarvestState) -> Eye:
     fruit = state.fruit[0].mean(axis=0)
     target = np.array([0.45 * fruit[0], 0.62 * fruit[1], 0.95 * fruit[2]])
     return Eye(target + np.array([1.75, 1.9, 0.75]), target, 34.0)
-
-
-WALL = 0.0025
-"""Of the cup."""

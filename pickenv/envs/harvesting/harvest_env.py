@@ -163,7 +163,7 @@ class HarvestEnv(DrawnEnv):
     def _stage(self) -> Stage | None:
         from pickenv.envs.harvesting.harvest_drawing import draw_harvest
 
-        return None if self.state is None else draw_harvest(self.task, self.state, self.compensator, self.dark)
+        return None if self.state is None else draw_harvest(self.task, self.state, self.compensator, dark=self.dark)
 
     def _information(self) -> Information:
         assert self.state is not None

@@ -109,7 +109,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
             return None
         from pickenv.envs.harvesting.harvest_drawing import draw_harvest
 
-        seen = None if self._state is None else draw_harvest(self.task, self._state, self.compensator, dark=False)
+        seen = None if self._state is None else draw_harvest(self.task, self._state, self.compensator)
         return drawn(seen)
 
     def close(self) -> None:

@@ -110,8 +110,8 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
         if self.state is None:
             raise InputError("render was called before reset; call reset first")
-        one: list[HarvestState] = [tree_map(lambda v, i=i: v[i : i + 1], self.state) for i in range(self.num_envs)]
-        return tuple(drawn(draw_harvest(self.task, state, self.compensator, dark=False)) for state in one)
+        stages = (draw_harvest(self.task, self.state, self.compensator, row=row) for row in range(self.num_envs))
+        return tuple(map(drawn, stages))
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         if seed is None and self._rngs:

@@ -91,7 +91,7 @@ def trees_of(orchard: PickSetting) -> tuple[Mesh, ...]:
     ends = np.array([[-canopy.width / 2, 0.0, canopy.bottom], [canopy.width / 2, canopy.depth, canopy.top]])
     corners = to_base(orchard, ends)
     low, high = (tuple(float(value) for value in end) for end in (corners.min(axis=0), corners.max(axis=0)))
-    return row_of_trees(low, high, canopy.leaf_area_per_volume, ground_of(orchard))  # type: ignore[arg-type]
+    return row_of_trees(low, high, canopy.leaf_area_per_volume, ground_of(orchard))
 
 
 def ground_of(orchard: PickSetting) -> float:

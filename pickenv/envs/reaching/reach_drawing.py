@@ -7,13 +7,12 @@ import numpy as np
 from pickenv.arm import Array, Geometry, forward
 from pickenv.envs.shared.drawing import GHOST_WORDS, arm_at_work, ground_below, staged, standing, tool_dial
 from pickenv.envs.shared.simulation import View
-from pickenv.orchard import load_gripper
-from pickenv.pictures.arm_shapes import arm_look, cup_solids, joined_solids
+from pickenv.pictures.arm_shapes import CUP_RADIUS, arm_look, cup_solids, joined_solids
 from pickenv.pictures.stage import SIZE, Eye, Stage, Words
 from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 
-CUP = "li_cup"
-"""The gripper whose clearance is the usual tolerance of a reach."""
+FRUIT = 0.06
+"""Diameter that is drawn; a reach knows of a place alone."""
 
 
 def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) -> Stage:
@@ -25,14 +24,14 @@ def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) 
         tolerance_mm: Radius of the capture region.
         dark: Whether the background is dark.
     """
-    look, cup = arm_look(nominal), load_gripper(CUP)
+    look = arm_look(nominal)
     command, tool, fruit = np.array(scene.command), np.array(scene.tool), np.array(scene.fruit)
     axis = forward(nominal, command).rotation[:, 2]
     solids = joined_solids(
         arm_at_work(nominal, command, tool, np.array(scene.believed)),
-        cup_solids(tool, axis, cup.opening / 2 + WALL),
-        fruit_solids(fruit[None], cup.fruit, fruit_colours(1)),
-        sprig(fruit, cup.fruit),
+        cup_solids(tool, axis, CUP_RADIUS),
+        fruit_solids(fruit[None], FRUIT, fruit_colours(1)),
+        sprig(fruit, FRUIT),
     )
     words = (
         Words(f"{scene.distance_mm:.2f} mm, {scene.angle_deg:.2f}° from the fruit", large=True),
@@ -58,5 +57,3 @@ def reach_eye(geometry: Geometry) -> Eye:
 
 VIEW: Array = np.array([0.8, 1.0, 0.45])
 """From the arm to the eye."""
-WALL = 0.0025
-"""Of the cup."""
