@@ -14,6 +14,7 @@ from pickenv.faces import offered as _offered
 
 if _TYPE_CHECKING:
     from pickenv.agents.evaluation.calibrated import CalibrationPlan
+    from pickenv.agents.evaluation.compare import PolicyComparison, compare
     from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
     from pickenv.agents.evaluation.reaches import episode_seeds, run_reaches
     from pickenv.agents.evaluation.rollout import Rollout, roll_out
@@ -31,9 +32,9 @@ if _TYPE_CHECKING:
     from pickenv.inspect.runs.episode_ends import Reaches
 
 __all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GapScaling", "GridSettings", "LearnedPolicy"]
-__all__ += ["OracleReach", "Policy", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]
-__all__ += ["ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "episode_seeds", "load_policy"]
-__all__ += ["roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
+__all__ += ["OracleReach", "Policy", "PolicyComparison", "PolicyGrid", "RandomReach", "Reaches", "Rollout"]
+__all__ += ["ScriptedHarvest", "ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "compare"]
+__all__ += ["episode_seeds", "load_policy", "roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
 
 __getattr__, __dir__ = _offered(__name__)
 

@@ -19,12 +19,22 @@ from pickenv.faces import offered as _offered
 
 if _TYPE_CHECKING:
     from pickenv import agents, arm, calibration, envs, harvester, inspect, orchard, study, wrappers
-    from pickenv.agents import load_policy, run_reaches
+    from pickenv.agents import compare, load_policy, run_reaches
     from pickenv.arm import Arm, Plant, load_arm, load_plant
     from pickenv.calibration import Calibration, Choices, Result, calibrate
 
 __all__ = ["Arm", "Calibration", "Choices", "InputError", "Plant", "Result", "__version__", "agents", "arm"]
-__all__ += ["calibrate", "calibration", "envs", "harvester", "inspect", "load_arm", "load_plant", "load_policy"]
+__all__ += [
+    "calibrate",
+    "calibration",
+    "compare",
+    "envs",
+    "harvester",
+    "inspect",
+    "load_arm",
+    "load_plant",
+    "load_policy",
+]
 __all__ += ["orchard", "run_reaches", "study", "wrappers"]
 
 __getattr__ = _offered(__name__)[0]
