@@ -29,7 +29,9 @@ THICKNESS = 0.028
 """Radius of the first link, as a share of the arm's length; the last one has `TAPER` of it."""
 CUP_RADIUS = 0.0375
 """Of a cup that takes a fruit of 60 mm, where a picture is told of no other, m."""
-TAPER, TELESCOPE, CAP = 0.62, 0.55, 1.28
+FOOT = 1.9
+"""Radii of a cup from the fruit's place in it to where the arm ends."""
+TAPER, TELESCOPE, CAP = 0.5, 0.55, 1.28
 
 
 class Solids(NamedTuple):
@@ -75,8 +77,16 @@ def arm_look(geometry: Geometry) -> ArmLook:
     return ArmLook(parts, radius, slides, TELESCOPE * lengths.max(axis=0), low, high)
 
 
-def arm_solids(look: ArmLook, points: Array, accent: Rgb | None = None) -> Solids:
-    """Links, joints and telescopes along a polyline ``(K, 3)``; ``accent`` colours the links."""
+def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = None) -> Solids:
+    """Links, joints and telescopes along a polyline ``(K, 3)``, up to the foot of a gripper.
+
+    Args:
+        look: How thick they are.
+        points: The polyline; its last point is the tool, within the gripper.
+        axis: Direction in which the tool points ``(3,)``.
+        accent: Colour of the links, in place of white.
+    """
+    points = np.concatenate([points[:-1], points[-1:] - FOOT * CUP_RADIUS * axis])
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
     along = end - start
     length = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
@@ -101,7 +111,7 @@ def ghost_points(geometry: Geometry, command: ArrayLike, tool: Array, believed: 
 def ghost_solids(look: ArmLook, points: Array, colour: Rgb = GHOST) -> Solids:
     """An arm that is seen through."""
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
-    tip = Balls(points[-1:], 1.3 * look.radius[-1:], rgba(colour, 1, FAINT))
+    tip = Balls(points[-1:], 0.95 * look.radius[-1:], rgba(colour, 1, FAINT))
     return Solids((Rods(start, end, 0.8 * look.radius, rgba(colour, len(start), FAINT)),), (tip,))
 
 

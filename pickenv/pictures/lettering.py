@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from pickenv.pictures.stage import Dial, Pixels, Rgb, Stage, ink
+from pickenv.pictures.stage import Dial, Pixels, Rgb, Stage, backdrop, ink
 
 MARGIN = 8
 SMALL, LARGE = 1 / 26, 1 / 19
 """Heights of letters, as shares of the picture's height."""
 DIAL = 0.27
 """Its width, as a share of the picture's height."""
-SHOWN = 2.2
+SHOWN, RIM = 2.2, 0.93
 """Radii of the ring from the dial's middle to its rim; a miss beyond is drawn on the rim."""
 PLATE = 205
 """Opacity of what lies behind words and dial."""
@@ -52,6 +52,15 @@ def lettered(pixels: Pixels, stage: Stage) -> Pixels:
     return np.array(picture)
 
 
+def strip(text: str, size: tuple[int, int], dark: bool) -> Pixels:
+    """A line of words on a plain background, ``(height, width, 3)``."""
+    width, height = size
+    picture = Image.new("RGB", size, backdrop(dark)[1])
+    font = _font(round(0.5 * height))
+    ImageDraw.Draw(picture).text((width / 2, height / 2), text, fill=ink(dark), font=font, anchor="mm")
+    return np.array(picture)
+
+
 def _write(
     pen: ImageDraw.ImageDraw, at: tuple[float, float], text: str, font: ImageFont.FreeTypeFont, colour: Rgb, dark: bool
 ) -> None:
@@ -74,14 +83,18 @@ def _draw_dial(pen: ImageDraw.ImageDraw, dial: Dial, stage: Stage) -> None:
     pen.line([x - half, y, x + half, y], fill=(*lines, 45), width=1)
     pen.line([x, y - half, x, y + half], fill=(*lines, 45), width=1)
     pen.ellipse([x - ring, y - ring, x + ring, y + ring], outline=(46, 139, 87, 255), width=2)
-    places = np.concatenate([np.reshape(dial.trail_mm, (-1, 2)), np.reshape(dial.miss_mm, (1, 2))]) / dial.tolerance_mm
-    far = np.linalg.norm(places, axis=1, keepdims=True)
-    places *= np.minimum(1.0, SHOWN * 0.93 / np.maximum(far, 1e-9))
-    flat = [(x + ring * px, y - ring * py) for px, py in places.tolist()]
-    if len(flat) > 1:
-        pen.line(flat, fill=(*dial.colour, 130), width=2)
-    mx, my = flat[-1]
-    pen.ellipse([mx - 5, my - 5, mx + 5, my + 5], fill=(*dial.colour, 255), outline=(*lines, 255), width=1)
+    places = dial.marks_mm / dial.tolerance_mm
+    places = places * np.minimum(1.0, RIM * SHOWN / np.maximum(np.linalg.norm(places, axis=1, keepdims=True), 1e-9))
+    for number, (px, py) in enumerate(places.tolist(), start=1):
+        present = number == len(places)
+        mx, my, r = x + ring * px, y - ring * py, 5 if present else 3
+        edge = (*lines, 255) if present else None
+        pen.ellipse([mx - r, my - r, mx + r, my + r], fill=(*dial.colour, 255 if present else 130), outline=edge)
+    if dial.label:
+        font = _font(round(height * SMALL))
+        wide = font.getlength(dial.label)
+        at = (min(x - wide / 2, width - MARGIN - wide), y - half - height * SMALL - 8)
+        _write(pen, at, dial.label, font, lines, stage.dark)
 
 
 @lru_cache(maxsize=8)

@@ -18,6 +18,8 @@ Pixels = NDArray[np.uint8]
 
 SIZE = (480, 360)
 """Width and height of a picture where none is asked for."""
+FIT = 1.06
+"""How much farther away than needed an eye stands, so that nothing touches the edge."""
 CORNERS = ("top left", "top right", "bottom left", "bottom right")
 
 
@@ -87,19 +89,19 @@ class Words:
 
 @dataclass(frozen=True, eq=False)
 class Dial:
-    """The miss as seen along the tool: a ring that the gripper forgives, and a mark where the fruit lies in it.
+    """Misses as seen along the tool: a ring that the gripper forgives around the fruit, and marks where the tool was.
 
     Attributes:
-        miss_mm: Across the tool, to the right and up on the picture ``(2,)``, mm.
+        marks_mm: Across the tool, to the right and up on the picture ``(K, 2)``, mm, the present one last.
         tolerance_mm: Radius of the ring.
-        trail_mm: Where the mark has been ``(K, 2)``, mm, the oldest first.
-        colour: Of the mark.
+        colour: Of the marks.
+        label: Words above it.
     """
 
-    miss_mm: Array
+    marks_mm: Array
     tolerance_mm: float
-    trail_mm: Array
     colour: Rgb
+    label: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,10 +133,26 @@ class Eye:
         scale = self.pixels_per_metre(depth, size)
         return np.stack([width / 2 + scale * right, height / 2 - scale * up, depth], axis=-1)
 
+    def point_at(self, pixel: tuple[float, float], depth: float, size: tuple[int, int]) -> Array:
+        """The point ``(3,)``, m, that is seen at a column and row, px, at a depth, m."""
+        scale = self.pixels_per_metre(depth, size)
+        away = np.array([(pixel[0] - size[0] / 2) / scale, (size[1] / 2 - pixel[1]) / scale, depth])
+        return np.asarray(self.position + away @ self.axes())
+
     def pixels_per_metre(self, depth: ArrayLike, size: tuple[int, int]) -> Array:
         """How large a metre appears at depths ``(...)``, m."""
         focal_length = size[1] / 2 / np.tan(np.radians(self.angle_deg) / 2)
         return np.asarray(focal_length / np.maximum(np.asarray(depth), 1e-3))
+
+
+def fitted_eye(points: Array, direction: Array, size: tuple[int, int], angle_deg: float = 30.0) -> Eye:
+    """The eye in a direction (3,) from the middle of points (N, 3) that sees them all, as near as can be."""
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    eye = Eye(middle + direction, middle, angle_deg)
+    right, up, ahead = ((points - middle) @ eye.axes().T).T
+    tangent = np.tan(np.radians(angle_deg) / 2)
+    away = np.maximum(np.abs(right) / (tangent * size[0] / size[1]), np.abs(up) / tangent) - ahead
+    return Eye(middle + direction / np.linalg.norm(direction) * FIT * float(away.max()), middle, angle_deg)
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,8 +98,8 @@ def pedestal(x: float, y: float, ground: float, top: float, radius: float) -> Me
     return turned(outline, np.array([x, y, ground]), np.array([0.0, 0.0, 1.0]), JOINT)
 
 
-def crate(corner: Array, count: int, diameter: float) -> Solids:
-    """``count`` fruit in rows of a crate that stands at ``corner``: what was picked so far."""
+def crate(corner: Array, count: int, diameter: float, ground: float) -> Solids:
+    """``count`` fruit in rows of a crate on legs whose lowest corner is ``corner``: what was picked so far."""
     wide, along = 5, diameter * 1.05
     number = np.arange(count)
     place = np.stack([number % wide, (number // wide) % wide, number // wide**2], axis=-1) + 0.5
@@ -108,7 +108,9 @@ def crate(corner: Array, count: int, diameter: float) -> Solids:
     edge = np.array([[0, 0, 0], [side, 0, 0], [side, side, 0], [0, side, 0]], dtype=float)
     start = np.concatenate([corner + edge + [0.0, 0.0, z] for z in (0.0, 0.6 * along)])
     end = np.concatenate([corner + np.roll(edge, -1, axis=0) + [0.0, 0.0, z] for z in (0.0, 0.6 * along)])
-    slats = Rods(start, end, np.full(8, 0.008), rgba((196, 160, 110), 8))
+    feet = (corner + edge) * [1.0, 1.0, 0.0] + [0.0, 0.0, ground]
+    start, end = np.concatenate([start, feet]), np.concatenate([end, corner + edge])
+    slats = Rods(start, end, np.full(12, 0.008), rgba((196, 160, 110), 12))
     return Solids((slats, *balls.rods), balls.balls)
 
 

@@ -68,7 +68,7 @@ def draw_harvest(
         _ghosts(pivots, tips + GAIN * (believed - tips), machine.body.radius / 2),
         *(cup_solids(tip, UP, CUP_RADIUS) for tip in tips),
         zone_fruit(state),
-        crate(np.array([0.25, -0.1, -machine.base_height]), picked, float(state.diameters[0].mean())),
+        crate(np.array([0.25, -0.2, 0.0]), picked, float(state.diameters[0].mean()), -machine.base_height),
         _cameras(task, command[0]),
     )
     seconds = float(state.periods[0]) * CONTROL_PERIOD

@@ -13,6 +13,8 @@ from pickenv.pictures.stage import Eye, Mesh, Stage, Words
 from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
 
 CAMERA = (110, 96, 160)
+CRATE = np.array([0.55, -0.15, -0.25])
+"""Where its lowest corner stands, in the base frame."""
 
 
 def draw_pick(
@@ -33,10 +35,10 @@ def draw_pick(
     point, axis = np.array(tool[9:]), np.array(tool[6:9])
     offset = point - scene.positions[number]
     solids = joined_solids(
-        arm_at_work(nominal, command, point, np.array(believed[9:])),
+        arm_at_work(nominal, command, point, axis, np.array(believed[9:])),
         gripper_solids(orchard, point, axis, scene.held is not None),
         canopy_fruit(scene),
-        crate(np.array([0.45, 0.15, ground_of(orchard)]), funnel["collected"], float(np.mean(scene.diameters))),
+        crate(CRATE, funnel["collected"], float(np.mean(scene.diameters)), ground_of(orchard)),
         camera_solids(orchard),
     )
     missed = scene.attempted & ~scene.attached

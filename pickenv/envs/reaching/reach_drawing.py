@@ -8,7 +8,7 @@ from pickenv.arm import Array, Geometry, forward
 from pickenv.envs.shared.drawing import GHOST_WORDS, arm_at_work, ground_below, staged, standing, tool_dial
 from pickenv.envs.shared.simulation import View
 from pickenv.pictures.arm_shapes import CUP_RADIUS, arm_look, cup_solids, joined_solids
-from pickenv.pictures.stage import SIZE, Eye, Stage, Words
+from pickenv.pictures.stage import SIZE, Eye, Stage, Words, fitted_eye
 from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 
 FRUIT = 0.06
@@ -28,7 +28,7 @@ def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) 
     command, tool, fruit = np.array(scene.command), np.array(scene.tool), np.array(scene.fruit)
     axis = forward(nominal, command).rotation[:, 2]
     solids = joined_solids(
-        arm_at_work(nominal, command, tool, np.array(scene.believed)),
+        arm_at_work(nominal, command, tool, axis, np.array(scene.believed)),
         cup_solids(tool, axis, CUP_RADIUS),
         fruit_solids(fruit[None], FRUIT, fruit_colours(1)),
         sprig(fruit, FRUIT),
@@ -46,13 +46,8 @@ def reach_eye(geometry: Geometry) -> Eye:
     """Where an arm's whole room is seen from."""
     look = arm_look(geometry)
     low, high = np.minimum(look.low, geometry.base.position), np.maximum(look.high, geometry.base.position)
-    middle = (low + high) / 2
     corners = np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T
-    eye = Eye(middle + VIEW, middle)
-    right, up, ahead = ((corners - middle) @ eye.axes().T).T
-    tangent = np.tan(np.radians(eye.angle_deg) / 2)
-    away = np.maximum(np.abs(right) / (tangent * SIZE[0] / SIZE[1]), np.abs(up) / tangent) - ahead
-    return Eye(middle + VIEW / np.linalg.norm(VIEW) * float(away.max()), middle)
+    return fitted_eye(corners, VIEW, SIZE)
 
 
 VIEW: Array = np.array([0.8, 1.0, 0.45])

@@ -26,17 +26,18 @@ MARK: Rgb = (0, 114, 178)
 GHOST_WORDS = f"ghost: the arm as believed, deviation × {GAIN}"
 
 
-def arm_at_work(geometry: Geometry, command: Array, tool: Array, believed: Array) -> Solids:
+def arm_at_work(geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array) -> Solids:
     """The true arm and its ghost.
 
     Args:
         geometry: The nominal arm.
         command: What the drives got ``(n,)``, rad or m.
         tool: True tool position ``(3,)``, m.
+        axis: Direction in which it points ``(3,)``.
         believed: Where the controller believes it ``(3,)``, m.
     """
     look = arm_look(geometry)
-    true = arm_solids(look, true_points(geometry, command, tool))
+    true = arm_solids(look, true_points(geometry, command, tool), axis)
     return joined_solids(true, ghost_solids(look, ghost_points(geometry, command, tool, believed)))
 
 
@@ -60,7 +61,7 @@ def across(axis: Array, offset: Array) -> Array:
 
 def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
     """Where the true tool is, seen from the fruit along the tool's axis."""
-    return Dial(across(axis, offset), tolerance_mm, np.empty((0, 2)), MARK)
+    return Dial(across(axis, offset)[None], tolerance_mm, MARK)
 
 
 def staged(
