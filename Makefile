@@ -6,8 +6,8 @@
 #   make test-referees        patched files of UR5 and Panda against Pinocchio, which are large packages
 #   make docs                 the site: docs/_build/html/index.html
 #   make coverage-of-intervals  how often every 95 % interval holds the truth, on data of known truth
-#   make mutants              change the lines that make numbers, one at a time: runs/mutants.json says what the tests
-#                             did not notice, docs/mutants.md the score by room. An hour or two; goes on where it was;
+#   make mutants              change the lines that make numbers, one at a time: docs/mutants.md says what the tests
+#                             did not notice and the score by room. An hour or two; goes on where it was;
 #                             ARGS="--sample 9" for so many of each room, 0 for all, ARGS="--room plant" for one room
 #   make demo ARGS=--quick    options for the command
 #   make ... PYTHON=python3.12  another Python, for a new .venv

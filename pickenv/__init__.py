@@ -56,6 +56,12 @@ def _register() -> None:
             max_episode_steps=60,
         )
     _gymnasium.register(
+        id="pickenv/ReachScaled-v0",
+        entry_point="pickenv.wrappers.gap:scaled_reach",
+        vector_entry_point="pickenv.wrappers.gap:scaled_reach_vector",
+        max_episode_steps=60,
+    )
+    _gymnasium.register(
         id="pickenv/Harvest-v0",
         entry_point="pickenv.envs.harvesting.harvest_env:HarvestEnv",
         vector_entry_point="pickenv.envs.harvesting.harvest_vector:HarvestVectorEnv",

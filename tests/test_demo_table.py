@@ -1,17 +1,29 @@
 """The demonstration's tables on the terminal: every cell is the summary's; what a network gains on blocks held out."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from pickenv.agents.evaluation.blocked_gain import ROWS, blocked_gain, blocks_apart, grid_joints
 from pickenv.arm import load_plant
-from pickenv.calibration import error_statistics, simulated_tracker
+from pickenv.calibration import error_statistics, random_joints, simulated_tracker
 from pickenv.cli import _print_demo
 from pickenv.commands.showing import print_table
 from pickenv.errors import InputError
+from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.intervals import share_interval
 
 SMOOTH = load_plant("qiao2026")
+
+
+@pytest.fixture
+def grid(monkeypatch):
+    """The demonstration's grid, worked out once."""
+    found = field_grid(SMOOTH.arm.nominal, 0.093, 20260)
+    grids = {(SMOOTH.arm.nominal, 0.093, 20260): found}
+    monkeypatch.setattr("pickenv.agents.evaluation.blocked_gain.field_grid", lambda *asked: grids[asked])
+    return found
 
 
 def summary(reaches):
@@ -88,7 +100,7 @@ def test_units_in_brackets_stand_in_heads_cells_title_and_caption(capsys: pytest
 
 def test_blocks_held_out_are_two_tenths_of_the_file_and_the_rest_is_all_else():
     rng = np.random.default_rng(0)
-    joints = grid_joints(SMOOTH.arm.nominal, 50, rng)
+    joints = random_joints(SMOOTH.arm.nominal, 50, rng)
     rows = simulated_tracker(SMOOTH, joints, rng)
     train, test = blocks_apart(rows, (2, 7))
     held = [10, 11, 12, 13, 14, 35, 36, 37, 38, 39]
@@ -96,16 +108,45 @@ def test_blocks_held_out_are_two_tenths_of_the_file_and_the_rest_is_all_else():
     np.testing.assert_array_equal(train.joints, np.delete(joints, held, axis=0))
 
 
-def test_the_grid_is_visited_line_by_line_within_the_joints_ranges():
+def test_the_grid_is_visited_line_by_line_within_the_joints_ranges(grid):
     nominal = SMOOTH.arm.nominal
     joints = grid_joints(nominal, ROWS, np.random.default_rng(0))
     assert joints.shape == (ROWS, 6)
     assert np.all((joints >= nominal.lower) & (joints <= nominal.upper))
+    turned = joints - grid.joints[(len(grid.joints) - ROWS) // 2 :][:ROWS]  # the middle of the run
+    assert 0.29 < np.abs(turned).max() <= 0.3 + 1e-12 and not turned[:, np.array(nominal.prismatic)].any()
     steps = np.linalg.norm(np.diff(joints[:, [1, 2]], axis=0), axis=1)
     shuffled = np.linalg.norm(np.diff(np.random.default_rng(1).permutation(joints)[:, [1, 2]], axis=0), axis=1)
     assert steps.mean() < 0.5 * shuffled.mean()
+    assert len(grid_joints(nominal, len(grid.joints), np.random.default_rng(0))) == len(grid.joints)
     with pytest.raises(InputError, match="ask for no more"):
-        grid_joints(nominal, 10_000, np.random.default_rng(0))
+        grid_joints(nominal, len(grid.joints) + 1, np.random.default_rng(0))
+
+
+def test_what_a_network_removes_is_of_the_rms_and_of_another_pair_of_blocks_of_each_arm(monkeypatch):
+    """Fits whose errors are made up: of arm k the network leaves k / 10 of what least squares does."""
+    joints, seen = random_joints(SMOOTH.arm.nominal, 50, np.random.default_rng(0)), []
+
+    def errors(scale):
+        return SimpleNamespace(errors=lambda rows: scale * 1e-4 * np.sin(np.arange(6.0 * len(rows)).reshape(-1, 6)))
+
+    def fit(arm, train, more, *, rng, settings):
+        seen.append((train, more, settings))
+        network = errors(0.1 * len(seen) ** 2).errors
+        return SimpleNamespace(
+            calibration=SimpleNamespace(errors=network, without_residual=lambda: errors(float(len(seen))))
+        )
+
+    monkeypatch.setattr("pickenv.agents.evaluation.blocked_gain.fit", fit)
+    gain = blocked_gain(SMOOTH, joints, np.random.default_rng(1), arms=7)
+    one = 1e3 * np.sqrt(np.mean(np.sum((1e-4 * np.sin(np.arange(60.0).reshape(-1, 6)[:, :3])) ** 2, axis=1)))
+    assert (gain.arm, gain.ls_mm) == (SMOOTH.name, pytest.approx(one * 4.0))
+    assert (gain.removed, gain.lowest, gain.highest) == pytest.approx((0.6, 0.3, 0.9))
+    for k, (train, more, settings) in enumerate(seen):
+        held = np.repeat([k % 10, (k + 5) % 10], 5) * 5 + np.tile(range(5), 2)
+        np.testing.assert_array_equal(train.joints, np.delete(joints, held, axis=0))
+        assert more is train and settings.epochs == 50
+    assert np.abs(seen[0][0].position[5] - seen[1][0].position[0]).max() > 1e-5  # the same joints of another arm
 
 
 @pytest.mark.slow

@@ -3,10 +3,11 @@
 mutmut makes the mutants; each is tried in a copy of the project, against the tests of its room alone, and is killed if
 one of them fails or does not end in time. What is written after each mutant is taken up again by the next run: a mutant
 is tried again only if its file has changed or, where it survived, the tests of its room have. Text, messages and what a
-decorator covers are left as they are, and so are changes that make no difference (mutants_equivalent.toml).
+decorator covers are left as they are, and so are changes that make no difference (mutants_equivalent.toml). A sample's
+score is kept when its room is done, and stands whatever becomes of the tests; the page is made of what is kept.
 
-Run: python scripts/mutation/mutants.py [--room NAME]... [--sample N] [--seed S] [--json FILE] [--also FILE]...
-     [--known] [--first FILE]... [--page FILE]
+Run: python scripts/mutation/mutants.py [--room NAME]... [--sample N] [--seed S] [--again] [--known]
+     [--json FILE] [--also FILE]... [--page FILE]
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ import libcst as cst
 import typer
 from libcst.metadata import MetadataWrapper, PositionProvider
 from mutants_rooms import ROOMS
-from mutants_score import Equivalents, Sample, first_try, page_of, read_equivalents, row_of, table
+from mutants_score import Equivalents, Score, as_lines, page_of, read_equivalents, score_of, table
 from mutants_trials import LIBRARIES, ROOT, WARM, copied_project, run_tests
 from mutmut.mutation import mutators
 from mutmut.mutation.file_mutation import MutationVisitor
@@ -37,6 +38,8 @@ from mutmut.mutation.pragma_handling import IgnoredCode
 
 LEAST_SECONDS, PATIENCE = 120.0, 5.0
 """A room's tests may take this long, or this many times as long as they do without a mutant."""
+KEPT = Path(__file__).with_name("mutants_kept.json")
+"""Verdicts of today's files, and the scores of samples."""
 
 
 @dataclass(frozen=True)
@@ -215,17 +218,29 @@ def try_room(name: str, mutants: list[Mutant], known: dict[str, dict[str, Any]],
         yield mutant
 
 
+def kept_in(files: Iterable[Path]) -> tuple[list[Score], dict[str, dict[str, Any]]]:
+    """Scores of samples, each of the first file that has it, and verdicts, each of the last one, that files hold."""
+    samples: dict[tuple[int | None, str], Score] = {}
+    verdicts: dict[str, dict[str, Any]] = {}
+    for path in files:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        for told in kept["samples"]:
+            samples.setdefault((told["seed"], told["room"]), Score(**told))
+        verdicts |= kept["mutants"]
+    return list(samples.values()), verdicts
+
+
 def main(
     room: Annotated[list[str] | None, typer.Option(help=f"One of {', '.join(ROOMS)}; all when left out.")] = None,
     sample: Annotated[
         int | None, typer.Option(min=0, help="Mutants of each room, at random; the room's own number, or all with 0.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
-    json_file: Annotated[Path, typer.Option("--json", help="Where verdicts are kept.")] = Path("runs/mutants.json"),
-    also: Annotated[list[Path] | None, typer.Option(help="Verdicts of other runs, used where they still hold.")] = None,
-    known_only: Annotated[bool, typer.Option("--known", help="Try nothing: what is known of today's files.")] = False,
-    first: Annotated[list[Path] | None, typer.Option(help="Results of a fresh sample's first try.")] = None,
-    page: Annotated[Path, typer.Option(help="The page; written when every room is tried.")] = Path("docs/mutants.md"),
+    again: Annotated[bool, typer.Option("--again", help="No sample: try anew what survives in today's files.")] = False,
+    known_only: Annotated[bool, typer.Option("--known", help="Try nothing: the page of what is kept.")] = False,
+    json_file: Annotated[Path, typer.Option("--json", help="Where verdicts and scores are kept.")] = KEPT,
+    also: Annotated[list[Path] | None, typer.Option(help="What other runs kept, taken over.")] = None,
+    page: Annotated[Path, typer.Option(help="The page.")] = ROOT / "docs/mutants.md",
 ) -> None:
     """Change the lines that make numbers, one at a time, and count what the tests notice."""
     from pickenv.files import write_text  # late: see WARM
@@ -233,16 +248,11 @@ def main(
     names = room or list(ROOMS)
     if unknown := set(names) - set(ROOMS):
         raise SystemExit(f"unknown room '{min(unknown)}'; give one of {', '.join(ROOMS)}")
-    known: dict[str, dict[str, Any]] = {}
-    for path in (*(also or ()), *([json_file] if json_file.exists() else [])):
-        told = json.loads(path.read_text(encoding="utf-8"))["mutants"]
-        known |= of_todays_files(told) if known_only else still_true(told)
-    equivalents = read_equivalents()
-    mutants = {name: shuffled(name, seed, equivalents) for name in names}
+    samples, told = kept_in([*([json_file] if json_file.exists() else []), *(also or ())])
+    kept, known, equivalents = of_todays_files(told), still_true(told), read_equivalents()
+    if again:
+        known = {key: verdict for key, verdict in known.items() if verdict["verdict"] != "passed"}
     json_file.parent.mkdir(parents=True, exist_ok=True)
-    earlier = first_try(first or ())
-    rows: dict[str, dict[str, Any]] = {}
-    survivors: list[str] = []
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     os.environ |= {
         "MPLBACKEND": "Agg",
@@ -250,26 +260,29 @@ def main(
     }
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
     WARM.set_forkserver_preload(["__main__", *LIBRARIES])
+    mutants = {name: shuffled(name, seed, equivalents) for name in ROOMS}
     with tempfile.TemporaryDirectory() as folder:
-        copy = copied_project(Path(folder))
-        for name in names:
-            verdicts: list[str] = []
+        copy = Path(folder) if known_only else copied_project(Path(folder))
+        for name in () if known_only else names:
             drawn = mutants[name][: ROOMS[name].most if sample is None else sample or None]
-            if known_only:
-                drawn = [mutant for mutant in mutants[name] if mutant.key in known]
+            if again:
+                drawn = [m for m in mutants[name] if m.key in kept and kept[m.key]["verdict"] == "passed"]
             for mutant in try_room(name, drawn, known, copy):
-                verdicts.append(known[mutant.key]["verdict"])
-                if verdicts[-1] == "passed":
-                    survivors.append(mutant.key)
+                kept[mutant.key] = known[mutant.key]
+                if known[mutant.key]["verdict"] == "passed":
                     print(f"survives: {mutant.key}", flush=True)
-                rows[name] = row_of(len(mutants[name]), verdicts)
-                result = {"sample": sample, "seed": seed, "rooms": rows, "mutants": known}
-                write_text(json_file, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
+                write_text(json_file, as_lines(samples, kept))
+            verdicts = [kept[mutant.key]["verdict"] for mutant in drawn]
+            if not again and not any((one.seed, one.room) == (seed, name) for one in samples):
+                samples.append(score_of(name, len(mutants[name]), verdicts, seed))
             print(f"{name}: {len(verdicts)} tried, {verdicts.count('passed')} survive", flush=True)
-    print(table(rows))
+    tried = {name: {m.key: kept[m.key]["verdict"] for m in found if m.key in kept} for name, found in mutants.items()}
+    now = [score_of(name, len(mutants[name]), list(verdicts.values())) for name, verdicts in tried.items() if verdicts]
+    survivors = [key for verdicts in tried.values() for key, verdict in verdicts.items() if verdict == "passed"]
+    print(table([score for score in now if score.room in names]))
     print(f"{len(survivors)} survive; each is a test to write, or a change that makes no difference")
-    if not room:
-        write_text(page, page_of(rows, Sample(seed, sample, known_only), survivors, equivalents, earlier))
+    write_text(json_file, as_lines(samples, kept))
+    write_text(page, page_of(now, samples, survivors, equivalents))
 
 
 if __name__ == "__main__":

@@ -215,6 +215,40 @@ ROOMS = {
     "analysis": room(
         "pickenv/study/analysis", "sensitivity sobol single_arms study_report", "tests/study", "sensitivity report"
     ),
+    "campaign": room(
+        "pickenv/arm",
+        "plant/campaign effects/guides effects/own_waves effects/measurement_noise",
+        "tests/arm",
+        "effects/guides effects/own_waves plant/campaign plant/plant",
+        most=SECOND,
+    ),
+    "sight": room("pickenv/orchard", "circles sight sight_errors", "tests/orchard", "circles sight", most=SECOND),
+    "conditions": room(
+        "calibration/pipeline", "conditions_study", "tests/calibration/pipeline", "conditions", most=SECOND
+    ),
+    "blocked gain": room("agents/evaluation", "blocked_gain", "tests", "bench/gains_page demo_table", most=SECOND),
+    "bench": room(
+        "pickenv/bench",
+        "bench_tables gain_folds gains run_bench spread_rows peers real_sets",
+        "tests/bench",
+        "bench_tables gains spread_rows gains_page bench_command",
+        most=SECOND,
+    ),
+    "recordings": room(
+        "pickenv/inspect",
+        "runs/harvest_trace runs/calibration_trace runs/gripping recordings/detail_entities recordings/details "
+        "recordings/comparison_recording recordings/harvest_recording",
+        "tests/inspect",
+        "details harvest_recording recording",
+        most=SECOND,
+    ),
+    "figures": room(
+        "pickenv/inspect/figures",
+        "field_figure plot_harvest plot_pixels plot_policies plot_conditions plot_slices",
+        "tests/inspect/figures",
+        "figure_numbers pixel_errors figures",
+        most=SECOND,
+    ),
     "reports": room(
         "pickenv/inspect",
         "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "

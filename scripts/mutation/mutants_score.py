@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,130 +21,103 @@ def read_equivalents() -> Equivalents:
     return {(t["file"], t["line"], change): t["reason"] for t in tables for change in t["changes"]}
 
 
-def table(rows: dict[str, dict[str, Any]]) -> str:
-    """The score by room, with Wilson's interval; what took too long counts as killed."""
-    lines = [
-        f"{'room':<14} {'mutants':>8} {'tried':>6} {'killed':>7} {'of these late':>14} {'score':>7}  95 % interval"
-    ]
-    for name, row in rows.items():
-        low, high = row["interval"]
-        lines.append(
-            f"{name:<14} {row['mutants']:>8} {row['tried']:>6} {row['killed']:>7} {row['late']:>14} "
-            f"{row['score']:>7.1%}  {low:.1%} to {high:.1%}"
-        )
+@dataclass(frozen=True)
+class Score:
+    """What the trials of a room came to.
+
+    Attributes:
+        room: Its name.
+        mutants: How many it has that matter.
+        tried: How many were tried.
+        killed: How many of these the tests noticed.
+        late: How many of the killed by tests that did not end in time.
+        seed: Of the sample that they are; None for all that were ever tried.
+    """
+
+    room: str
+    mutants: int
+    tried: int
+    killed: int
+    late: int
+    seed: int | None = None
+
+    @property
+    def share(self) -> str:
+        """Killed in percent of those tried, with Wilson's 95 % interval."""
+        from pickenv.intervals import share_interval  # late: see WARM in mutants
+
+        low, high = share_interval(self.killed, self.tried)
+        return f"{self.killed / self.tried:.1%} ({100.0 * low:.0f} to {100.0 * high:.0f})".replace("%", " %")
+
+
+def score_of(room: str, mutants: int, verdicts: list[str], seed: int | None = None) -> Score:
+    """The score of some verdicts; what took too long counts as killed."""
+    killed = len(verdicts) - verdicts.count("passed")
+    return Score(room, mutants, len(verdicts), killed, verdicts.count("took too long"), seed)
+
+
+def table(scores: Iterable[Score]) -> str:
+    """The score by room."""
+    lines = [f"{'room':<14} {'mutants':>8} {'tried':>6} {'killed':>7} {'of these late':>14}  score (95 % interval)"]
+    for one in scores:
+        lines.append(f"{one.room:<14} {one.mutants:>8} {one.tried:>6} {one.killed:>7} {one.late:>14}  {one.share}")
     return "\n".join(lines)
 
 
-def row_of(mutants: int, verdicts: list[str]) -> dict[str, Any]:
-    """The score of some verdicts."""
-    from pickenv.intervals import share_interval  # late: see WARM in mutants
+def as_lines(samples: Iterable[Score], mutants: dict[str, dict[str, Any]]) -> str:
+    """Scores of samples and verdicts by mutant as JSON, one on a line, verdicts in alphabetical order."""
 
-    late, killed = verdicts.count("took too long"), len(verdicts) - verdicts.count("passed")
-    return {
-        "mutants": mutants,
-        "tried": len(verdicts),
-        "killed": killed,
-        "late": late,
-        "score": killed / len(verdicts),
-        "interval": share_interval(killed, len(verdicts)),
-    }
+    def line(value: object) -> str:
+        return json.dumps(value, ensure_ascii=False)
+
+    scores = ",\n".join(line(asdict(one)) for one in samples)
+    verdicts = ",\n".join(f"{line(key)}: {line(mutants[key])}" for key in sorted(mutants))
+    return f'{{"samples": [\n{scores}\n],\n"mutants": {{\n{verdicts}\n}}}}\n'
 
 
-@dataclass(frozen=True)
-class Sample:
-    """Which mutants were tried.
+PAGE = """# Would the tests notice?
 
-    Attributes:
-        seed: Of the draw.
-        most: Of each room; None for the rooms' own numbers, 0 for all.
-        known: Whether nothing was tried: what counts is what any sample drew, in files that are the same.
-    """
+One operator, number, condition or option at a time is changed in the lines that make numbers; a change is
+killed if a test of its room fails, or does not end in time (late). The score is the share killed of those
+tried, with Wilson's 95 % interval for all mutants of the room. That interval holds for a sample that no test
+was written for.
 
-    seed: int
-    most: int | None = None
-    known: bool = False
+**First try** is such a sample, scored before any of its survivors was seen: the honest score of the tests as
+they were then. Since then tests were written, and code that makes no difference was taken out. **Fresh since**
+is another such sample, drawn with a new seed after that. **Now** counts the changes tried in any sample, in
+files that are the same since: among them are those that tests were written for, so that its interval says too
+much. What survived counts as surviving until it is tried again.
 
-    @property
-    def options(self) -> str:
-        """How to ask for it."""
-        if self.known:
-            return "--known --also FILE"
-        return f"--seed {self.seed}" if self.most is None else f"--sample {self.most} --seed {self.seed}"
+Made by `make mutants ARGS="--sample 10 --seed SEED"`, which tries a sample, or `make mutants ARGS=--known`, which
+tries nothing, of what `scripts/mutation/mutants_kept.json` holds.
 
-    def __str__(self) -> str:
-        if self.known:
-            return "tried in any sample, in files that are the same since"
-        own = "as many of each room as the table says" if self.most is None else f"{self.most or 'all'} of each room"
-        return own if self.most == 0 else f"{own}, drawn with seed {self.seed}"
+| room | mutants | first try: seed | score | fresh since: seed | score | now: tried | killed | of these late | score |
+|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|
+"""
 
 
-def first_try(files: Iterable[Path]) -> tuple[int | None, dict[str, dict[str, Any]]]:
-    """Seed and scores by room of one sample, as runs of some rooms each found it before its survivors were looked at.
-
-    Raises:
-        SystemExit: If the runs are not of one seed.
-    """
-    found = [json.loads(path.read_text(encoding="utf-8")) for path in files]
-    if len(seeds := {result["seed"] for result in found}) > 1:
-        raise SystemExit(f"the first tries are of seeds {', '.join(map(str, sorted(seeds)))}; give runs of one seed")
-    return next(iter(seeds), None), {name: row for result in found for name, row in result["rooms"].items()}
-
-
-def score_of(row: dict[str, Any]) -> str:
-    """A score with its interval."""
-    low, high = (f"{100.0 * end:.0f}" for end in row["interval"])
-    return f"{100.0 * row['score']:.1f} % ({low} to {high})"
-
-
-def page_of(
-    rows: dict[str, dict[str, Any]],
-    sample: Sample,
-    survivors: list[str],
-    equivalents: Equivalents,
-    first: tuple[int | None, dict[str, dict[str, Any]]] = (None, {}),
-) -> str:
+def page_of(now: Iterable[Score], samples: Iterable[Score], survivors: list[str], equivalents: Equivalents) -> str:
     """The page with every room's kill rate, what survived, and the changes that make no difference with their reasons.
 
     Args:
-        rows: By room, from `row_of`.
-        sample: What was tried.
+        now: By room, of all that is known of today's files.
+        samples: Of fresh samples, in the order in which they were drawn.
         survivors: Keys of what the tests did not notice.
         equivalents: What is left out of the score.
-        first: Seed and rows of an earlier fresh sample, from `first_try`.
     """
-    seed, before = first
-    lines = [
-        "# Would the tests notice?",
-        "",
-        "One operator, number, condition or option at a time is changed in the lines that make numbers; a change is",
-        "killed if a test of its room fails, or does not end in time (late). The score is the share killed of those",
-        "tried, with Wilson's 95 % interval for all mutants of the room. That interval holds for a sample that no test",
-        "was written for.",
-        "",
-    ]
-    if before:
-        lines += [
-            f"**First try** is such a sample, drawn with seed {seed}, scored before any of its survivors was seen: the",
-            "honest score of the tests as they were then. Since then tests were written, and code that makes no",
-            f"difference was taken out. **Now** counts the changes {sample}:",
-            "among them are those that tests were written for, so that its interval says too much. What survived",
-            "counts as surviving until it is tried again.",
-        ]
-    else:
-        lines += [f"**Now** counts the changes {sample}. Where survivors were killed since, another seed scores lower."]
-    options = sample.options + (" --first FILE" if before else "")
-    lines += ["", f'Made by `make mutants ARGS="{options}"`.', ""]
-    lines += [
-        "| room | mutants | first try: tried | killed | score | now: tried | killed | of these late | score |",
-        "|:--|--:|--:|--:|--:|--:|--:|--:|--:|",
-    ]
-    for name in [*rows, *(name for name in before if name not in rows)]:
-        then, now = before.get(name), rows.get(name)
-        counts = [str(then[key]) if then else "–" for key in ("tried", "killed")]
-        latest = [str(now[key]) if now else "–" for key in ("tried", "killed", "late")]
-        mutants = (now or before[name])["mutants"]
-        scores = score_of(then) if then else "–", score_of(now) if now else "not tried since"
-        lines.append("| " + " | ".join([name, str(mutants), *counts, scores[0], *latest, scores[1]]) + " |")
+    fresh: dict[str, list[Score]] = {}
+    for one in samples:
+        fresh.setdefault(one.room, []).append(one)
+    latest = {one.room: one for one in now}
+    lines = [PAGE.rstrip()]
+    for room in latest | fresh:
+        drawn = fresh.get(room, [])
+        cells = [room, str((latest.get(room) or drawn[-1]).mutants)]
+        for one in (drawn[0] if drawn else None, drawn[-1] if len(drawn) > 1 else None):
+            cells += [str(one.seed), f"{one.killed} of {one.tried}: {one.share}"] if one else ["–", "–"]
+        one = latest.get(room)
+        cells += [str(one.tried), str(one.killed), str(one.late), one.share] if one else ["–"] * 3 + ["not tried since"]
+        lines.append("| " + " | ".join(cells) + " |")
     lines += ["", f"## What survives now: {len(survivors)}", ""]
     lines += [f"- `{key}`" for key in survivors]
     lines += ["", "## Changes that make no difference", "", "They are left out of the score.", ""]

@@ -1,6 +1,7 @@
 """`pickenv bench calibration`: its rows, what it says where data or peers are missing, and that it goes on."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,11 +10,12 @@ import numpy as np
 import pytest
 
 from pickenv.agents.evaluation.blocked_gain import MEASURED
+from pickenv.arm import Pose, rotation_matrix
 from pickenv.bench import peers
 from pickenv.bench import run_bench as module
 from pickenv.bench.bench_tables import bench_json, blocked_json
 from pickenv.bench.gain_folds import BEFORE, NOMINAL
-from pickenv.bench.peers import PEERS, Peer, judged_peer, last_words, peer_python
+from pickenv.bench.peers import PEERS, Peer, homogeneous, judged_peer, last_words, peer_python
 from pickenv.bench.run_bench import GAINS, QUICK, ROWS, BenchSettings, run_bench
 from pickenv.errors import InputError
 
@@ -123,6 +125,19 @@ def test_the_demonstrations_file_is_what_the_command_writes_of_blocks(worked) ->
 def test_a_peer_that_is_not_installed_is_named_with_the_way_to_install_it(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"figaroh 1.0.2 is not installed in .*benchmark_calibration.py installs it"):
         peer_python(PEERS[0], tmp_path, install=False)
+    home = tmp_path / "figaroh-1.0.2"
+    home.mkdir()
+    (home / "installed").touch()
+    expected = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    assert peer_python(PEERS[0], tmp_path, install=False) == expected
+
+
+def test_a_peer_is_given_poses_as_homogeneous_matrices() -> None:
+    pose = Pose(np.array([0.1, -0.2, 0.3]), rotation_matrix([0.4, 0.5, -0.6]))
+    found = np.array(homogeneous(pose))
+    point = np.array([0.7, -0.8, 0.9])
+    np.testing.assert_allclose(found @ [*point, 1.0], [*(pose.position + pose.rotation @ point), 1.0])
+    np.testing.assert_array_equal(found[3], [0.0, 0.0, 0.0, 1.0])
 
 
 def test_a_peer_that_cannot_be_installed_is_named(tmp_path: Path, monkeypatch) -> None:
@@ -144,16 +159,19 @@ def test_a_peer_is_given_the_rows_and_answers_for_those_held_out(
     workers = tmp_path / "workers"
     workers.mkdir()
     (workers / "run_none.py").write_text(
-        "import json, sys\n"
+        "import json, os, sys\n"
         "content = json.load(open(sys.argv[1]))\n"
         "n = {name: len(content[name]) for name in ('joints', 'held_out_joints', 'random_joints')}\n"
-        "answer = {'held_out_rms_mm': 0.5, 'random_poses_mean_mm': 0.4, 'remark': '', 'n': n}\n"
+        "answer = {'held_out_rms_mm': 0.5, 'random_poses_mean_mm': 0.4, 'remark': 'nor more', 'n': n}\n"
+        "answer['at_home'] = os.path.samefile('.', os.path.dirname(sys.argv[1]))\n"
+        "answer['ours'] = [name for name in os.environ if name.startswith('PYTHON')]\n"
         "json.dump(answer, open(sys.argv[2], 'w'))\n"
     )
     monkeypatch.setattr(peers, "WORKERS", workers)
     monkeypatch.setattr(peers, "peer_python", lambda peer, folder, install: Path(sys.executable))
     found = judged_peer(Peer("none", "1", "it does nothing", poses=50), data_folder, tmp_path)
     assert found["n"] == {"joints": 50, "held_out_joints": 200, "random_joints": 20}
+    assert found["at_home"] and found["ours"] == [] and found["note"] == "it does nothing; nor more"
     assert found["nominal"]["held_out_rms_mm"] > found["held_out_rms_mm"]
 
 

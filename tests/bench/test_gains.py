@@ -1,7 +1,10 @@
 """Gains are shares of what was left before, of rows never fitted; their intervals hold what they are intervals of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy import stats
 
 from pickenv.arm import forward, load_arm
 from pickenv.bench import gain_folds
@@ -10,6 +13,7 @@ from pickenv.bench.gains import agreement, gains_of, predicted_gain
 from pickenv.bench.real_sets import SETS, learnable
 from pickenv.calibration import Measurements
 from pickenv.errors import InputError
+from pickenv.intervals import statistic_interval
 
 MODELS = (NOMINAL, *BEFORE)
 
@@ -50,6 +54,31 @@ def test_gains_are_shares_of_the_rms_before_over_all_folds(split, rng):
         assert (gain.nominal_mm, gain.before_mm) == pytest.approx((1e3 * rms[NOMINAL], 1e3 * rms[before]))
         assert gain.measured_ci95[0] < gain.measured < gain.measured_ci95[1]
         assert gain.predicted_ci95[0] < gain.predicted < gain.predicted_ci95[1]
+
+
+@pytest.mark.parametrize("split", ["random", "blocks"])
+def test_intervals_are_of_rows_or_of_ten_blocks_in_file_order_and_of_one_more_arm_by_its_folds(split, rng):
+    folds = made_folds(rng)
+    folds = [replace(fold, refused=k) for k, fold in enumerate(folds)]
+    at = np.concatenate([fold.held for fold in folds])
+    for gain in gains_of(folds, split):
+        names = gain.model, BEFORE[gain.model]
+        rows = np.stack([np.concatenate([fold.measured[name] for fold in folds]) for name in names], axis=1)
+        rows = rows[np.argsort(at)]
+        if split == "blocks":
+            rows = np.add.reduceat(rows, np.arange(0, 120, 12))
+        low, high = statistic_interval(rows, lambda part: 0.5 * np.log(part[:, 0].sum() / part[:, 1].sum()))
+        assert gain.measured_ci95 == pytest.approx((1.0 - np.exp(high), 1.0 - np.exp(low)))
+        after, before = (np.array([[arm[name].sum() for arm in fold.predicted] for fold in folds]) for name in names)
+        effect = 0.5 * (1.0 - gain.predicted) * (after / after.sum(0).mean() - before / before.sum(0).mean())
+        deviation = np.sqrt(np.sum(effect.std(axis=1, ddof=1) ** 2) * 4 / 3)
+        half = stats.t.ppf(0.975, 10) * deviation
+        assert gain.predicted_ci95 == pytest.approx((gain.predicted - half, gain.predicted + half))
+        assert gain.predicted_mm == pytest.approx(1e3 * np.sqrt(after.sum() / 3 / 120))
+        assert gain.held_out_mm == pytest.approx(
+            1e3 * np.sqrt(np.mean(np.concatenate([f.measured[names[0]] for f in folds])))
+        )
+        assert gain.refused == 10
 
 
 def test_folds_in_another_order_give_the_same_gains(rng):

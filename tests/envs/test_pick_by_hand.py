@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -67,6 +68,8 @@ def test_the_reward_is_made_of_the_numbers_that_the_class_states():
 def test_a_step_without_an_event_costs_its_time(env):
     before(env, [0.0, 0.0, 0.3], FAR, FAR, reachable=np.array([True, True, False]))
     assert act(env, STAY) == (-0.002, (3, 3, 2, 0, 0, 0, 0, 0), False, False)
+    *_, info = env.step(np.array(STAY))
+    assert (info["grasp_lateral_mm"], info["grasp_axial_mm"]) == (0.0, 0.0)  # no grasp yet
 
 
 def test_one_fruit_goes_all_the_way_down_the_funnel(env):
@@ -76,6 +79,17 @@ def test_one_fruit_goes_all_the_way_down_the_funnel(env):
     assert act(env, TWIST) == (-0.002, (1, 1, 1, 1, 1, 1, 0, 0), False, False)
     assert act(env, DOWN) == (-0.002, (1, 1, 1, 1, 1, 1, 0, 0), False, False)
     assert act(env, DOWN) == (1.0 - 0.002, (1, 1, 1, 1, 1, 1, 1, 0), True, True)
+
+
+def test_a_fruit_is_unloaded_at_the_very_height_and_not_above_it():
+    """Heights that have no rounding: it came off at 0.5 m, 0.125 m below it is collected."""
+    station = replace(PickEnv().orchard.station, collected_below=0.125)
+    scene = scene_of(replace(PickEnv().orchard, station=station), [0.0, 0.0, 0.0])
+    scene.attached[0] = scene.detached[0] = True
+    scene.held, scene.detached_at = 0, 0.5
+    for height, collected in ((np.nextafter(0.375, 1.0), False), (0.375, True)):
+        scene.work_gripper(0.0, 0, upright([0.0, 0.0, height]), upright([0.0, 0.0, 9.0]))
+        assert scene.collected[0] == collected and (scene.held is None) == collected
 
 
 @pytest.mark.parametrize(("down", "collected"), [(0.79, 0), (0.81, 1)])

@@ -1,5 +1,7 @@
 """Whole harvests: better than Li's rule on the same trees, repeatable, and honest about what was out of reach."""
 
+import importlib
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -222,6 +224,30 @@ def test_a_trip_to_where_no_fruit_hangs_comes_back_empty_and_is_counted(machine,
         assert not r.outcome.attached[r.fruit < 0].any() and np.isinf(r.outcome.lateral[r.fruit < 0]).all()
     counts = list(funnel([done]).values())
     assert counts == sorted(counts, reverse=True)
+    (bare,) = harvest(true, li(true), MODEL, [tree_of(machine, [])], [np.random.default_rng(1)], load_grid(), wild)
+    assert bare.misled == sum(len(r.fruit) for r in bare.rounds) > 0 and not any(funnel([bare]).values())
+
+
+def test_a_second_look_meets_the_luck_of_the_first_as_far_as_it_lasts(machine, true, monkeypatch):
+    """Where all of it lasts, to the bit; a first look at the next zone has luck of its own."""
+    module = importlib.import_module("pickenv.harvester.harvest")  # the package's name for it is the function
+    given, looked = [], module.see
+
+    def see(eyes, view, fruit, *more, chances, **named):
+        given.append((tuple(view.middle), dict(zip(map(tuple, fruit), chances.place, strict=True))))
+        return looked(eyes, view, fruit, *more, chances=chances, **named)
+
+    monkeypatch.setattr(module, "see", see)
+    eyes = load_eyes("measured_errors", load_canopy("li2016_bare"), "circles")
+    wild = replace(eyes, errors=replace(eyes.errors, false_per_picture=6.0, lasting=1.0))
+    fruit = [[0.1, -1.15, 1.0], [-0.2, -1.25, 1.6], [0.25, -1.3, 0.9]]
+    way = replace(li(true), looks=2)
+    harvest(true, way, MODEL, [tree_of(machine, fruit)], [np.random.default_rng(2)], load_grid(), wild)
+    again = []
+    for (view, luck), (next_view, then) in itertools.pairwise(given):
+        again += [view == next_view] * len(luck.keys() & then.keys())
+        assert all((luck[each] == then[each]) == (view == next_view) for each in luck.keys() & then.keys())
+    assert 0 < sum(again) < len(again)
 
 
 def test_rendered_eyes_harvest_a_tree_the_same_way_every_time(machine, true):

@@ -18,7 +18,7 @@ from pickenv.orchard import (
     render_stereo,
     sample_leaves,
 )
-from pickenv.orchard.circles import summit
+from pickenv.orchard.circles import _Edges, _edges, _filled, _fitted, summit
 
 CAMERA, LOOK, SEARCH = load_stereo_camera("li2016"), load_look("red_apples"), load_circle_search("li2016")
 NONE = np.zeros((0, 3))
@@ -112,3 +112,51 @@ def test_the_summit_of_a_parabola():
     for top in (-0.7, 0.0, 0.4):
         assert summit(*(3.0 - 2.0 * (x - top) ** 2)) == pytest.approx(top)
     assert summit(1.0, 1.0, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("shift", [-5, -2, -1, 0, 1, 2, 5])
+def test_an_edge_is_where_the_colour_changes_most_up_to_two_and_a_half_pixels_from_the_masks(shift):
+    """A step between columns 29 and 30, right and left, and a mask that begins before or after it."""
+    step = np.where(np.arange(60) < 30, 0.0, 100.0) * np.ones((40, 1))
+    mask = np.broadcast_to(np.arange(60) >= 30 + shift, step.shape)
+    for turned in (lambda part: part, lambda part: part[:, ::-1].copy(), lambda part: part.T.copy()):
+        edges = _edges(replace(SEARCH, blur=2.0), turned(step), turned(mask))
+        axis = 1 if turned(mask).shape == (60, 40) else 0
+        places, slopes = edges.places[:, axis], edges.slopes[:, axis]
+        if turned(step)[0, 0] > 0:
+            places, slopes = 59 - places, -slopes
+        assert len(places) == 80 and slopes == pytest.approx(np.ones(80))
+        if abs(shift) < 2:
+            assert places == pytest.approx(np.full(80, 29.5), abs=0.26)
+        rim = np.sort(np.repeat([29 + shift, 30 + shift], 40))
+        assert np.abs(np.sort(places) - rim).max() <= 2.5
+
+
+def test_a_fitted_circle_balances_its_edges_each_the_less_the_farther_and_the_radius_voted_for():
+    """At the end the weighted misses and three edges' wish for the voted radius pull nowhere; far edges are out."""
+    rng = np.random.default_rng(2)
+    angle = np.concatenate([rng.uniform(0.0, 4.0, 50), rng.uniform(4.0, 5.0, 15), rng.uniform(0.0, 6.0, 20)])
+    out = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    length = 13.0 + np.concatenate(
+        [0.1 * rng.normal(size=50), 0.7 * SEARCH.rim + np.zeros(15), 3 * SEARCH.rim + np.zeros(20)]
+    )
+    slopes = -out.copy()
+    slopes[::7] = out[::7]  # towards less red: the rim of something else
+    column, row, radius = _fitted(SEARCH, _Edges([40.0, 30.0] + length[:, None] * out, slopes), 40.5, 29.4, 14.0)
+    away = [40.0, 30.0] + length[:, None] * out - [column, row]
+    distance = np.linalg.norm(away, axis=1)
+    miss = distance - radius
+    rim = (np.abs(miss) < SEARCH.rim) & (-(slopes * away).sum(axis=1) > 0.8 * distance)
+    assert 40 < rim.sum() < 65
+    pull = (miss / (1.0 + (miss / SEARCH.tight) ** 2))[rim]
+    left = np.append(pull @ (away / distance[:, None])[rim], pull.sum() + 3.0 * (14.0 - radius))
+    assert np.abs(left).max() < 0.05 < np.abs(pull).sum()
+
+
+def test_a_disc_is_filled_by_its_pixels_of_fruit_colour_also_over_the_pictures_border():
+    rng = np.random.default_rng(4)
+    mask = rng.random((30, 40)) < 0.6
+    rows, columns = np.mgrid[:30, :40]
+    for column, row, radius in ((20.3, 11.8, 6.0), (1.2, 28.5, 5.5), (39.0, 0.0, 4.0), (-9.0, 5.0, 3.0)):
+        inside = mask[np.hypot(columns - column, rows - row) < radius]
+        assert _filled(mask, column, row, radius) == (inside.mean() if inside.size else 0.0)

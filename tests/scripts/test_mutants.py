@@ -1,7 +1,6 @@
 """Changes to the lines that make numbers: which there are, and that each is one change to a file that can be read."""
 
 import ast
-import json
 from pathlib import Path
 
 import pytest
@@ -98,32 +97,31 @@ def test_verdicts_hold_while_the_file_does_and_those_of_survivors_while_the_test
     assert [key.split(":")[1][0] for key in script.of_todays_files(verdicts)] == ["1", "2", "4"]
 
 
-def test_the_page_gives_each_rooms_rate_with_its_interval_and_what_was_left_out(script, tmp_path):
-    row = script.row_of(120, ["failed"] * 17 + ["passed"] * 2 + ["took too long"])
-    assert (row["tried"], row["killed"], row["late"], row["score"]) == (20, 18, 1, 0.9)
+def test_the_page_gives_each_rooms_rate_with_its_interval_and_what_was_left_out(script):
+    now = script.score_of("plant", 120, ["failed"] * 17 + ["passed"] * 2 + ["took too long"])
+    assert (now.tried, now.killed, now.late) == (20, 18, 1)
     equivalents = {("a.py", "x = y | z", "1 -> 2"): "the second is never read"}
-    page = script.page_of({"plant": row}, script.Sample(3, 20), ["a.py:4 1 -> 2"], equivalents)
-    assert "| plant | 120 | – | – | – | 20 | 18 | 1 | 90.0 % (70 to 97) |" in page  # Wilson 1927
-    assert 'make mutants ARGS="--sample 20 --seed 3"' in page and "- `a.py:4 1 -> 2`" in page
-    assert "| a.py | `x = y \\| z` | `1 -> 2` | the second is never read |" in page and "First try" not in page
-    assert 'make mutants ARGS="--seed 4"' in script.page_of({"plant": row}, script.Sample(4), [], {})
-    assert 'make mutants ARGS="--sample 0 --seed 4"' in script.page_of({"plant": row}, script.Sample(4, 0), [], {})
-    assert "plant " in script.table({"plant": row}) and "90.0%" in script.table({"plant": row})
+    page = script.page_of([now], [], ["a.py:4 1 -> 2"], equivalents)
+    assert "| plant | 120 | – | – | – | – | 20 | 18 | 1 | 90.0 % (70 to 97) |" in page  # Wilson 1927
+    assert "- `a.py:4 1 -> 2`" in page and "What survives now: 1" in page
+    assert "| a.py | `x = y \\| z` | `1 -> 2` | the second is never read |" in page
+    assert script.table([now]).splitlines()[1].endswith(" 120     20      18              1  90.0 % (70 to 97)")
 
 
-def test_beside_what_stands_now_the_page_gives_the_first_try_of_a_fresh_sample(script, tmp_path):
-    files = [tmp_path / "a.json", tmp_path / "b.json"]
-    rows = {"plant": script.row_of(120, ["failed", "passed"]), "gate": script.row_of(30, ["failed"] * 4)}
-    for file, (name, row) in zip(files, rows.items(), strict=True):
-        file.write_text(json.dumps({"seed": 77, "rooms": {name: row}}))
-    first = script.first_try(files)
-    assert first[0] == 77 and list(first[1]) == ["plant", "gate"]
-    now = {"plant": script.row_of(110, ["failed"] * 3)}
-    page = script.page_of(now, script.Sample(0, None, known=True), [], {}, first)
-    assert 'make mutants ARGS="--known --also FILE --first FILE"' in page
-    assert "drawn with seed 77, scored before any of its survivors was seen: the" in page
-    assert "| plant | 110 | 2 | 1 | 50.0 % (9 to 91) | 3 | 3 | 0 | 100.0 % (44 to 100) |" in page
-    assert "| gate | 30 | 4 | 4 | 100.0 % (51 to 100) | – | – | – | not tried since |" in page
-    files[1].write_text(json.dumps({"seed": 78, "rooms": {}}))
-    with pytest.raises(SystemExit, match="seeds 77, 78"):
-        script.first_try(files)
+def test_beside_what_stands_now_the_page_gives_the_first_and_the_last_fresh_sample(script):
+    drawn = [("plant", 1, 77), ("plant", 3, 78), ("plant", 4, 79), ("gate", 4, 77)]
+    samples = [script.score_of(r, 90, ["failed"] * n + ["passed"] * (4 - n), seed) for r, n, seed in drawn]
+    page = script.page_of([script.score_of("plant", 90, ["failed"] * 4)], samples, [], {})
+    whole = "100.0 % (51 to 100)"
+    assert f"| plant | 90 | 77 | 1 of 4: 25.0 % (5 to 70) | 79 | 4 of 4: {whole} | 4 | 4 | 0 | {whole} |" in page
+    assert f"| gate | 90 | 77 | 4 of 4: {whole} | – | – | – | – | – | not tried since |" in page
+
+
+def test_of_what_files_hold_a_samples_first_score_stands_and_a_mutants_last_verdict(script, tmp_path):
+    files = [tmp_path / name for name in ("a.json", "b.json")]
+    scores = [script.score_of("gate", 9, verdicts, 7) for verdicts in (["passed"], ["failed"])]
+    for file, score, verdict in zip(files, scores, ("passed", "failed"), strict=True):
+        file.write_text(script.as_lines([score], {"g.py:2 0 -> 1": {"verdict": verdict}, file.name: {}}))
+    assert script.kept_in(files) == (scores[:1], {"g.py:2 0 -> 1": {"verdict": "failed"}, "a.json": {}, "b.json": {}})
+    kept = script.kept_in([script.KEPT])
+    assert script.as_lines(*kept) == script.KEPT.read_text() and {one.room for one in kept[0]} <= set(script.ROOMS)

@@ -17,7 +17,7 @@ from pickenv.arm import Array, Plant, PlantState, plants_on
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.arm.plant.tree import leaves, tree_map
 from pickenv.envs.shared.backends import Executor, Scalar
-from pickenv.envs.shared.simulation import ReachState, View, begin, drawn_arm, goal_attempt, look
+from pickenv.envs.shared.simulation import GOAL_NUMBERS, ReachState, View, begin, drawn_arm, goal_attempt, look
 from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task, bounds_of
 from pickenv.errors import InputError
@@ -254,7 +254,7 @@ class Batch(ABC):
     def widths(self) -> tuple[int, ...]:
         """Numbers in each part of the observation."""
         n = self.task.joints
-        return (n + 6, 3, 3) if self.goal_dict else (n + 12 + 3 * self.task.camera,)
+        return (n + 3, GOAL_NUMBERS, GOAL_NUMBERS) if self.goal_dict else (n + 12 + 3 * self.task.camera,)
 
     def blocks(self, count: int) -> Iterator[tuple[int, int]]:
         """First and last environment of each block."""

@@ -71,8 +71,9 @@ class ReachEnv(ArmEnv):
 
     With e the distance between true tool and fruit in mm and t the angle between true and wanted attitude in degrees:
 
-    - dense (default): -log10(1 + e) - 0.5 log10(1 + t), from about -4.4 (far away) to 0 (perfect); one more decimal of
-      accuracy is worth as much at a millimetre as at a metre.
+    - dense (default): -log10(1 + e) - 0.5 log10(1 + t), and outside the capture region once more what that is at the
+      region's farthest corner (1.30 with the usual tolerances), so that no failure scores as high as a success; from
+      about -5.7 (far away) to 0 (perfect). One more decimal of accuracy is worth as much at a millimetre as at a metre.
     - sparse: 0 while the fruit is inside the capture region, else -1.
 
     ## Starting State

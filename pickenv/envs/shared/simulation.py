@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from types import ModuleType
 from typing import NamedTuple
 
 from pickenv.arm import Frame, Plant, PlantState
@@ -22,6 +23,9 @@ from pickenv.envs.shared.task import GOAL_MARGIN, Task
 
 DEGREES = 57.29577951308232
 """Degrees in one radian."""
+
+GOAL_NUMBERS = 9
+"""Numbers in a goal: its position, and the z and x axes of its attitude."""
 
 NUMBER_KEYS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
 
@@ -50,6 +54,8 @@ class View(NamedTuple):
     Attributes:
         readings: Joint readings scaled to the joint limits, n.
         believed: Believed tool position, 3.
+        attitude: The believed tool's z and x axes, 6.
+        wanted: The wanted ones, 6.
         seen: Fruit position as the camera saw it, 3.
         offset: Fruit as seen, with the wanted attitude, against the believed tool: m and rotation vector, 6.
         camera: Fruit minus true tool position as the camera measures it, 3; empty without camera feedback.
@@ -66,6 +72,8 @@ class View(NamedTuple):
 
     readings: Components
     believed: Components
+    attitude: Components
+    wanted: Components
     seen: Components
     offset: Components
     camera: Components
@@ -210,6 +218,8 @@ def look(
     return plant_state, View(
         readings=scaled(x, task, shown),
         believed=believed[9:],
+        attitude=(*believed[6:9], *believed[:3]),
+        wanted=(*goal[6:9], *goal[:3]),
         seen=seen,
         offset=(seen[0] - believed[9], seen[1] - believed[10], seen[2] - believed[11], *lag),
         camera=camera,
@@ -269,28 +279,47 @@ def flat_observation(scene: View) -> Components:
 def goal_observation(scene: View) -> tuple[Components, Components, Components]:
     """The numbers of observation, achieved goal and desired goal.
 
-    The achieved goal is the tool as the chosen feedback measures it: the believed one, or the fruit as seen less the
-    camera's offset. The desired goal is the fruit as the camera saw it.
+    Goals are `GOAL_NUMBERS` long: a position, and an attitude by its z and x axes. Achieved is the tool as the chosen
+    feedback measures it: at the believed position, or at the fruit as seen less the camera's offset, in the believed
+    attitude. Desired is the fruit as the camera saw it, in the wanted attitude.
     """
-    achieved = scene.believed
+    place = scene.believed
     if scene.camera:
-        achieved = tuple(fruit - offset for fruit, offset in zip(scene.seen, scene.camera, strict=True))
-    return (*scene.readings, *scene.believed, *scene.offset[3:]), achieved, scene.seen
+        place = tuple(fruit - offset for fruit, offset in zip(scene.seen, scene.camera, strict=True))
+    return (*scene.readings, *scene.believed), (*place, *scene.attitude), (*scene.seen, *scene.wanted)
+
+
+def goal_gap(m: ModuleType, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """What is left from an achieved to a desired goal: position (m) and rotation vector (rad), 6."""
+    return frame_error(m, _frame(achieved), _frame(desired))
+
+
+def _frame(goal: Sequence[Scalar]) -> Frame:
+    """The frame of a goal."""
+    px, py, pz, zx, zy, zz, xx, xy, xz = goal
+    return xx, xy, xz, zy * xz - zz * xy, zz * xx - zx * xz, zx * xy - zy * xx, zx, zy, zz, px, py, pz
 
 
 def true_reward(x: Executor, task: Task, scene: View) -> Scalar:
     """Reward from the truth: see `pickenv/Reach-v0`."""
     if task.sparse:
         return _sparse(x, scene.success, scene.distance_mm)
-    return -x.m.log10(1.0 + scene.distance_mm) - 0.5 * x.m.log10(1.0 + scene.angle_deg)
+    return _dense(x, task, scene.success, scene.distance_mm, scene.angle_deg)
 
 
 def goal_reward(x: Executor, task: Task, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> Scalar:
-    """Reward of an achieved against a desired goal, 3 components each: see `pickenv/ReachGoal-v0`."""
-    distance_mm = 1e3 * length(x, tuple(a - b for a, b in zip(achieved, desired, strict=True)))
+    """Reward of an achieved against a desired goal, `GOAL_NUMBERS` each: see `pickenv/ReachGoal-v0`."""
+    dx, dy, dz, *turn = goal_gap(x.m, achieved, desired)
+    distance_mm, angle_deg = 1e3 * length(x, (dx, dy, dz)), DEGREES * length(x, turn)
+    success = in_capture_region(task, distance_mm, angle_deg)
     if task.sparse:
-        return _sparse(x, distance_mm <= task.tolerance_mm, distance_mm)
-    return -x.m.log10(1.0 + distance_mm)
+        return _sparse(x, success, distance_mm)
+    return _dense(x, task, success, distance_mm, angle_deg)
+
+
+def _dense(x: Executor, task: Task, success: Scalar, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:
+    outside = chosen(x.m, success, 0.0 * distance_mm, 0.0 * distance_mm + task.edge_cost)
+    return -x.m.log10(1.0 + distance_mm) - 0.5 * x.m.log10(1.0 + angle_deg) - outside
 
 
 def _sparse(x: Executor, success: Scalar, distance_mm: Scalar) -> Scalar:

@@ -27,9 +27,9 @@ def goal_space(task: Task) -> spaces.Dict:
     reach = task.reach
     return spaces.Dict(
         {
-            "observation": box([1.0] * task.joints + [reach] * 3 + [math.pi] * 3),
-            "achieved_goal": box([3 * reach] * 3 if task.camera else [reach] * 3),
-            "desired_goal": box([reach] * 3),
+            "observation": box([1.0] * task.joints + [reach] * 3),
+            "achieved_goal": box([3 * reach if task.camera else reach] * 3 + [1.0] * 6),
+            "desired_goal": box([reach] * 3 + [1.0] * 6),
         }
     )
 

@@ -101,6 +101,11 @@ class Task:
         return len(self.lower)
 
     @cached_property
+    def edge_cost(self) -> float:
+        """What the dense reward takes at the farthest corner of the capture region, and once more outside it."""
+        return math.log10(1.0 + self.tolerance_mm) + 0.5 * math.log10(1.0 + self.angle_tolerance_deg)
+
+    @cached_property
     def exact(self) -> Chain:
         """The nominal chain with zeros and ones that cost nothing."""
         return exact_chain(self.nominal)

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy import stats
 
 from pickenv.arm import draw_plants, forward, load_plant, load_tolerances, plant_at
-from pickenv.arm.effects.own_waves import drawn_harmonics
+from pickenv.arm.effects.own_waves import drawn_harmonics, standard_normal_of
 from pickenv.arm.plant.plant import EFFECTS
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.errors import InputError
@@ -23,6 +24,14 @@ def only(effect):
 @pytest.fixture(scope="module")
 def arms():
     return draw_plants(FIELD, MEDIUM, 300, np.random.default_rng(11))
+
+
+def test_even_numbers_become_normal_ones_by_their_quantiles_and_their_ends_are_finite():
+    even = np.linspace(0.0, 1.0, 21)
+    found = standard_normal_of(even)
+    np.testing.assert_allclose(stats.norm.cdf(found), even, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found, -found[::-1], rtol=1e-6, atol=1e-12)
+    assert 7.0 < found[-1] < 8.0
 
 
 def test_every_arm_has_orders_amplitudes_and_phases_of_its_own(arms):

@@ -17,9 +17,10 @@ from pickenv.arm import (
     plant_at,
     plants_on,
     pose_error,
+    rotation_matrix,
     shipped_instruments,
 )
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.measurement_noise import MeasurementNoise, read_frame
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import largest_cube
 from pickenv.arm.plant.campaign import Instrument, normal_draws, visited
@@ -161,6 +162,21 @@ def test_a_target_mounted_once_errs_alike_in_all_its_readings_in_the_tools_axes(
         np.testing.assert_allclose(aside, np.tile(aside[0], (60, 1)), rtol=0, atol=1e-15)
         offsets.append(aside[0])
     np.testing.assert_allclose(np.std(offsets, axis=0), 12.7e-6, rtol=0.15)
+
+
+def test_a_reading_is_the_target_beside_its_point_and_displaced_by_as_much_as_its_range_says():
+    """Of one reading, by hand: along the tool's axes by the mounting, then by normal numbers times deviations."""
+    rng = np.random.default_rng(3)
+    rotation, position, stand = rotation_matrix(rng.normal(size=3)), rng.normal(size=3), rng.normal(size=3)
+    reading, mounting = rng.normal(size=6), rng.normal(size=3)
+    noise = MeasurementNoise(1e-4, 2e-3, range_std=3e-5, centring_std=4e-2)
+    frame = (*rotation.T.ravel(), *position)
+    seen = pose_of(read_frame(np, noise, tuple(stand), frame, reading, mounting))
+    target = position + rotation @ (4e-2 * mounting)
+    deviation = 1e-4 + 3e-5 * np.linalg.norm(target - stand)
+    np.testing.assert_allclose(seen.position, target + deviation * reading[:3], rtol=0, atol=1e-14)
+    turned = rotation_matrix(2e-3 * reading[3:]) @ rotation
+    np.testing.assert_allclose(seen.rotation, turned, rtol=0, atol=1e-6)
 
 
 def test_an_instruments_own_noise_stands_in_place_of_the_plants():

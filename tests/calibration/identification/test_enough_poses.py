@@ -66,8 +66,16 @@ def test_rows_that_repeat_each_other_need_two_for_each_parameter_that_others_wou
     data = repeated(exact(qiao.true, 2).positions_only())
     with pytest.raises(InputError, match=r"2 poses give 6 equations, too few for the 4 parameters .* at least 3 poses"):
         identify(chosen(qiao.nominal, "base_x", "base_y", "base_z", "theta1", "base_ry"), qiao.nominal, data)
-    found = identify(chosen(qiao.nominal, "base_x", "base_z", "theta1", "base_ry"), qiao.nominal, data)
-    assert found.identifiability.rank == 2
+    model = chosen(qiao.nominal, "base_x", "base_z", "theta1", "base_ry")
+    assert identify(model, qiao.nominal, data).identifiability.rank == 2
+
+
+def test_of_several_data_sets_what_they_show_together_counts_and_no_other_pose_is_imagined(qiao, exact):
+    """Alone such rows are refused."""
+    data = repeated(exact(qiao.true, 2).positions_only())
+    model = chosen(qiao.nominal, "base_x", "base_y", "base_z", "theta1", "base_ry")
+    apart = identify(model, qiao.nominal, [data.select([0]), data.select([1])])
+    assert apart.identifiability.rank == 3
 
 
 def test_what_terms_would_show_elsewhere_is_not_asked_for(qiao, exact):

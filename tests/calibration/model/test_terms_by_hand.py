@@ -8,6 +8,7 @@ import pytest
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, load_plant, rotation_matrix
 from pickenv.arm.kinematics.forward import chain_of, frames, split_joints
 from pickenv.calibration import random_joints
+from pickenv.calibration.identification.term_choice import plain_term
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.terms import (
     BendingTerm,
@@ -106,6 +107,13 @@ def test_a_boom_sags_as_a_cantilever_and_turns_by_its_slope(qiao):
         turn = slope * np.cross(z, across)
         np.testing.assert_allclose(columns[:, 3:, k], turn, atol=1e-12)
         np.testing.assert_allclose(columns[:, :3, k], sag * across + np.cross(turn, lever), atol=1e-12)
+
+
+@pytest.mark.parametrize(("payload", "counts"), [(None, False), ([1.2, 1.2, 1.2], False), ([0.0, 0.4, 0.2], True)])
+def test_a_recorded_payload_is_a_load_of_its_own_where_it_varies(qiao, exact, payload, counts):
+    """By any weight: one that stays is part of the arm's own."""
+    data = replace(exact(qiao.true, 3), conditions=Conditions(payload=None if payload is None else np.array(payload)))
+    assert plain_term("gravity", qiao, data).payload == counts
 
 
 def test_without_a_recorded_payload_the_loads_own_counts():

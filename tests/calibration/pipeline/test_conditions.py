@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.arm import Plant, draw_plants, load_plant, load_tolerances, plant_at, pose_error
-from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_error
+from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.calibration.pipeline.conditions_study import (
     BLIND,
     BOTH,
@@ -76,6 +76,8 @@ def test_the_hour_warms_and_sinks_the_machine_as_its_time_constants_say() -> Non
     start = replace(at_once, base_tilt=tilt).tool_pose(joints[0]).position
     share = 1.0 - np.exp(-hours / 1.5)
     np.testing.assert_allclose(stood, start + share[:, None] * (long_after - start), atol=2e-6)  # tilts are small
+    for name in ("creep", "settlement"):
+        np.testing.assert_allclose(getattr(under(cool, day).base_tilt, name), share * getattr(cool.base_tilt, name))
 
 
 def test_every_pose_is_measured_in_its_own_state_and_says_so(dynamic: Plant) -> None:
@@ -94,8 +96,9 @@ def test_friction_and_backlash_are_in_what_is_measured() -> None:
     """The same poses from another side stand elsewhere; without friction and backlash they do not."""
     plant = load_plant("orchard", without=["measurement_noise"])
     for arm, apart in ((plant, True), (plant.without(["stick_band", "backlash"]), False)):
-        data = measured_under(arm, state(50), np.random.default_rng(1))
-        stood = under(arm, state(50)).tool_pose(data.joints)
+        afternoon = state(50, payload=0.2, weather=4.0, hour=5.0)  # warm, and sunk by then
+        data = measured_under(arm, afternoon, np.random.default_rng(1))
+        stood = under(arm, afternoon).tool_pose(data.joints)
         miss = np.linalg.norm(data.position - stood.position, axis=1)
         assert (1e-5 < np.median(miss) < 1e-3) if apart else miss.max() < 1e-9
 
@@ -157,6 +160,7 @@ def test_intervals_are_over_arms_and_there_are_none_of_few() -> None:
         for by_level in sweep["methods"].values():
             assert len(by_level) == len(sweep["levels"])
             assert all(each["ci95_mm"] is None and each["mean_mm"] > 0 for each in by_level)
+    assert few["growth"] == "as in the tolerance class medium"
     again = conditions_study(load_plant("qiao2026"), ConditionsSettings(arms=1, sessions=3, poses=20))
     assert again["sweeps"]["hour"] != few["sweeps"]["hour"]
 
@@ -187,7 +191,7 @@ def test_the_command_prints_the_numbers_that_it_writes(tmp_path: Path) -> None:
     words = ["conditions", "orchard", "--arms", 1, "--sessions", 2, "--poses", 20, "--weather", 0, "--hours", 0]
     said = call(*words, "--json", file)
     found = json.loads(file.read_text())
-    assert list(found["sweeps"]) == ["payload", HELD_OUT]
+    assert list(found["sweeps"]) == ["payload", HELD_OUT] and found["growth"] == "the plant's own"
     for sweep in found["sweeps"].values():
         for by_level in sweep["methods"].values():
             assert all(f"{each['mean_mm']:.3f}" in said for each in by_level)
@@ -220,6 +224,33 @@ def test_a_calibration_is_judged_on_its_own_arm_over_poses(calibration: Path, tm
     for sweep, best in (("payload", 0), ("temperature", 2), ("hour", 0)):
         own = found["sweeps"][sweep]["methods"]["this calibration"]
         assert own[best]["ci95_mm"][1] < own[-1]["ci95_mm"][0], sweep
+
+
+def test_what_is_left_is_the_length_of_each_miss_in_mm_level_by_level(calibration: Path) -> None:
+    """The same draws once more, by hand."""
+    plant, judge = warming(load_plant("qiao2026")), Calibration.load(calibration)
+    settings = ConditionsSettings(sessions=3, poses=4, ranges=ConditionRanges(payload=0.4, weather=0.0, hours=6.0))
+    found, rng = judged_on(plant, judge, settings, np.random.default_rng(8)), np.random.default_rng(8)
+    days = [state(8, payload=0.1 * k) for k in range(5)] + [state(8, hour=1.5 * k) for k in range(5)]
+    by_sweep = {name: list(methods.values()) for name, methods in found.items()}
+    assert list(by_sweep) == ["payload", "hour", HELD_OUT]
+    for k, day in enumerate(days):
+        data = measured_under(plant, day, rng)
+        raw, own = by_sweep["payload" if k < 5 else "hour"]
+        missed = np.linalg.norm(data.position - forward(plant.arm.nominal, data.joints).position, axis=1)
+        np.testing.assert_allclose(raw[k % 5], 1e3 * missed, rtol=1e-9)
+        np.testing.assert_allclose(own[k % 5], 1e3 * np.linalg.norm(judge.errors(data)[:, :3], axis=1), rtol=1e-9)
+    assert [len(values) for values in by_sweep[HELD_OUT][0]] == [12]
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_progress_is_told_arm_by_arm(own: bool, calibration: Path) -> None:
+    told_of: list[tuple[str, int, int]] = []
+    still = ConditionRanges(payload=0.0, weather=0.0, hours=0.0)
+    settings = ConditionsSettings(arms=2, sessions=2, poses=20, ranges=still)
+    judge = Calibration.load(calibration) if own else None
+    conditions_study(load_plant("qiao2026"), settings, judge, lambda *said: told_of.append(said))
+    assert told_of == ([("arms", 1, 1)] if own else [("arms", 1, 2), ("arms", 2, 2)])
 
 
 @pytest.mark.slow
