@@ -20,10 +20,11 @@ if TYPE_CHECKING:
 
 PLAIN = "PICKENV_PLAIN_PICTURES"
 """Set in the environment, it keeps to Pillow."""
-TRIAL = "from pickenv.pictures.vtk_drawer import try_out; try_out()"
+TRIAL = "pickenv.pictures.vtk_drawer"
+"""The program that tries it."""
 
 
-def picture(stage: Stage) -> Pixels:
+def painted(stage: Stage) -> Pixels:
     """Draw a stage: red, green and blue ``(height, width, 3)``."""
     if drawer_name() == "vtk":
         pixels = _vtk(stage.size, os.getpid()).draw(stage)
@@ -47,7 +48,7 @@ def why_plain() -> str | None:
         return f"Pictures are drawn plainly, as {PLAIN} asks."
     if not is_there("vtkmodules"):
         return "Pictures are drawn plainly; for solid bodies install VTK: pip install 'pickenv[render]'"
-    if subprocess.run([sys.executable, "-c", TRIAL], capture_output=True, check=False, timeout=120).returncode != 0:
+    if subprocess.run([sys.executable, "-m", TRIAL], capture_output=True, check=False, timeout=120).returncode != 0:
         return "Pictures are drawn plainly: VTK cannot draw here without EGL; on Debian and Ubuntu: apt install libegl1"
     return None
 

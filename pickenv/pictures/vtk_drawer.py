@@ -133,11 +133,6 @@ class _Body:
         self.actor.SetVisibility(count > 0)
 
 
-def try_out() -> None:
-    """Draw next to nothing: where VTK cannot, the program ends here."""
-    VtkDrawer((16, 16)).draw(Stage(Eye(np.ones(3), np.zeros(3)), size=(16, 16)))
-
-
 def off_screen_window() -> Any:
     """A window that needs no screen: EGL's on Linux, which draws on the processor where there is no adapter."""
     return getattr(vtkRenderingOpenGL2, "vtkEGLRenderWindow", vtkRenderWindow)()
@@ -154,3 +149,7 @@ def _some(part: Triangles, opaque: bool) -> Triangles:
     """The opaque triangles of a set, or the others."""
     chosen = (part.colour[part.triangles[:, 0], 3] == 255) == opaque
     return part if chosen.all() else part._replace(triangles=part.triangles[chosen])
+
+
+if __name__ == "__main__":  # try it out: where VTK cannot draw, it ends the program
+    VtkDrawer((16, 16)).draw(Stage(Eye(np.ones(3), np.zeros(3)), size=(16, 16)))

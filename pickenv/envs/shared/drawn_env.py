@@ -39,7 +39,7 @@ class DrawnEnv(gym.Env[Any, NDArray[Any]]):
                 "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
             )
             return None
-        from pickenv.pictures.screen import Window
+        from pickenv.pictures.show_window import Window
 
         picture = drawn(self._stage())
         if self.render_mode == "rgb_array":
@@ -78,8 +78,8 @@ def drawn(stage: Stage | None) -> Pixels:
     Raises:
         InputError: If there is none, since no episode has begun.
     """
-    from pickenv.pictures.drawers import picture
+    from pickenv.pictures.drawers import painted
 
     if stage is None:
         raise InputError("render was called before reset; call reset first")
-    return picture(stage)
+    return painted(stage)

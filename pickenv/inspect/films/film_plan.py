@@ -42,7 +42,7 @@ class Attempt:
 
 
 @dataclass(frozen=True)
-class Stated:
+class FilmCaption:
     """What a frame states of one policy.
 
     Attributes:
@@ -72,7 +72,7 @@ class FilmFrame:
 
     episode: int
     moment: int
-    stated: tuple[Stated, ...]
+    stated: tuple[FilmCaption, ...]
 
 
 @dataclass(frozen=True)
@@ -175,13 +175,13 @@ def _frame(policies: Sequence[RecordedPolicy], episode: int, moment: int) -> Fil
     return FilmFrame(episode, moment, tuple(_stated(policy, episode, moment) for policy in policies))
 
 
-def _stated(policy: RecordedPolicy, episode: int, moment: int) -> Stated:
+def _stated(policy: RecordedPolicy, episode: int, moment: int) -> FilmCaption:
     last = policy.moments - 1
     now = min(moment, int(last[episode]))
     rows = np.arange(episode)
     past = np.concatenate([policy.miss_mm[:episode].ravel(), policy.miss_mm[episode, : now + 1]])
     past = past[np.isfinite(past)]
-    return Stated(
+    return FilmCaption(
         label=policy.label,
         distance_mm=float(policy.position_error_mm[episode, now]),
         miss_mm=float(past[-1]) if len(past) else None,

@@ -11,7 +11,7 @@ import numpy as np
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.link_points import nominal_points, true_points
 from pickenv.inspect.colours import RED, policy_colours
-from pickenv.inspect.films.film_plan import Attempt, FilmFrame, FilmPlan, Stated, attempts_of, grasp_offset
+from pickenv.inspect.films.film_plan import Attempt, FilmFrame, FilmPlan, FilmCaption, attempts_of, grasp_offset
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.pictures.arm_shapes import (
     CUP_RADIUS,
@@ -150,7 +150,7 @@ def film_stage(film_set: FilmSet, frame: FilmFrame, side: int) -> Stage:
         arm_parts(episodes, policy, frame.episode, now, colour),
         _fruit(film_set, side, frame.episode, now, stated),
     )
-    words = (
+    words: tuple[Words, ...] = (
         Words(policy.label, colour=None, large=True),
         Words(f"picked {stated.picked} of {stated.tried}"),
         Words(f"{stated.distance_mm:.1f} mm to the fruit", "top right"),
@@ -181,7 +181,7 @@ def tool_axis(policy: RecordedPolicy, episode: int, moment: int) -> Array:
     return axis if np.isfinite(axis).all() else np.array([0.0, 0.0, 1.0])
 
 
-def _fruit(film_set: FilmSet, side: int, episode: int, now: int, stated: Stated) -> Solids:
+def _fruit(film_set: FilmSet, side: int, episode: int, now: int, stated: FilmCaption) -> Solids:
     """Fruit of the episode as this policy has left it, and a crate with what it has picked."""
     policy = film_set.episodes.policies[film_set.plan.policies[side]]
     attempts, track = film_set.attempts[side][episode], policy.fruit_position[episode]
@@ -222,7 +222,7 @@ def _beside(film_set: FilmSet) -> Array:
     return eye.point_at((0.28 * width, 0.86 * height), float(np.linalg.norm(eye.target - eye.position)), film_set.size)
 
 
-def _dial(film_set: FilmSet, side: int, frame: FilmFrame, now: int, colour: Rgb, stated: Stated) -> Dial:
+def _dial(film_set: FilmSet, side: int, frame: FilmFrame, now: int, colour: Rgb, stated: FilmCaption) -> Dial:
     """Where the tool was, seen from the fruit, whenever the gripper has closed so far; the last time largest."""
     policy = film_set.episodes.policies[film_set.plan.policies[side]]
     done = [(e, a) for e in range(frame.episode) for a in film_set.attempts[side][e]]

@@ -17,7 +17,7 @@ from pickenv.inspect.films.film_plan import FilmPlan, plan_film
 from pickenv.inspect.films.film_stage import FilmSet, halves
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 from pickenv.inspect.runs.run_folder import load_part, read_run
-from pickenv.pictures.drawers import picture
+from pickenv.pictures.drawers import painted
 from pickenv.pictures.lettering import strip
 from pickenv.pictures.stage import Pixels
 
@@ -106,7 +106,7 @@ def film_pictures(
     )
     gap = np.full((HALF[1], GAP, 3), below[0, 0], dtype=np.uint8)
     for number, frame in enumerate(plan.frames, start=1):
-        parts = [part for stage in halves(film_set, frame) for part in (picture(stage), gap)][:-1]
+        parts = [part for stage in halves(film_set, frame) for part in (painted(stage), gap)][:-1]
         yield np.concatenate([np.concatenate(parts, axis=1), below])
         if progress is not None:
             progress("frames", number, len(plan.frames))
@@ -118,7 +118,7 @@ def _encode(pictures: Iterator[Pixels], path: Path, frames_per_second: int) -> N
     Raises:
         InputError: If it cannot; with its last words.
     """
-    import imageio_ffmpeg
+    import imageio_ffmpeg  # type: ignore[import-untyped]
 
     first = next(pictures)
     height, width = first.shape[:2]
