@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from pickenv.faces import offered as _offered
 
 if _TYPE_CHECKING:
-    from pickenv.agents.evaluation.calibrated import CalibrationPlan
+    from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
+    from pickenv.agents.evaluation.compare import PolicyComparison, compare
     from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
     from pickenv.agents.evaluation.reaches import episode_seeds, run_reaches
     from pickenv.agents.evaluation.rollout import Rollout, roll_out
     from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
-    from pickenv.agents.policies.gap_wrapper import GapScaling
     from pickenv.agents.policies.harvest_policy import ScriptedHarvest
     from pickenv.agents.policies.learned import LearnedPolicy, load_policy, shipped_baselines
     from pickenv.agents.policies.oracle import OracleReach
@@ -30,10 +30,10 @@ if _TYPE_CHECKING:
     from pickenv.agents.training.training_setup import Training
     from pickenv.inspect.runs.episode_ends import Reaches
 
-__all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GapScaling", "GridSettings", "LearnedPolicy"]
-__all__ += ["OracleReach", "Policy", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]
-__all__ += ["ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "episode_seeds", "load_policy"]
-__all__ += ["roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
+__all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GridSettings", "LearnedPolicy", "OracleReach"]
+__all__ += ["Policy", "PolicyComparison", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]
+__all__ += ["ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "calibrate_arm", "compare"]
+__all__ += ["episode_seeds", "load_policy", "roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
 
 __getattr__, __dir__ = _offered(__name__)
 

@@ -19,12 +19,24 @@ from pickenv.faces import offered as _offered
 
 if _TYPE_CHECKING:
     from pickenv import agents, arm, calibration, envs, harvester, inspect, orchard, study, wrappers
-    from pickenv.agents import load_policy, run_reaches
+    from pickenv.agents import compare, load_policy, run_reaches
     from pickenv.arm import Arm, Plant, load_arm, load_plant
     from pickenv.calibration import Calibration, Choices, Result, calibrate
+    from pickenv.inspect import film
 
 __all__ = ["Arm", "Calibration", "Choices", "InputError", "Plant", "Result", "__version__", "agents", "arm"]
-__all__ += ["calibrate", "calibration", "envs", "harvester", "inspect", "load_arm", "load_plant", "load_policy"]
+__all__ += [
+    "calibrate",
+    "calibration",
+    "compare",
+    "envs",
+    "film",
+    "harvester",
+    "inspect",
+    "load_arm",
+    "load_plant",
+    "load_policy",
+]
 __all__ += ["orchard", "run_reaches", "study", "wrappers"]
 
 __getattr__ = _offered(__name__)[0]
@@ -43,6 +55,12 @@ def _register() -> None:
             vector_entry_point=f"pickenv.envs.reaching.vector:{name}VectorEnv",
             max_episode_steps=60,
         )
+    _gymnasium.register(
+        id="pickenv/ReachScaled-v0",
+        entry_point="pickenv.wrappers.gap:scaled_reach",
+        vector_entry_point="pickenv.wrappers.gap:scaled_reach_vector",
+        max_episode_steps=60,
+    )
     _gymnasium.register(
         id="pickenv/Harvest-v0",
         entry_point="pickenv.envs.harvesting.harvest_env:HarvestEnv",

@@ -1,4 +1,4 @@
-"""What the README prints is true: its blocks run in order, its make targets and its files exist."""
+"""What README and the pages behind it print is true: blocks run in order, files exist, numbers are those of Results."""
 
 import os
 import re
@@ -14,10 +14,18 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+RUN = ("README.md", "docs/commands.md")
+"""Pages whose blocks are run, one after the other in one folder; other pages have tests of their own."""
+PLAIN = ("README.md", "docs/quickstart.md", "docs/index.md", "docs/installation.md")
+MOST_WORDS = 35
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
-ELSEWHERE = {"make test": "it runs this very test"}
-COMMANDS = ("make", "pickenv")
+ELSEWHERE = {
+    "make test": "it runs this very test",
+    "make demo": "`pickenv demo --quick` stands above it; .ci/run types it",
+    'pip install ".[rl,inspect]"': "what runs this has it; tests/journeys/test_core_install.py installs",
+}
+COMMANDS = ("make", "pickenv", "pip")
 SHORTER = {"learn(100_000)": "learn(2_048)"}  # what a reader waits for and a test need not
 
 ENVIRONMENT = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))} | {
@@ -26,13 +34,17 @@ ENVIRONMENT = {name: value for name, value in os.environ.items() if not name.sta
 }
 
 
-def blocks() -> list[tuple[str, str]]:
-    """Language and text of every fenced block, in the README's order."""
-    return BLOCK.findall(README)
+def page(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def blocks(name: str) -> list[tuple[str, str]]:
+    """Language and text of every fenced block of a page, in its order."""
+    return BLOCK.findall(page(name))
 
 
 def shell_lines() -> Iterator[str]:
-    for language, text in blocks():
+    for language, text in blocks("README.md"):
         if language == "sh":
             yield from text.splitlines()
 
@@ -54,7 +66,7 @@ def makefile_targets() -> set[str]:
 
 
 def test_every_block_is_of_a_kind_that_is_run() -> None:
-    assert {language for language, _ in blocks()} == {"sh", "python"}
+    assert {language for name in RUN for language, _ in blocks(name)} == {"sh", "python"}
     assert {shlex.split(line)[0] for line in shell_lines()} <= set(COMMANDS)
 
 
@@ -78,16 +90,55 @@ def test_continuous_integration_calls_the_readmes_test_command() -> None:
     assert "make test" in (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
 
 
+def table(text: str, head: str) -> list[list[str]]:
+    """Cells of the rows of the first table whose head begins so."""
+    lines = text[text.index(f"\n| {head}") + 1 :].split("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def test_the_readmes_five_rows_are_those_of_the_results() -> None:
+    results = page("docs/results.md")
+    (simulated, *measured) = table(README, "arm | nominal")
+    assert len(measured) == 4
+    by_policy = {row[0]: row[1] for row in table(results, "policy | position error, mean")}
+    assert simulated[1:4] == [by_policy[policy] for policy in ("raw", "LS", "LS+BPNN")]
+    blocks = {row[0]: row for row in table(results, "robot and rows judged")}
+    for arm, nominal, geometry, best, _ in measured:
+        name, statistic = re.fullmatch(r"(.+), measured, (\w+)", arm).groups()
+        assert [nominal, geometry, best] == [
+            cell.partition(":")[0] for cell in blocks[f"{name}, blocks, {statistic}"][1:4]
+        ]
+
+
+def sentences(text: str) -> Iterator[str]:
+    """Sentences of a page's prose: no code, tables, pictures or addresses."""
+    text = re.sub(r"^```.*?^```$|<!--.*?-->|^\|.*?$|^#.*?$|!\[[^\]]*\]\([^)]*\)", "\n\n", text, flags=re.M | re.S)
+    text = re.sub(r"\]\([^)]*\)", "]", text)
+    for paragraph in re.split(r"\n\s*\n|^- ", text, flags=re.M):
+        yield from re.split(r"(?<=[.!?])[*_]*\s+", paragraph.strip())
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_no_sentence_is_long(name: str) -> None:
+    found = [each for each in sentences(page(name)) if each]
+    assert len(found) >= 3
+    assert [each for each in found if len(each.split()) > MOST_WORDS] == []
+
+
+def test_the_measure_of_sentences_sees_a_long_one() -> None:
+    long = "word " * (MOST_WORDS + 1) + "end."
+    seen = list(sentences(f"# Head\n\nShort one. {long} Short.\n\n```sh\n{long}\n```\n| {long} |\n"))
+    assert [len(each.split()) > MOST_WORDS for each in seen if each] == [False, True, False]
+
+
 @pytest.mark.slow
 def test_every_block_runs_in_order(tmp_path: Path) -> None:
-    for language, text in blocks():
+    for language, text in (block for name in RUN for block in blocks(name)):
         if language == "python":
             for long, short in SHORTER.items():
                 text = text.replace(long, short)
             run([sys.executable, "-c", text], tmp_path)
             continue
         for line in text.splitlines():
-            if line in ELSEWHERE:
-                continue
-            words = shlex.split(line)
-            run(shlex.split(recipe(words[1])) if words[0] == "make" else words, tmp_path)
+            if line not in ELSEWHERE:
+                run(shlex.split(line), tmp_path)

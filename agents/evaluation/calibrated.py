@@ -52,13 +52,22 @@ class CalibrationPlan:
     instrument: str = TRACKER
 
 
-def calibrate_arm(plant: Plant, compensation: str, protocol: CalibrationPlan, number: int) -> Calibration:
-    """Calibrate one arm; equal arguments give equal calibrations.
+def calibrate_arm(
+    plant: Plant, compensation: str, protocol: CalibrationPlan | None = None, number: int = 0
+) -> Calibration:
+    """Measure a simulated arm with a simulated tracker and calibrate it; equal arguments give equal calibrations.
+
+    Args:
+        plant: The arm.
+        compensation: "ls", "ls_bpnn" or "best", of `COMPENSATIONS`.
+        protocol: How it is measured and fitted; a `CalibrationPlan` as it is by itself if left out.
+        number: The arm's number in a population; every arm has its own poses and noise.
 
     Raises:
         InputError: If the compensation is not one of `COMPENSATIONS` that calibrate.
     """
     check_compensation(compensation)
+    protocol = protocol or CalibrationPlan()
     poses, learning = (np.random.default_rng(part) for part in stream(protocol.seed, "calibration", number).spawn(2))
     counts = (protocol.identification_poses, protocol.residual_poses)
     first, second = (

@@ -10,9 +10,12 @@ from typing import Any
 import numpy as np
 
 from pickenv.agents.evaluation.rollout import PolicyMaker
+from pickenv.agents.policies import foreign
 from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
+from pickenv.agents.policies.harvest_policy import ScriptedHarvest
 from pickenv.agents.policies.learned import load_policy
 from pickenv.agents.policies.oracle import OracleReach
+from pickenv.agents.policies.pick_policy import ScriptedPick
 from pickenv.agents.policies.policy import Policy
 from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
 from pickenv.agents.policies.servo import ServoReach
@@ -48,7 +51,23 @@ class Kind:
         return SEQUENTIAL_STEPS if self.sequential else 60
 
 
-PLAIN: Mapping[str, Callable[[Any], Policy]] = {"scripted": ScriptedReach, "oracle": OracleReach, "servo": ServoReach}
+def scripted(env: Any) -> Policy:
+    """The scripted policy of an environment.
+
+    Raises:
+        InputError: If it is none of pickenv's.
+    """
+    inner = env.unwrapped
+    if hasattr(inner, "orchard"):
+        return ScriptedPick(env)
+    if hasattr(getattr(inner, "task", None), "machine"):
+        return ScriptedHarvest(env)
+    if not hasattr(inner, "task"):
+        raise InputError(f"there is no scripted policy for {type(inner).__name__}; give a policy of your own")
+    return ScriptedReach(env)
+
+
+PLAIN: Mapping[str, Callable[[Any], Policy]] = {"scripted": scripted, "oracle": OracleReach, "servo": ServoReach}
 
 KINDS: Mapping[str, Kind] = {
     "random": Kind(("encoders",)),
@@ -68,6 +87,8 @@ def kind_of(name: str) -> Kind:
     """
     if name in KINDS:
         return KINDS[name]
+    if Path(name).suffix in foreign.SUFFIXES:
+        return Kind(files=(name,))
     if Path(name).is_dir():
         files = tuple(str(path) for path in sorted(Path(name).glob("*/policy.npz")))
         return Kind(_feedback_of(name, files), files=files)
@@ -86,7 +107,7 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
     """How a policy is made for an environment, from a seed.
 
     Args:
-        name: Of `KINDS`, of a shipped policy, or a policy file.
+        name: Of `KINDS`, of a shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
         camera_noise_mm: Noise that an adaptive policy expects, per axis.
         compensation: What it stands behind.
     """
@@ -99,7 +120,9 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
         if name == "adaptive":
             prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
             return AdaptiveReach(env, AdaptiveSettings(camera_std=camera_noise_mm * 1e-3, prior=prior))
-        return load_policy(name, env.task.plant.arm)
+        if Path(name).suffix in foreign.SUFFIXES:
+            return foreign.foreign_policy(name, env, seed)
+        return load_policy(name, env.unwrapped.task.plant.arm)
 
     return make
 
@@ -107,6 +130,8 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
 def policy_name(name: str) -> str:
     """How a policy is called in tables: files and folders by the end of their path."""
     path = Path(name)
+    if path.suffix in foreign.SUFFIXES:
+        return path.stem
     if name.endswith(".npz"):
         return "/".join(path.with_suffix("").parts[-3:])
     return path.name if len(path.parts) > 1 else name

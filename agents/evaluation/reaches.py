@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -40,19 +40,40 @@ def run_reaches(
         raise InputError("there are no episodes to run; give at least one seed")
     last = []
     for done, seed in enumerate(seeds, start=1):
-        observation, info = env.reset(seed=seed)
-        policy.reset()
-        for _ in range(LONGEST_EPISODE):
-            observation, _, terminated, truncated, info = env.step(policy.act(observation))
-            if terminated or truncated:
-                break
-        else:
-            raise InputError(
-                f"an episode did not end within {LONGEST_EPISODE} steps; give the environment a time limit"
-            )
+        for moment in moments_of(env, policy, seed):
+            info = moment.info
         last.append(info)
         if progress is not None:
             progress(done)
     inner: Any = env.unwrapped
     stacked = {key: np.array([info[key] for info in last]) for key in last[0]}
     return reaches_of(inner.plant.geometry, seeds, stacked)
+
+
+class Moment(NamedTuple):
+    """What is known after a reset or a step.
+
+    Attributes:
+        reward: Of the step; 0 after the reset.
+        info: The environment's.
+    """
+
+    reward: float
+    info: Mapping[str, Any]
+
+
+def moments_of(env: gym.Env[Any, Any], policy: Policy, seed: int) -> Iterator[Moment]:
+    """Run one episode, moment by moment from the reset on.
+
+    Raises:
+        InputError: If the episode does not end.
+    """
+    observation, info = env.reset(seed=seed)
+    policy.reset()
+    yield Moment(0.0, info)
+    for _ in range(LONGEST_EPISODE):
+        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+        yield Moment(float(reward), info)
+        if terminated or truncated:
+            return
+    raise InputError(f"an episode did not end within {LONGEST_EPISODE} steps; give the environment a time limit")

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.agents.policies.gap import Scaling, joined_observation
 from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
+from pickenv.wrappers.gap import Scaling, joined_observation
 
 KIND = "policy"
 FORMAT = 2
@@ -63,25 +63,16 @@ class LearnedPolicy:
             InputError: If the observation is not of the kind that it was trained on.
         """
         values = joined_observation(observation)
-        if self.scaling.goal and not isinstance(observation, dict):
-            values = self._goal(values)
-        self.scaling.check(values.shape[-1])
-        layer = np.asarray(self.scaling.observe(values, np), dtype=float)
+        # a flat observation holds the gap that its goal observation would
+        scaling = self.scaling if isinstance(observation, dict) else replace(self.scaling, goal=False)
+        scaling.check(values.shape[-1])
+        layer = np.asarray(scaling.observe(values, np), dtype=float)
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             layer = layer @ weight + bias
             if i + 1 < len(self.weights):
                 layer = ACTIVATIONS[self.activation](layer)
         action = np.tanh(layer) if self.squashed else layer.clip(-1.0, 1.0)
-        return np.asarray(action * self.scaling.share(values, np), dtype=np.float32)
-
-    def _goal(self, values: Any) -> Any:
-        """A flat observation as the goal environment would give it."""
-        n, camera = self.scaling.joints, self.scaling.camera
-        if values.shape[-1] != n + 12 + 3 * camera:
-            return values  # `Scaling.check` says what is wrong
-        achieved = values[..., n + 3 : n + 6] - values[..., n + 12 :] if camera else values[..., n : n + 3]
-        parts = (values[..., : n + 3], values[..., n + 9 : n + 12], achieved, values[..., n + 3 : n + 6])
-        return np.concatenate(parts, axis=-1)
+        return np.asarray(action * scaling.share(values, np), dtype=np.float32)
 
     def save(self, path: str | Path) -> Path:
         """Write one verified file (see `pickenv.container`), whole or not at all; ``.npz`` is appended if missing."""

@@ -65,8 +65,8 @@ class RandomReach:
     """Even random actions: what knowing nothing comes to."""
 
     def __init__(self, env: Any, rng: np.random.Generator) -> None:
-        """``env`` gives the number of joints, ``rng`` every draw."""
-        self.joints = len(env.unwrapped.increment)
+        """``env``, single or vector, gives the actions' bounds, ``rng`` every draw."""
+        self.space = getattr(env, "single_action_space", env.action_space)
         self.rng = rng
 
     def reset(self) -> None:
@@ -74,5 +74,5 @@ class RandomReach:
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action."""
-        shape = (*np.shape(observation)[:-1], self.joints)
-        return np.asarray(self.rng.uniform(-1.0, 1.0, shape), dtype=np.float32)
+        low, high = np.float64(self.space.low), np.float64(self.space.high)
+        return np.asarray(self.rng.uniform(low, high, (*np.shape(observation)[:-1], *low.shape)), dtype=np.float32)

@@ -34,6 +34,12 @@ def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
     return {key: _value(value) for key, value in known[env_id].items()}
 
 
+def class_named(policy: str) -> Any:
+    """A policy as stable-baselines3 takes it: the class that a dotted name stands for, or one of its own names."""
+    module, _, name = policy.rpartition(".")
+    return getattr(importlib.import_module(module), name) if module else policy
+
+
 def _value(value: Any) -> Any:
     if not isinstance(value, str):
         return value

@@ -15,7 +15,7 @@ from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac import policies as sac
 
-from pickenv.agents.policies.gap import Scaling, joined_observation
+from pickenv.wrappers.gap import Scaling, joined_observation
 
 MOST = 3.0
 """Critics see actions up to this multiple of the share; hindsight puts goals beside the tool, and shares near zero."""
@@ -24,7 +24,10 @@ MOST = 3.0
 class ScaledFeatures(BaseFeaturesExtractor):
     """What the networks see of an observation; nothing in it is learnt."""
 
-    def __init__(self, observation_space: spaces.Space[Any], scaling: Scaling) -> None:
+    def __init__(self, observation_space: spaces.Dict, actions: bool = True) -> None:
+        """See a goal observation; ``actions`` as in `pickenv.wrappers.GapScaling`."""
+        joints = observation_space["observation"].shape[0] - 3  # type: ignore[index]  # and the believed position
+        scaling = Scaling(joints, goal=True, actions=actions)
         super().__init__(observation_space, scaling.features)
         self.scaling = scaling
 
@@ -88,6 +91,9 @@ class _ScaledNetworks:
 
     actor_kind: type[Any]
     critic_kind: type[Any]
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **{"features_extractor_class": ScaledFeatures, **named})
 
     def make_actor(self: Any, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
         """The actor."""

@@ -10,24 +10,21 @@ from typing import Any
 import numpy as np
 
 from pickenv.agents.evaluation.calibrated import load_compensator
-from pickenv.agents.policies.gap import Scaling
 from pickenv.agents.policies.learned import LearnedPolicy
-from pickenv.agents.training.hyperparams import check_algorithm, tuned
+from pickenv.agents.training.hyperparams import check_algorithm, class_named, tuned
 from pickenv.arm.files.content import content_sha256
 from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.files import write_json
 from pickenv.limits import check_limit
 from pickenv.provenance import file_sha256, versions
+from pickenv.wrappers.gap import GapScalingVector, Scaling
 
 ENVIRONMENTS: dict[str, type[ReachVectorEnv]] = {
     "pickenv/Reach-v0": ReachVectorEnv,
     "pickenv/ReachIdeal-v0": ReachIdealVectorEnv,
     "pickenv/ReachGoal-v0": ReachGoalVectorEnv,
 }
-UNREWARDED_TURN = 1e9
-"""Goal environments do not reward the attitude, so it is no part of the gap there."""
-
 HELD_OUT = 2**62
 """Seeds of evaluation episodes start here; training seeds are below."""
 
@@ -46,7 +43,7 @@ class Training:
         allow: Reservations of that calibration to accept, by name (`pickenv.reservations`).
         checkpoint_every: Environment steps between checkpoints.
         evaluate_every: Environment steps between evaluations.
-        scaled_actions: Whether actions shrink with the gap (`pickenv.agents.policies.gap`).
+        scaled_actions: Whether actions shrink with the gap (`pickenv.wrappers.GapScaling`).
         parameters: Parameters of the algorithm that replace the tuned ones.
     """
 
@@ -108,9 +105,8 @@ def make_environment(training: Training, count: int, mode: str) -> ReachVectorEn
 
 
 def scaling_of(training: Training, env: ReachVectorEnv) -> Scaling:
-    """The scaling that suits an environment."""
-    more: dict[str, Any] = {"near_turn": UNREWARDED_TURN} if env.goal_dict else {}
-    return Scaling(env.task.joints, env.task.camera, env.goal_dict, training.scaled_actions, **more)
+    """What the networks make of an environment's observations."""
+    return Scaling(env.task.joints, env.task.camera, env.goal_dict, training.scaled_actions)
 
 
 def inputs_of(training: Training) -> Inputs:
@@ -154,36 +150,25 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     Raises:
         InputError: If PPO is asked for in a goal environment.
     """
+    from sb3_contrib import TQC
     from stable_baselines3 import PPO, SAC, HerReplayBuffer
 
     from pickenv.wrappers.sb3 import Sb3Vec
 
     chosen = training.chosen
-    for key in ("n_timesteps", "env_kwargs", "env_wrapper", "policy"):
+    for key in ("n_timesteps", "env_kwargs", "env_wrapper"):
         chosen.pop(key, None)
     inner = make_environment(training, int(chosen.pop("n_envs")), "SameStep")
-    scaling = scaling_of(training, inner)
     logs = str(out / "logs") if out is not None and importlib.util.find_spec("tensorboard") is not None else None
     common: dict[str, Any] = {"seed": training.seed, "device": "cpu", "tensorboard_log": logs, "verbose": 0}
-    if training.algorithm == "ppo":
-        if inner.goal_dict:
-            raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
-        env = Sb3Vec(inner, scaling)
-        return PPO("MlpPolicy", env, **chosen, **common), env
-    from pickenv.agents.training import off_policy
-
-    env = Sb3Vec(inner)
-    chosen["policy_kwargs"] = chosen.get("policy_kwargs", {}) | {
-        "features_extractor_class": off_policy.ScaledFeatures,
-        "features_extractor_kwargs": {"scaling": scaling},
-    }
-    if chosen.get("replay_buffer_class") == "HerReplayBuffer":
+    if inner.goal_dict and training.algorithm == "ppo":
+        raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
+    env = Sb3Vec(inner if inner.goal_dict else GapScalingVector(inner, training.scaled_actions))
+    if inner.goal_dict:
+        chosen["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
         chosen["replay_buffer_class"] = HerReplayBuffer
-    if training.algorithm == "sac":
-        return SAC(off_policy.SacPolicy, env, **chosen, **common), env
-    from sb3_contrib import TQC
-
-    return TQC(off_policy.TqcPolicy, env, **chosen, **common), env
+    kinds: dict[str, Any] = {"ppo": PPO, "sac": SAC, "tqc": TQC}
+    return kinds[training.algorithm](class_named(chosen.pop("policy")), env, **chosen, **common), env
 
 
 def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy:

@@ -99,7 +99,7 @@ def _row(
 
 
 def _spread_rows(name: str, figures: Figures) -> list[dict[str, Any]]:
-    """LS and the best model of one row of README's table."""
+    """LS and the best model of one row of the table of measured robots."""
     row, models = SPREAD[name], figures["models"]
     nominal, ls = models["nominal"][0], models["geometry"]
     named = {"LS": (nominal, ls)}

@@ -1,6 +1,6 @@
 """The benchmark of calibrations as one run: parts that are kept when done, and the tables that they make.
 
-A part (one fold of a robot, one row of README's table, one peer) is kept in the folder by a hash of its settings, the
+A part (a fold or a row of a measured robot, a peer) is kept in the folder by a hash of its settings, the
 bytes of its data, and the code. Every part has a random stream of its own, so that the figures are the same whatever
 is run beside it, and by however many processes.
 """
@@ -52,7 +52,7 @@ class BenchSettings:
         rows: Rows of a set at most for predicted and measured gains, equally spaced in its file.
         folds: Parts of these rows that are held out in turn.
         draws: Arms drawn from each fold's twin.
-        splits: Random splits of README's rows.
+        splits: Random splits of those rows.
         seed: Of everything random.
     """
 
@@ -76,7 +76,7 @@ class Bench:
         settings: How much was computed.
         gains: Gains by robot and split.
         used: Rows in a set's file, and rows used, by robot.
-        spread: Figures of README's rows, by name.
+        spread: Figures of the rows of measured robots, by name.
         peers: Errors of peers on UR5's rows, by name.
         skipped: Rows that were not made, and why.
     """

@@ -1,4 +1,4 @@
-"""README's rows of measured robots, each with its spread: over random splits, between blocks, or over other poses."""
+"""Rows of measured robots, each with its spread: over random splits, between blocks, or over other poses."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ SPREAD = {
     "positioner_random": SpreadRow("positioner", "random", "none", "none", "mean"),
     "positioner_blocks": SpreadRow("positioner", "blocks", "auto", "none", "mean"),
 }  # type: dict[str, SpreadRow]
-"""The rows by name, in README's order."""
+"""The rows by name, in the order of the table."""
 
 
 def spread_figures(row: SpreadRow, data: Path, splits: int, seed: int) -> dict[str, Any]:

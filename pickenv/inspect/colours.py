@@ -5,6 +5,8 @@ Policy colours are Okabe and Ito's, which people with colour vision deficiency c
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -19,6 +21,7 @@ Rgb = tuple[int, int, int]
 ORANGE: Rgb = (230, 159, 0)
 BLUE: Rgb = (0, 114, 178)
 GREEN: Rgb = (0, 158, 115)
+PURPLE: Rgb = (204, 121, 167)
 RED: Rgb = (208, 32, 38)
 """Reserved for the tolerance and for misses."""
 GREY: Rgb = (150, 150, 158)
@@ -36,8 +39,13 @@ BY_KEY: dict[str, Rgb] = {
     "ls_bpnn": GREEN,
     "with_residual": GREEN,
     "model_used": GREEN,
+    "ls_gp": PURPLE,
+    "best": PURPLE,
 }
-OTHERS: tuple[Rgb, ...] = ((204, 121, 167), (86, 180, 233), (240, 228, 66), (150, 150, 150))
+OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (150, 140, 20), (150, 150, 150))
+NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
+ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
+"""Policies stand in this order everywhere; others follow."""
 
 ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
 """Of a harvester's arms, in turn."""
@@ -65,15 +73,49 @@ def policy_key(name: str) -> str:
     return "_".join(words)
 
 
-def policy_colours(names: list[str]) -> list[Rgb]:
-    """One colour per policy, given keys or labels: fixed ones for raw, LS and LS + BPNN, further ones in turn."""
-    colours, spare = [], 0
-    for name in names:
-        known = BY_KEY.get(policy_key(name))
-        if known is None:
-            known, spare = OTHERS[spare % len(OTHERS)], spare + 1
-        colours.append(known)
+def policy_colours(names: Sequence[str]) -> list[Rgb]:
+    """One colour per policy, given keys or labels, by its name alone wherever that tells them apart.
+
+    raw, LS and LS+BPNN have fixed ones, and so has a name that ends in one of these (``ppo_raw``); others have one of
+    `OTHERS`. Where a policy before it has that colour already, it takes the next that is free.
+    """
+    keys = [policy_key(name) for name in names]
+    taken = {BY_KEY[key] for key in keys if key in BY_KEY}
+    colours: list[Rgb] = []
+    for key in keys:
+        colour = _own_colour(key)
+        if key not in BY_KEY:
+            colour = next((each for each in (colour, *OTHERS, *BY_KEY.values()) if each not in taken), colour)
+            taken.add(colour)
+        colours.append(colour)
     return colours
+
+
+def _own_colour(key: str) -> Rgb:
+    words = key.split("_")
+    ends = ("_".join(words[i:]) for i in range(len(words)))
+    known = next((BY_KEY[end] for end in ends if end in BY_KEY), None)
+    return OTHERS[zlib.crc32(key.encode()) % len(OTHERS)] if known is None else known
+
+
+def policy_rank(name: str) -> int:
+    """Where a policy stands among others, given its key or label: 1 for raw, 2 for LS, 3 for LS+BPNN, 4 for others."""
+    key = policy_key(name)
+    return next((i for i, keys in enumerate(ORDER, start=1) if key in keys), len(ORDER) + 1)
+
+
+def policy_label(key: str) -> str:
+    """What people call a policy with a key that has no label of its own: LS+BPNN for ls_bpnn, ``my policy``."""
+    return NAMES.get(key, key.replace("_", " "))
+
+
+def lane(name: str) -> str:
+    """A policy's part of an entity path where the viewer sorts by path: ``1_raw``, ``2_ls``, ``3_ls_bpnn``, ``4_ppo``.
+
+    What follows a slash, such as an environment's number, stays.
+    """
+    policy, slash, rest = name.partition("/")
+    return f"{policy_rank(policy)}_{policy_key(policy)}{slash}{rest}"
 
 
 def arm_colour(arm: int) -> Rgb:

@@ -126,6 +126,13 @@ def capture_probability(
     return np.asarray(inside, dtype=np.float64)
 
 
+def lateral_tolerance(gripper: Gripper) -> float:
+    """How far aside of the tool's axis a fruit may lie, m: always taken by a cup, one time in two by a hand."""
+    if isinstance(gripper, CompliantHand):
+        return max(gripper.intercept / gripper.lateral, 0.0)
+    return (gripper.opening - gripper.fruit) / 2.0
+
+
 def load_gripper(name: str | Path) -> Gripper:
     """Read a gripper by name (`shipped("gripper")`) or from a path to a TOML file."""
     return preset_files.load("gripper", name, gripper_kind)

@@ -1,7 +1,7 @@
-"""Around environments: a calibration, a real arm's error, and Stable-Baselines3's way of asking for many at once.
+"""Around environments: a calibration, a scaling to learn by, a real arm's error, and many at once for SB3.
 
     env = CompensationWrapper(gymnasium.make("pickenv/Reach-v0"), calibration.compensator())
-    model = PPO("MlpPolicy", make_sb3_vec("pickenv/Reach-v0", 16))
+    model = PPO("MlpPolicy", make_sb3_vec("pickenv/ReachScaled-v0", 64))
 
 stable-baselines3 is loaded when `make_sb3_vec` or `Sb3Vec` is first asked for.
 """
@@ -12,11 +12,12 @@ from pickenv.faces import offered as _offered
 
 if _TYPE_CHECKING:
     from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper, CompensationWrapper
+    from pickenv.wrappers.gap import GapScaling, GapScalingVector, scaled_reach, scaled_reach_vector
     from pickenv.wrappers.miscalibrate import Miscalibrate
     from pickenv.wrappers.mujoco_arm import geometry_in_mujoco
     from pickenv.wrappers.sb3 import Sb3Vec, make_sb3_vec
 
-__all__ = ["Compensate", "CompensationVectorWrapper", "CompensationWrapper", "Miscalibrate", "Sb3Vec"]
-__all__ += ["geometry_in_mujoco", "make_sb3_vec"]
+__all__ = ["Compensate", "CompensationVectorWrapper", "CompensationWrapper", "GapScaling", "GapScalingVector"]
+__all__ += ["Miscalibrate", "Sb3Vec", "geometry_in_mujoco", "make_sb3_vec", "scaled_reach", "scaled_reach_vector"]
 
 __getattr__, __dir__ = _offered(__name__)

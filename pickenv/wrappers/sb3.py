@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -16,25 +15,9 @@ import pickenv  # noqa: F401  (registers the environments)
 from pickenv.errors import InputError
 from pickenv.seeds import seed_words, stream
 from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper
+from pickenv.wrappers.gap import GapScalingVector
 
 NUMBERS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
-
-
-class GapScale(Protocol):
-    """How a policy wants to see flat observations, and what its actions mean there; `agents.policies.gap` has one."""
-
-    @property
-    def features(self) -> int:
-        """Numbers that the policy sees."""
-        ...
-
-    def observe(self, values: Any, xp: Any) -> Any:
-        """What the policy sees ``(..., features)`` of observations; ``xp`` is numpy."""
-        ...
-
-    def share(self, values: Any, xp: Any) -> Any:
-        """What its actions are multiplied by ``(..., 1)``."""
-        ...
 
 
 def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = None, **arguments: Any) -> Sb3Vec:
@@ -49,7 +32,7 @@ def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = Non
     Example:
         >>> from pickenv.wrappers.sb3 import make_sb3_vec
         >>> from stable_baselines3 import PPO
-        >>> model = PPO("MlpPolicy", make_sb3_vec("pickenv/Reach-v0", 16), n_steps=64, batch_size=256)
+        >>> model = PPO("MlpPolicy", make_sb3_vec("pickenv/ReachScaled-v0", 64), n_steps=60, batch_size=960, gamma=0.9)
     """
     arguments.setdefault("autoreset_mode", AutoresetMode.SAME_STEP)
     envs: VectorEnv[Any, Any, Any] = gym.make_vec(id, num_envs=num_envs, **arguments)
@@ -67,28 +50,23 @@ class Sb3Vec(VecEnv):
 
     Args:
         envs: The environments.
-        scaling: Where given, flat observations and actions are scaled. Goal observations never are, as hindsight needs
-            them as they were measured.
 
     Raises:
         InputError: If the environment's autoreset mode is "NextStep": Stable-Baselines3 would learn from the step that
             never was.
     """
 
-    def __init__(self, envs: VectorEnv[Any, Any, Any], scaling: GapScale | None = None) -> None:
-        self.envs, self.scaling = envs, scaling
+    def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
+        self.envs = envs
         self.mode: AutoresetMode = envs.metadata["autoreset_mode"]
         if self.mode is AutoresetMode.NEXT_STEP:
             raise InputError("Stable-Baselines3 needs autoreset_mode 'SameStep' or 'Disabled', not 'NextStep'")
         self.seen: Any = None
-        """Observations as the environments gave them."""
+        """The present observations."""
         self._actions: Any = None
         self._returns = np.zeros(envs.num_envs)
         self._lengths = np.zeros(envs.num_envs, dtype=np.int64)
-        space = envs.single_observation_space
-        if scaling is not None:
-            space = spaces.Box(-np.inf, np.inf, (scaling.features,), dtype=np.float32)
-        super().__init__(envs.num_envs, space, envs.single_action_space)
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> Any:
         """Begin episodes in all environments, with the seeds and options that were set."""
@@ -99,7 +77,7 @@ class Sb3Vec(VecEnv):
         self._reset_seeds()
         self._reset_options()
         self._returns[:], self._lengths[:] = 0.0, 0
-        return self._shown(self.seen)
+        return self.seen
 
     def seed(self, seed: int | None = None) -> list[int | None]:
         """Give each environment a seed of its own for the next reset; no two trainings' environments share one."""
@@ -113,10 +91,7 @@ class Sb3Vec(VecEnv):
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Act in all environments."""
-        actions = self._actions
-        if self.scaling is not None:
-            actions = np.clip(actions, -1.0, 1.0) * self.scaling.share(self.seen, np)
-        self.seen, rewards, terminations, truncations, given = self.envs.step(actions)
+        self.seen, rewards, terminations, truncations, given = self.envs.step(self._actions)
         self._returns += rewards
         self._lengths += 1
         dones = terminations | truncations
@@ -131,7 +106,7 @@ class Sb3Vec(VecEnv):
             for i, ending in zip(rows, self._endings(rows, last, final, truncations & ~terminations), strict=True):
                 infos[i] = ending
             self._returns[rows], self._lengths[rows] = 0.0, 0
-        return self._shown(self.seen), rewards.astype(np.float32), dones, infos
+        return self.seen, rewards.astype(np.float32), dones, infos
 
     def _endings(
         self, rows: NDArray[np.intp], last: Any, final: dict[str, Any], cut: NDArray[np.bool_]
@@ -141,8 +116,6 @@ class Sb3Vec(VecEnv):
             observations: Any = [{key: value[i].copy() for key, value in last.items()} for i in rows]
         else:
             observations = [last[i].copy() for i in rows]
-        if self.scaling is not None:
-            observations = list(self._shown(np.stack(observations)))
         columns: dict[str, list[Any]] = {
             "terminal_observation": observations,
             "TimeLimit.truncated": cut[rows].tolist(),
@@ -152,15 +125,11 @@ class Sb3Vec(VecEnv):
         columns["episode"] = [{"r": reward, "l": length, "t": 0.0} for reward, length in sums]
         return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
-    def _shown(self, observations: Any) -> Any:
-        """What the policy sees."""
-        if self.scaling is None:
-            return observations
-        return np.asarray(self.scaling.observe(observations, np), dtype=np.float32)
-
     def state(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, as arrays, for a checkpoint; of native environments on NumPy."""
-        seen = self.seen if isinstance(self.seen, dict) else {"flat": self.seen}
+        scaled = self._scaled()
+        seen = self.seen if scaled is None else scaled.raw
+        seen = seen if isinstance(seen, dict) else {"flat": seen}
         own = {"returns": self._returns, "lengths": self._lengths} | {f"raw/{key}": part for key, part in seen.items()}
         inner: Any = self.envs.unwrapped
         kept = own | {f"env/{key}": value for key, value in inner.state_arrays().items()}
@@ -171,8 +140,20 @@ class Sb3Vec(VecEnv):
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
         seen = {key.removeprefix("raw/"): value.copy() for key, value in state.items() if key.startswith("raw/")}
         self.seen = seen.get("flat", seen)
+        scaled = self._scaled()
+        if scaled is not None:
+            scaled.raw, self.seen = self.seen, scaled.scaling.shown(self.seen)
         inner: Any = self.envs.unwrapped
         inner.take_state_arrays({key[4:]: value for key, value in state.items() if key.startswith("env/")})
+
+    def _scaled(self) -> GapScalingVector | None:
+        """The scaling around the environments."""
+        env = self.envs
+        while isinstance(env, VectorWrapper):
+            if isinstance(env, GapScalingVector):
+                return env
+            env = env.env
+        return None
 
     def close(self) -> None:
         """Close the environments."""

@@ -104,7 +104,7 @@ def reality_sentence(grid: PolicyGrid, ideal: PolicyGrid) -> str:
         f"Of what LS leaves the scripted policy, {first} removes {added[0]} on the smooth `{SMOOTH}` and {added[1]} on "
         f"`{HARD}`, {second} {both[0]} and {both[1]}; an instrument that measures arms in time, rather than when arm "
         f"and ground have come to rest, changes the error behind LS by {' and '.join(changes)}. Poses and fruit come "
-        "from the same ranges here; README has blocks that are held out."
+        "from the same ranges here; [Results](results.md) has blocks that are held out."
     )
 
 

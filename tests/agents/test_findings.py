@@ -1,4 +1,4 @@
-"""docs/findings.md and README say the same, name their seeds, and show every figure."""
+"""docs/findings.md and docs/results.md say the same, name their seeds, and show every figure."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 FINDINGS = (ROOT / "docs" / "findings.md").read_text(encoding="utf-8")
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+RESULTS = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
 POLICIES = {"scripted": "scripted", "PPO": "ppo_encoders", "visual servo": "servo", "PPO, camera": "ppo_camera"}
 CALIBRATIONS = {"LS+Gaussian process": "LS+GP"}
 
@@ -20,13 +20,13 @@ def table(text: str, head: str) -> list[dict[str, str]]:
 
 
 @pytest.mark.parametrize("plant", ["qiao2026", "field"])
-def test_readme_shows_what_the_findings_found(plant: str) -> None:
+def test_the_results_show_what_the_findings_found(plant: str) -> None:
     found = {
         (row["policy"], row["feedback"], row["calibration"]): row["mean"]
         for row in table(FINDINGS, "plant | policy | feedback | calibration")
         if row["plant"] == plant
     }
-    rows = table(README, f"policy on `{plant}` | feedback | raw")
+    rows = table(RESULTS, f"policy on `{plant}` | feedback | raw")
     assert rows
     for row in rows:
         policy = row.pop(f"policy on `{plant}`")
@@ -38,8 +38,8 @@ def test_readme_shows_what_the_findings_found(plant: str) -> None:
 
 def test_both_say_on_how_many_arms_and_fruit() -> None:
     (said,) = re.findall(r"Final position errors of (\d+) arms per plant, (\d+) fruit each", FINDINGS)
-    assert f"Policies on {said[0]} arms" in README and f"({said[1]} fruit each" in README
-    assert "seed 0" in FINDINGS and "seed 0" in README
+    assert f"Policies on {said[0]} arms" in RESULTS and f"({said[1]} fruit each" in RESULTS
+    assert "seed 0" in FINDINGS and "seed 0" in RESULTS
 
 
 def test_every_finding_is_one_sentence_and_one_figure_that_is_there() -> None:

@@ -11,13 +11,12 @@ import pytest
 
 import pickenv  # noqa: F401
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
-from pickenv.agents.policies.gap import Scaling
-from pickenv.agents.policies.gap_wrapper import GapScaling
 from pickenv.agents.policies.learned import BASELINES, FORMAT, load_policy, shipped_baselines
 from pickenv.arm import load_arm
 from pickenv.container import read_container, write_container
 from pickenv.errors import InputError
 from pickenv.sealed import seal
+from pickenv.wrappers.gap import GapScaling, Scaling
 
 
 @pytest.fixture
@@ -183,7 +182,7 @@ def test_the_wrapper_shows_what_the_vector_environment_shows(policy):
     with GapScaling(gym.make("pickenv/Reach-v0")) as env:
         seen, _ = env.reset(seed=2)
         assert env.observation_space.contains(seen)
-        raw = env._raw
+        raw = env.raw
         layer = seen.astype(float)
         for i, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
             layer = layer @ weight + bias

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.agents.evaluation.rollout import MOST_ROWS, Rollout, roll_out
 from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
-from pickenv.agents.policies.gap import Scaling, joined_observation
 from pickenv.agents.policies.policy import read_observation
 from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
 from pickenv.agents.policies.servo import ServoReach
@@ -20,6 +19,7 @@ from pickenv.calibration.identification import extended_kalman_filter
 from pickenv.errors import InputError
 from pickenv.inspect.runs.episode_ends import Reaches
 from pickenv.orchard import load_gripper
+from pickenv.wrappers.gap import Scaling, joined_observation
 
 ARM = load_arm("qiao2026").nominal
 GOAL = inverse(ARM, forward(ARM, ARM.lower + 0.4 * (ARM.upper - ARM.lower)), attitude_tolerance=1e-4).joints
@@ -222,13 +222,16 @@ def test_a_scaling_shows_a_gap_as_direction_and_logarithm(kind, gap, turn, input
 
 
 def test_a_goal_scaling_reads_the_gap_from_the_goals():
-    """Observation (joints, believed, turn), achieved and desired goal, one after the other."""
-    scaling = Scaling(2, goal=True)
-    parts = {"observation": np.arange(8.0), "achieved_goal": np.array([1.0, 2.0, 3.0]), "desired_goal": np.full(3, 7.0)}
+    """Observation (joints, believed), achieved and desired goal, one after the other; attitudes by z and x axes."""
+    scaling, rng = Scaling(2, goal=True), np.random.default_rng(0)
+    here, turn = Rotation.random(rng=rng), rng.normal(size=3)
+    attitudes = [rotation.as_matrix() for rotation in (here, Rotation.from_rotvec(turn) * here)]
+    goals = [[*place, *axes[:, 2], *axes[:, 0]] for place, axes in zip(([1, 2, 3], [7, 7, 7]), attitudes, strict=True)]
+    parts = {"observation": np.arange(5.0), "achieved_goal": np.array(goals[0]), "desired_goal": np.array(goals[1])}
     joined = joined_observation(parts)
-    assert joined.tolist() == [*range(8), 1, 2, 3, 7, 7, 7] and scaling.inputs == len(joined) == 14
-    gap, turn = scaling.gap(joined)
-    assert gap.tolist() == [6.0, 5.0, 4.0] and turn.tolist() == [5.0, 6.0, 7.0]
+    assert joined.tolist() == [*range(5), *goals[0], *goals[1]] and scaling.inputs == len(joined) == 23
+    gap, left = scaling.gap(joined, np)
+    assert gap.tolist() == [6.0, 5.0, 4.0] and left == pytest.approx(turn)
     assert joined_observation(joined) is joined
 
 

@@ -161,8 +161,8 @@ def test_what_the_native_environment_shows_is_what_the_policy_file_sees(short):
 
     policy = actor_of(model, training, env)
     predicted, _ = model.predict(shown, deterministic=True)
-    share = env.scaling.share(env.seen, np)
-    np.testing.assert_allclose(policy.act(env.seen), predicted * share, atol=1e-5)
+    raw = env.envs.raw
+    np.testing.assert_allclose(policy.act(raw), env.envs.scaling.act(raw, predicted), atol=1e-5)
 
 
 def refusals(short, tmp_path):

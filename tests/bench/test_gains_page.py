@@ -70,10 +70,10 @@ def test_the_demonstrations_measured_arms_are_those_of_the_page(model: str) -> N
     assert f"{content['folds']} folds" in PAGE and f"`{content['made_by']}`" in PAGE
 
 
-def test_the_readmes_measured_arms_are_those_of_the_page() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_the_results_measured_arms_are_those_of_the_page() -> None:
+    results = (ROOT / "docs/results.md").read_text(encoding="utf-8")
     shown = [
-        [cell.strip() for cell in row.split("|")] for row in re.findall(r"^\| (.*, measured \|.*) \|$", readme, re.M)
+        [cell.strip() for cell in row.split("|")] for row in re.findall(r"^\| (.*, measured \|.*) \|$", results, re.M)
     ]
     by_model = [measured_gains(f"{LS} + {name}") for name in ("BPNN", "GP", "terms")]
     told = [

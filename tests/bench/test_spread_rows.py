@@ -1,4 +1,4 @@
-"""README's table of measured robots is what `pickenv bench calibration` prints, and says what it was given."""
+"""The measured robots of docs/results.md are what `pickenv bench calibration` prints, with what it was given."""
 
 import json
 from pathlib import Path
@@ -11,11 +11,11 @@ from pickenv.bench.run_bench import BenchSettings, run_bench
 from pickenv.bench.spread_rows import HEADS, NOTE, SPREAD, judged_split, spread_figures, spread_table
 from pickenv.errors import InputError
 
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+RESULTS = (Path(__file__).parents[2] / "docs/results.md").read_text(encoding="utf-8")
 
 
-def test_every_row_is_in_the_readme_in_its_order() -> None:
-    lines = README.splitlines()
+def test_every_row_is_in_the_results_in_its_order() -> None:
+    lines = RESULTS.splitlines()
     begin = lines.index(f"| {' | '.join(HEADS)} |") + 2
     shown = [line.split("|")[1].strip() for line in lines[begin : begin + len(SPREAD)]]
     figures = {"models": {key: [1.0, 0.5, 2.0] for key in ("nominal", "geometry", "best")}, "used": ["geometry"]}
@@ -25,7 +25,7 @@ def test_every_row_is_in_the_readme_in_its_order() -> None:
         line.split("|")[5].strip() for line in lines[begin : begin + len(SPREAD)]
     ]
     assert not lines[begin + len(table)].startswith("|")
-    assert NOTE in README
+    assert NOTE in RESULTS
 
 
 def test_the_table_shows_value_spread_model_and_remark() -> None:
@@ -54,11 +54,11 @@ def test_random_splits_are_stated_by_their_mean_and_range(data_folder: Path) -> 
 
 
 @pytest.mark.slow
-def test_the_readmes_rows_are_what_the_command_prints(data_folder: Path, tmp_path: Path) -> None:
+def test_the_results_rows_are_what_the_command_prints(data_folder: Path, tmp_path: Path) -> None:
     """The rows without learnt models, anew; all of them take more than half an hour, by the command itself."""
     names = ["ur5_random", "ur10_b_random", "ur10_d_random", "positioner_random", "positioner_blocks"]
     found = run_bench(names, BenchSettings(), data_folder, tmp_path, tmp_path)
     rows = spread_table(found.spread).splitlines()[2:]
     assert len(rows) == len(names)
-    assert [row for row in rows if row not in README] == []
+    assert [row for row in rows if row not in RESULTS] == []
     json.dumps(dict(found.spread))

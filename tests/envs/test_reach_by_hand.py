@@ -1,16 +1,17 @@
 """Parts of the reach task written out: the bounds of a move, the turn no joint makes, goals as seen, their rewards."""
 
-import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import pickenv  # noqa: F401  (registers the environments)
-from pickenv.arm import load_arm
+from pickenv.arm import load_arm, rotation_matrix
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.backends import FLOATS
+from pickenv.envs.shared.backends import FLOATS, NUMPY
 from pickenv.envs.shared.streams import ARM, CAMERA, FRUIT, episode_key, normal, stream_key, uniform
 from pickenv.envs.shared.task import lost_axes, make_task
 from pickenv.errors import InputError
@@ -54,26 +55,75 @@ def test_the_goal_that_counts_as_achieved_is_the_tool_as_it_is_measured(feedback
     rng = np.random.default_rng(3)
     for _ in range(5):
         observation, reward, *_, info = env.step(rng.uniform(-1, 1, 6))
-        apart = np.linalg.norm(observation["achieved_goal"] - info["tool_position"])
+        achieved, desired = observation["achieved_goal"].astype(float), observation["desired_goal"].astype(float)
+        apart = np.linalg.norm(achieved[:3] - info["tool_position"])
         assert apart < near if near else 1e-4 < apart < 2e-2
-        np.testing.assert_allclose(observation["desired_goal"], info["fruit_position"], atol=1e-6)
-        distance_mm = 1e3 * np.linalg.norm(observation["achieved_goal"] - observation["desired_goal"])
-        assert reward == pytest.approx(-math.log10(1.0 + distance_mm), abs=1e-4)
+        np.testing.assert_allclose(desired[:3], info["fruit_position"], atol=1e-6)
+        have, want = attitude_of(achieved), attitude_of(desired)
+        np.testing.assert_allclose(want.T @ want, np.eye(3), atol=1e-6)
+        true = rotation_matrix(info["pose_error"][3:]) @ want
+        assert Rotation.from_matrix(have.T @ true).magnitude() < 2e-2  # as it is believed, whatever the feedback
+        score, _ = scored(achieved[None], desired[None])
+        assert reward == pytest.approx(score.item(), abs=1e-4)
     env.close()
+
+
+def attitude_of(goal):
+    """The rotation matrix of a goal."""
+    z, x = goal[3:6], goal[6:9]
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def scored(achieved, desired, tolerance_mm=5.0, tolerance_deg=10.0):
+    """Dense rewards of goals as the card says, and where they succeed."""
+    mm = 1e3 * np.linalg.norm(achieved[:, :3] - desired[:, :3], axis=1)
+    turns = [attitude_of(one) @ attitude_of(other).T for one, other in zip(achieved, desired, strict=True)]
+    deg = np.degrees(Rotation.from_matrix(turns).magnitude())
+    success = (mm <= tolerance_mm) & (deg <= tolerance_deg)
+    outside = np.log10(1 + tolerance_mm) + 0.5 * np.log10(1 + tolerance_deg)
+    return -np.log10(1 + mm) - 0.5 * np.log10(1 + deg) - np.where(success, 0.0, outside), success
 
 
 @pytest.mark.parametrize("sparse", [True, False])
-def test_rewards_of_goals_count_millimetres(sparse):
+def test_rewards_of_goals_count_millimetres_and_degrees(sparse):
     env = gym.make("pickenv/ReachGoal-v0", reward="sparse" if sparse else "dense", tolerance_mm=5.0)
     rng = np.random.default_rng(0)
-    achieved = rng.uniform(-1, 1, (40, 3))
-    size_mm = np.geomspace(1e-2, 2e3, 40)
-    directions = rng.normal(size=(40, 3))
-    desired = achieved + 1e-3 * size_mm[:, None] * directions / np.linalg.norm(directions, axis=1)[:, None]
+    here = rng.uniform(-1, 1, (400, 3))
+    turned = Rotation.random(400, rng=rng)
+    away, about = (each / np.linalg.norm(each, axis=1)[:, None] for each in rng.normal(size=(2, 400, 3)))
+    there = here + 1e-3 * rng.permutation(np.geomspace(1e-2, 2e3, 400))[:, None] * away
+    wanted = Rotation.from_rotvec(np.geomspace(1e-4, np.pi, 400)[:, None] * about) * turned
+
+    def goals(positions, attitudes):
+        axes = attitudes.as_matrix()
+        return np.concatenate([positions, axes[:, :, 2], axes[:, :, 0]], axis=1)
+
+    achieved, desired = goals(here, turned), goals(there, wanted)
     found = env.unwrapped.compute_reward(achieved, desired, {})
     env.close()
-    expected = np.where(size_mm <= 5.0, 0.0, -1.0) if sparse else -np.log10(1.0 + size_mm)
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    score, success = scored(achieved, desired)
+    assert 20 < success.sum() < 380
+    np.testing.assert_allclose(found, np.where(success, 0.0, -1.0) if sparse else score, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("tolerances", [(5.0, 10.0), (0.3, 10.0), (20.0, 1.0), (1e-3, 90.0), (200.0, 0.1)])
+def test_no_failure_is_ranked_above_a_success(tolerances):
+    """The dense reward over position and attitude errors, from nothing to all that an arm can be off by."""
+    millimetres, degrees = tolerances
+    task = make_task(tolerance_mm=millimetres, angle_tolerance_deg=degrees)
+    edges = [[0.0, limit * (1 - 1e-12), limit, limit * (1 + 1e-12)] for limit in tolerances]
+    mm = np.concatenate([edges[0], np.geomspace(1e-4, 4e3, 150)])
+    deg = np.concatenate([edges[1], np.geomspace(1e-4, 180.0, 150)])
+    mm, deg = (each.ravel() for each in np.meshgrid(mm, deg))
+    success = simulation.in_capture_region(task, mm, deg)
+    assert np.array_equal(success, (mm <= millimetres) & (deg <= degrees)) and 0 < success.sum() < len(mm)
+    scene = SimpleNamespace(distance_mm=mm, angle_deg=deg, success=success)
+    reward = simulation.true_reward(NUMPY, task, scene)
+    assert reward[~success].max() < reward[success].min() and reward.max() == 0.0
+    for better, other in ((mm, deg), (deg, mm)):  # nearer is better, whatever else stays
+        order = np.lexsort((better, other))
+        same = np.diff(other[order]) == 0
+        assert (np.diff(reward[order])[same] <= 0).all()
 
 
 def test_one_environment_asks_for_one_row_of_joints_and_several_for_one_or_as_many():
@@ -109,8 +159,9 @@ def test_the_border_of_the_capture_region_belongs_to_it(distance_mm, angle_deg, 
 
 def test_a_goal_as_far_off_as_the_tolerance_is_reached():
     task = make_task(reward="sparse", tolerance_mm=5.0)
+    axes = (0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
     for metres, reward in ((0.005, 0.0), (0.0050001, -1.0)):
-        assert simulation.goal_reward(FLOATS, task, (0.0, 0.0, 0.0), (0.0, metres, 0.0)) == reward
+        assert simulation.goal_reward(FLOATS, task, (0.0, 0.0, 0.0, *axes), (0.0, metres, 0.0, *axes)) == reward
 
 
 @pytest.mark.parametrize(("arm", "axes"), [("qiao2026", (0, 5)), ("ur5", None), ("wam", None), ("li2016_slave", None)])
@@ -146,7 +197,8 @@ def test_what_the_camera_sees_is_off_by_the_numbers_of_its_own_streams():
     """The fruit's place by one stream, once; each moment's offset by the next three numbers of another."""
     task = make_task(feedback="camera", camera_noise_mm=2.0, fruit_noise_mm=3.0)
     key, joints = episode_key(FLOATS, 5, 0), list(task.middle)
-    state = simulation.begin(FLOATS, task, task.plant, key, joints, joints, joints)
+    wanted = simulation.nominal_frames(FLOATS, task, joints)[1]
+    state = simulation.begin(FLOATS, task, task.plant, key, joints, wanted, joints)
     fruit, camera = (stream_key(FLOATS, key, stream) for stream in (FRUIT, CAMERA))
     np.testing.assert_allclose(
         np.array(state.seen) - state.goal[9:], [3e-3 * normal(FLOATS, fruit, i) for i in range(3)], rtol=1e-9

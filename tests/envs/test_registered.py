@@ -34,11 +34,14 @@ DRAWN = {
     "pickenv/ReachGoal-v0": (
         CAMERA,
         lambda seen, info, _: {
-            "turn": seen["observation"][9:],
             "goal": seen["desired_goal"],
-            "camera": seen["achieved_goal"],
+            "camera": seen["achieved_goal"][:3],
             "fruit": info["fruit_position"],
         },
+    ),
+    "pickenv/ReachScaled-v0": (
+        CAMERA,
+        lambda seen, info, env: {"seen": seen[6:], "fruit": info["fruit_position"]},
     ),
     "pickenv/ReachIdeal-v0": ({}, lambda seen, info, _: {"seen": seen[9:], "fruit": info["fruit_position"]}),
     "pickenv/Pick-v0": (

@@ -8,7 +8,8 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
 
 from pickenv import InputError
-from pickenv.wrappers import CompensationVectorWrapper
+from pickenv.wrappers import CompensationVectorWrapper, GapScaling, GapScalingVector
+from pickenv.wrappers.gap import Scaling
 from pickenv.wrappers.sb3 import Sb3Vec, make_sb3_vec
 
 EARLY = {"end_on_success": True, "tolerance_mm": 400.0, "angle_tolerance_deg": 100.0, "max_episode_steps": 9}
@@ -112,7 +113,7 @@ def test_the_last_step_sums_up_its_episode():
     assert ends > 5
 
 
-@pytest.mark.parametrize("name", ["Reach", "ReachGoal"])
+@pytest.mark.parametrize("name", ["Reach", "ReachGoal", "ReachScaled"])
 def test_a_stream_goes_on_from_its_state(name):
     def made():
         return make_sb3_vec(f"pickenv/{name}-v0", 4, **EARLY)
@@ -131,43 +132,51 @@ def test_a_stream_goes_on_from_its_state(name):
         np.testing.assert_equal(one.step(action), other.step(action))
 
 
-class Halved:
-    """Shows a third of the observation, and halves the actions."""
-
-    features = 6
-
-    def observe(self, values, xp):
-        return values[..., :6]
-
-    def share(self, values, xp):
-        return xp.full((*values.shape[:-1], 1), 0.5)
-
-
 def test_a_scaling_stands_between_policy_and_environments():
-    bare, scaled = (gym.make_vec("pickenv/Reach-v0", num_envs=2, autoreset_mode="SameStep", **EARLY) for _ in range(2))
-    one, other = Sb3Vec(bare), Sb3Vec(scaled, Halved())
-    assert other.observation_space.shape == (6,)
-    assert (other.observation_space.low == -np.inf).all() and (other.observation_space.high == np.inf).all()
+    """What is shown, done and given back at the end of episodes is what the formulas make of the bare environments."""
+    bare = gym.make_vec("pickenv/Reach-v0", num_envs=2, autoreset_mode="SameStep", **EARLY)
+    one, other = Sb3Vec(bare), make_sb3_vec("pickenv/ReachScaled-v0", 2, **EARLY)
+    scaling = Scaling(6)
     for envs in (one, other):
         envs.seed(0)
-    np.testing.assert_array_equal(one.reset()[:, :6], other.reset())
+    raw = one.reset()
+    np.testing.assert_array_equal(scaling.shown(raw), other.reset())
     action, ends = np.full((2, 6), 0.4), 0
     for turn in range(12):
         beyond = [1.0, 3.0, -7.0][turn % 3]  # as a network without bounds may act
-        a, b = one.step(0.5 * np.clip(beyond * action, -1, 1)), other.step(beyond * action)
-        np.testing.assert_array_equal(a[0][:, :6], b[0])
+        a, b = one.step(scaling.act(raw, beyond * action)), other.step(beyond * action)
+        raw = a[0]
+        np.testing.assert_array_equal(scaling.shown(raw), b[0])
         np.testing.assert_array_equal(a[1], b[1])
         for plain, shown in zip(a[3], b[3], strict=True):
             if plain:
-                np.testing.assert_array_equal(plain["terminal_observation"][:6], shown["terminal_observation"])
+                np.testing.assert_array_equal(
+                    scaling.shown(plain["terminal_observation"]), shown["terminal_observation"]
+                )
                 ends += 1
     assert ends > 0
+
+
+def test_scaled_environments_are_the_same_alone_and_together():
+    """To the bit, whatever is done: alone, wrapped by hand, one after the other and native."""
+    alone = gym.make("pickenv/ReachScaled-v0", executor="numpy", feedback="camera", camera_noise_mm=1.0)
+    wrapped = GapScaling(gym.make("pickenv/Reach-v0", executor="numpy", feedback="camera", camera_noise_mm=1.0))
+    native = gym.make_vec("pickenv/ReachScaled-v0", num_envs=3, feedback="camera", camera_noise_mm=1.0)
+    seen = [alone.reset(seed=4)[0], wrapped.reset(seed=4)[0], native.reset(seed=4)[0][0]]
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        assert alone.observation_space.contains(seen[0])
+        assert np.array_equal(seen[0], seen[1]) and np.array_equal(seen[0], seen[2])
+        action = rng.normal(size=6).astype(np.float32)
+        seen = [alone.step(action)[0], wrapped.step(action)[0], native.step(np.stack([action] * 3))[0][0]]
+    with pytest.raises(InputError, match="executor='numpy'"):
+        GapScalingVector(gym.make_vec("pickenv/Reach-v0", num_envs=2, executor="torch", compiled=False))
 
 
 def test_rewards_are_computed_anew_for_exchanged_goals():
     envs = make_sb3_vec("pickenv/ReachGoal-v0", 2)
     envs.reset()
-    goals = np.zeros((4, 3), np.float32)
+    goals = np.zeros((4, 9), np.float32)
     (rewards,) = envs.env_method("compute_reward", goals, goals + 1, [{}] * 4, indices=[0])
     assert rewards.tolist() == [-1.0] * 4
     assert envs.get_attr("num_envs", 1) == [2]

@@ -22,6 +22,27 @@ VARIANTS = {
     "camera, arm per episode": {"feedback": "camera", "camera_noise_mm": 3.0, "arms": "per_episode"},
     "orchard, arm per environment": {"plant": "orchard", "arms": "per_env"},
     "field, arm per episode": {"plant": "field", "arms": "per_episode"},
+    "late, noisy and warm, from anywhere": {
+        "plant": "orchard",
+        "feedback": "camera",
+        "control_period_s": 0.05,
+        "latency": 2,
+        "action_delay": 1,
+        "joint_noise": 0.3,
+        "hours_on": 2.0,
+        "start_spread": 0.4,
+        "goal_region": [[-0.6, -1.2, 0.2], [0.6, 1.2, 1.4]],
+    },
+    "the same, drawn": {
+        "plant": "orchard",
+        "arms": "per_episode",
+        "control_period_s": [0.05, 0.2],
+        "latency": [0, 3],
+        "action_delay": [1, 2],
+        "joint_noise": [0.0, 0.5],
+        "hours_on": [0.0, 8.0],
+        "start_spread": 0.9,
+    },
 }
 SINGLE = {"field, arm per episode": 1e-6}
 """Waves of a field are single precision in NumPy and double in torch: they agree to a nanometre (in mm here)."""

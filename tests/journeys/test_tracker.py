@@ -1,4 +1,4 @@
-"""A tracker's file → calibrate → wrapper → environment, as README prints it: the environment shows what was promised.
+"""A tracker's file → calibrate → wrapper → environment, as docs/commands.md prints it: the promise holds.
 
 From an empty folder. The last number on the screen is the mean error in Reach-v0, mm (simulated arm qiao2026).
 """
@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+PAGE = (ROOT / "docs/commands.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 CALIBRATE = next(text.strip() for kind, text in BLOCKS if kind == "sh" and text.startswith("pickenv calibrate"))
 REACH = next(text for kind, text in BLOCKS if kind == "python" and "run_reaches" in text)
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.envs.reaching.reach import ReachEnv
 from pickenv.envs.shared.backends import NUMPY
-from pickenv.envs.shared.simulation import View, goal_observation, goal_reward
+from pickenv.envs.shared.simulation import GOAL_NUMBERS, View, goal_observation, goal_reward
 from pickenv.envs.shared.spaces import goal_space
 from pickenv.envs.shared.task import Task
 
@@ -22,8 +22,9 @@ class ReachGoalEnv(ReachEnv):
     ## Description
 
     The arm, the fruit and the plant are those of `pickenv/Reach-v0`; observation and reward differ. The reward is made
-    of what a controller can measure, so that a goal can be exchanged afterwards: the tool as the chosen feedback
-    measures it, against the fruit as the camera saw it. The truth stays in `info`.
+    of what a controller can measure, so that a goal can be exchanged afterwards: position and attitude of the tool as
+    the chosen feedback measures it, against the fruit as the camera saw it and the attitude that it is to be picked in.
+    The truth stays in `info`.
 
     ## Action Space
 
@@ -31,7 +32,8 @@ class ReachGoalEnv(ReachEnv):
 
     ## Observation Space
 
-    `Dict` of three float32 boxes; positions in the base frame, R as in `pickenv/Reach-v0`.
+    `Dict` of three float32 boxes; positions and axes in the base frame, R as in `pickenv/Reach-v0`. Whatever depends on
+    the goal stands in the goals alone, so that hindsight may exchange them.
 
     `observation`:
 
@@ -39,15 +41,16 @@ class ReachGoalEnv(ReachEnv):
     |------|-----------------------------------------------------------------------|-----|-----|------|
     | 0-5  | joint readings (motor side, as nominal joints), scaled to the limits  | -1  | 1   | 1    |
     | 6-8  | believed tool position (nominal forward kinematics of the readings)   | -R  | R   | m    |
-    | 9-11 | wanted against believed attitude, rotation vector                     | -pi | pi  | rad  |
 
     `achieved_goal`:
 
     | Num  | Observation                                                           | Min | Max | Unit |
     |------|-----------------------------------------------------------------------|-----|-----|------|
     | 0-2  | tool position as measured by the chosen feedback                      | -R  | R   | m    |
+    | 3-5  | believed tool's z axis, the way it points                             | -1  | 1   | 1    |
+    | 6-8  | its x axis                                                            | -1  | 1   | 1    |
 
-    With `feedback="encoders"` that is the believed tool position; with "camera" it is the fruit as seen, less the
+    With `feedback="encoders"` the position is the believed one; with "camera" it is the fruit as seen, less the
     tool-to-fruit offset that the camera measures (bounds 3R).
 
     `desired_goal`:
@@ -55,14 +58,17 @@ class ReachGoalEnv(ReachEnv):
     | Num  | Observation                                                           | Min | Max | Unit |
     |------|-----------------------------------------------------------------------|-----|-----|------|
     | 0-2  | fruit position as the camera saw it                                   | -R  | R   | m    |
+    | 3-5  | wanted z axis of the tool                                             | -1  | 1   | 1    |
+    | 6-8  | wanted x axis                                                         | -1  | 1   | 1    |
 
     ## Rewards
 
-    With e the distance between achieved and desired goal in mm, by `compute_reward(achieved_goal, desired_goal, info)`,
-    which takes single goals or batches and does not look at `info`:
+    With e the distance between achieved and desired goal in mm and t the angle between their attitudes in degrees, by
+    `compute_reward(achieved_goal, desired_goal, info)`, which takes single goals or batches and does not look at
+    `info`:
 
-    - sparse (default): 0 while e is within `tolerance_mm`, else -1.
-    - dense: -log10(1 + e).
+    - sparse (default): 0 while e is within `tolerance_mm` and t within `angle_tolerance_deg`, else -1.
+    - dense: as in `pickenv/Reach-v0`.
 
     ## Starting State
 
@@ -99,7 +105,7 @@ class ReachGoalEnv(ReachEnv):
         self.observation_space = goal_space(self.task)
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
-        """Reward of achieved against desired goals, ``(3,)`` or ``(N, 3)``; a number, or an array ``(N,)``."""
+        """Reward of achieved against desired goals, ``(9,)`` or ``(N, 9)``; a number, or an array ``(N,)``."""
         return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
     def _observe(self, scene: View) -> tuple[Any, float]:
@@ -109,9 +115,9 @@ class ReachGoalEnv(ReachEnv):
 
 
 def rewards_of_goals(task: Task, achieved: ArrayLike, desired: ArrayLike) -> Any:
-    """Rewards of goals ``(..., 3)`` as they were returned, in float64; every batch gives each row the same bits."""
+    """Rewards of goals ``(..., 9)`` as they were returned, in float64; every batch gives each row the same bits."""
     one, other = np.asarray(achieved, dtype=np.float64), np.asarray(desired, dtype=np.float64)
     shape = np.broadcast_shapes(one.shape, other.shape)
-    have, want = (np.broadcast_to(goals, shape).reshape(-1, 3).T.copy() for goals in (one, other))
+    have, want = (np.broadcast_to(goals, shape).reshape(-1, GOAL_NUMBERS).T.copy() for goals in (one, other))
     reward = goal_reward(NUMPY, task, list(have), list(want)).reshape(shape[:-1])
     return reward if reward.ndim else float(reward)

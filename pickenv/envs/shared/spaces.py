@@ -10,10 +10,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from pickenv.envs.shared.given_goals import GOALS
 from pickenv.envs.shared.task import Task
 from pickenv.errors import InputError
 
-OPTIONS = ("start_joints", "goal_joints", "arm")
+OPTIONS = ("start_joints", *GOALS, "arm")
 
 
 def flat_space(task: Task) -> spaces.Box:
@@ -27,9 +28,9 @@ def goal_space(task: Task) -> spaces.Dict:
     reach = task.reach
     return spaces.Dict(
         {
-            "observation": box([1.0] * task.joints + [reach] * 3 + [math.pi] * 3),
-            "achieved_goal": box([3 * reach] * 3 if task.camera else [reach] * 3),
-            "desired_goal": box([reach] * 3),
+            "observation": box([1.0] * task.joints + [reach] * 3),
+            "achieved_goal": box([3 * reach if task.camera else reach] * 3 + [1.0] * 6),
+            "desired_goal": box([reach] * 3 + [1.0] * 6),
         }
     )
 

@@ -1,7 +1,6 @@
-"""Steps of environments as entities of a recording: arms, misses and numbers along the time lines of an evaluation.
+"""Which steps of environments are recorded, and what is kept of them.
 
-Time lines: `step` counts the recorded resets and steps of an environment, `sim_time` is the same in seconds, and on
-`episode` one sees how each episode ended. Everything comes from `info`; what it does not hold is left out.
+Everything comes from `info`; what it does not hold is left out. `pickenv.inspect.recordings.episode_entities` sends it.
 """
 
 from __future__ import annotations
@@ -12,20 +11,16 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import rerun as rr
 
 from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, policy_colours
-from pickenv.inspect.recordings.scribe import Scribe, f32, move_arm, reading_columns, send_arm, send_capture
-from pickenv.inspect.runs.links import drawn_parts, nominal_points, true_points
+from pickenv.inspect.runs.links import drawn_parts, nominal_points
+from pickenv.inspect.runs.recorded_episodes import POSITIONS
 
 Trigger = Callable[[int], bool]
 
 UNITS = {"mm": "mm", "deg": "°"}
 """Ends of the names of numbers, and their units; numbers with another end are counts, or have the unit 1."""
 OTHERS = "other"
-FRUIT_RADIUS = 0.02
-"""m."""
 
 
 def capped_cubic(episode: int) -> bool:
@@ -39,14 +34,20 @@ class Row(NamedTuple):
     Attributes:
         moment: Number of steps of this environment that were recorded before it.
         episode: Number of the episode.
+        within: Steps since the episode's reset.
+        order: Number of episodes of which steps were recorded before this one.
         reward: Its reward; 0 after a reset.
         info: Its info.
+        target: Joints at which the controller believes the arm to be; None where the environment does not tell.
     """
 
     moment: int
     episode: int
+    within: int
+    order: int
     reward: float
     info: Mapping[str, Any]
+    target: Array | None = None
 
 
 @dataclass
@@ -69,11 +70,13 @@ class EpisodeLog:
     rows: list[Row] = field(default_factory=list)
     episode: int = -1
     _step: int = -1
+    _within: int = 0
     _left: float = 0.0
 
     def begins(self) -> bool:
         """Count an episode; whether its first info is to be noted."""
         self.episode += 1
+        self._within = 0
         if self.length == np.inf:
             self._left = 0.0
         if self.episode_trigger is not None and self.episode_trigger(self.episode):
@@ -83,6 +86,7 @@ class EpisodeLog:
     def steps(self) -> bool:
         """Count a step; whether its info is to be noted."""
         self._step += 1
+        self._within += 1
         if self.step_trigger is not None and self.step_trigger(self._step):
             self._left = self.length
         return self._wanted()
@@ -93,9 +97,11 @@ class EpisodeLog:
             return True
         return False
 
-    def note(self, info: Mapping[str, Any], reward: float) -> None:
+    def note(self, info: Mapping[str, Any], reward: float, target: Array | None = None) -> None:
         """Keep the present step."""
-        self.rows.append(Row(len(self.rows), self.episode, reward, info))
+        last = self.rows[-1] if self.rows else None
+        order = 0 if last is None else last.order + (last.episode != self.episode)
+        self.rows.append(Row(len(self.rows), self.episode, self._within, order, reward, info, target))
 
 
 @dataclass(frozen=True)
@@ -106,13 +112,15 @@ class Scene:
         nominal: The nominal arm, or None for environments without one.
         period: Time between steps, s.
         tolerance_mm: Radius of the capture region, or None.
-        policy: Name of the policy, which gives the colour.
+        policy: Key of the policy, which gives the colour.
+        label: Its name for people.
     """
 
     nominal: Geometry | None
     period: float
     tolerance_mm: float | None
     policy: str
+    label: str
 
     @cached_property
     def parts(self) -> list[int]:
@@ -140,7 +148,19 @@ def has_arm(scene: Scene, info: Mapping[str, Any]) -> bool:
 
 def has_fruit(info: Mapping[str, Any]) -> bool:
     """Whether misses can be drawn."""
-    return {"tool_position", "fruit_position"} <= set(info)
+    return set(POSITIONS) <= set(info)
+
+
+def distances_mm(rows: Sequence[Row]) -> Array | None:
+    """Distance between tool and fruit ``(T,)``; None where `info` tells neither positions nor the distance."""
+    if has_fruit(rows[0].info):
+        return np.asarray(1e3 * np.linalg.norm(column(rows, "tool_position") - column(rows, "fruit_position"), axis=1))
+    return column(rows, "position_error_mm") if "position_error_mm" in rows[0].info else None
+
+
+def last_rows(rows: Sequence[Row]) -> list[Row]:
+    """The last recorded row of each episode."""
+    return list({row.order: row for row in rows}.values())
 
 
 def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
@@ -154,71 +174,6 @@ def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
     return groups
 
 
-def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, row: Row) -> None:
-    """Send what holds for all steps of one environment, given one of its rows."""
-    scribe, info = Scribe(stream), row.info
-    (colour,) = policy_colours([scene.policy])
-    if has_arm(scene, info):
-        points = _arms(scene, [row])[0]
-        send_arm(scribe, f"world/arm/nominal/{key}", points, scene.parts, GREY, "majorwireframe")
-        send_arm(scribe, f"world/arm/true/{key}", points, scene.parts, colour, "solid", 0.5)
-    if has_fruit(info):
-        scribe.still(f"world/fruit/{key}", rr.Points3D.from_fields(colors=[FRUIT], radii=[FRUIT_RADIUS]))
-        arrow = rr.Arrows3D.from_fields(colors=[RED], radii=rr.Radius.ui_points(2.0))
-        scribe.still(f"world/miss/{key}", arrow)
-        scribe.still(f"target/{key}", rr.Points3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(4.0)))
-        if scene.tolerance_mm is not None:
-            send_capture(scribe, scene.tolerance_mm)
-    for unit, names in number_groups(info).items():
-        scribe.still(f"metrics/{unit}/{key}", rr.SeriesLines(names=[name.replace("_", " ") for name in names]))
-    if "is_success" in info:
-        states = rr.StateConfiguration(
-            values=["yes", "no"], labels=["success", "not yet"], colors=[(*colour, 255), (*STEEL, 255)]
-        )
-        scribe.still(f"outcome/{key}", states)
-
-
-def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row]) -> None:
-    """Send ``rows`` of one environment as whole columns."""
-    moments = np.array([row.moment for row in rows])
-    scribe = Scribe(
-        stream,
-        [
-            rr.TimeColumn("step", sequence=moments),
-            rr.TimeColumn("episode", sequence=[row.episode for row in rows]),
-            rr.TimeColumn("sim_time", duration=scene.period * moments),
-        ],
-    )
-    info = rows[0].info
-    if has_arm(scene, info):
-        nominal, true = _arms(scene, rows)
-        move_arm(scribe, f"world/arm/nominal/{key}", nominal, scene.parts)
-        move_arm(scribe, f"world/arm/true/{key}", true, scene.parts)
-    if has_fruit(info):
-        fruit, tool = _column(rows, "fruit_position"), _column(rows, "tool_position")
-        miss = tool - fruit
-        scribe.along(f"world/fruit/{key}", rr.Points3D.columns(positions=f32(fruit)))
-        arrows = rr.Arrows3D.columns(origins=f32(fruit), vectors=f32(miss))
-        scribe.along(f"world/miss/{key}", arrows, reading_columns(1e3 * miss))
-        scribe.along(f"target/{key}", rr.Points3D.columns(positions=f32(1e3 * miss)))
-    for unit, names in number_groups(info).items():
-        values = [[row.reward if name == "reward" else row.info[name] for name in names] for row in rows]
-        scalars = rr.Scalars.columns(scalars=np.array(values, dtype=float).ravel())
-        scribe.along(f"metrics/{unit}/{key}", scalars.partition([len(names)] * len(rows)))
-    if "is_success" in info:
-        states = ["yes" if row.info["is_success"] else "no" for row in rows]
-        scribe.along(f"outcome/{key}", rr.StateChange.columns(state=states))
-
-
-def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
-    """Points along the nominal arm under the drives' commands, and along the true arm, ``(T, K, 3)``, m.
-
-    The true arm is the nominal one brought to where the true tool stood: at true size nobody sees the difference.
-    """
-    assert scene.nominal is not None
-    joints = _column(rows, "joint_command")
-    return nominal_points(scene.nominal, joints), true_points(scene.nominal, joints, _column(rows, "tool_position"))
-
-
-def _column(rows: Sequence[Row], name: str) -> Array:
+def column(rows: Sequence[Row], name: str) -> Array:
+    """One entry of `info` along the rows ``(T, ...)``."""
     return np.array([row.info[name] for row in rows], dtype=float)

@@ -15,12 +15,11 @@ from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.uncertainty import uncertainty_from
 from pickenv.errors import InputError
 from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors
-from pickenv.inspect.runs.comparison_summary import round_step
+from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors, stage_label
+from pickenv.inspect.runs.comparison_summary import GAIN, round_step
 from pickenv.inspect.runs.episode_ends import Reaches
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 
-GAIN = 20.0
 CELLS = 10
 """Cells along the longest side of a field whose points lie on no grid."""
 
@@ -111,7 +110,7 @@ def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: i
     wanted = forward(calibration.nominal, grid.joints)
     stages: dict[str, Compensator | None] = {"raw": None, "LS": calibration.compensator(with_residual=False)}
     if calibration.learnt is not None:
-        stages[_best(calibration)] = calibration.compensator()
+        stages[stage_label(calibration)] = calibration.compensator()
     errors = {
         label: pose_error(wanted, plant.tool_pose(grid.joints if send is None else send(grid.joints)))
         for label, send in stages.items()
@@ -128,17 +127,12 @@ def _measured(calibration: Calibration, data: Measurements, seed: int) -> Compar
         "LS": data.difference(calibration.model),
     }
     if calibration.learnt is not None:
-        errors[_best(calibration)] = calibration.errors(data)
+        errors[stage_label(calibration)] = calibration.errors(data)
     unknown = np.ones(calibration.nominal.joints)  # the joints' speeds, which no recording shows
     arm = Arm(calibration.arm_name, data.source, calibration.nominal, None, unknown)
     plant = Plant(f"{calibration.arm_name}, measured", arm, calibration.identified)
     points = forward(calibration.nominal, data.joints).position
     return _without_reaches(calibration, plant, errors, _grid_around(points, data.joints), seed)
-
-
-def _best(calibration: Calibration) -> str:
-    assert calibration.learnt is not None
-    return f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
 
 
 def _without_reaches(

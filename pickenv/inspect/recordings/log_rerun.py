@@ -14,11 +14,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 import pickenv
 from pickenv.errors import InputError
-from pickenv.inspect.colours import policy_key
-from pickenv.inspect.recordings import episodes
+from pickenv.inspect.colours import policy_key, policy_label
+from pickenv.inspect.recordings import episode_entities, episodes
 from pickenv.inspect.recordings.episode_blueprint import episode_blueprint
 from pickenv.inspect.recordings.live import PATIENCE, Live, open_live
 from pickenv.inspect.recordings.scribe import write_recording
+from pickenv.inspect.runs.recorded_episodes import believed_joints, missing_positions
 
 Observation = TypeVar("Observation")
 Action = TypeVar("Action")
@@ -70,6 +71,9 @@ class _Recorder:
         if self._scene is not None:
             return
         outer = self._env.unwrapped
+        missing = missing_positions(episodes.info_of(info, 0) if hasattr(outer, "num_envs") else info)
+        if missing:
+            gym.logger.warn(f"the recording of {type(outer).__name__} has no view in 3D: {missing}")
         inner = outer.envs[0].unwrapped if hasattr(outer, "envs") else outer
         task = getattr(inner, "task", None)
         plant = getattr(task, "plant", None)
@@ -79,6 +83,7 @@ class _Recorder:
             # Only where the fruit is a pose to be reached is this radius what counts.
             tolerance_mm=getattr(task, "tolerance_mm", None) if "pose_error" in info else None,
             policy=self._policy,
+            label=policy_label(self._policy),
         )
         name = type(inner).__name__ if inner.spec is None else inner.spec.id.rpartition("/")[2]
         self._identity = ":".join([name, *([] if plant is None else [plant.name]), f"seed{outer.np_random_seed}"])
@@ -109,39 +114,37 @@ class _Recorder:
     def _recorded(self) -> int:
         return sum(len(log.rows) for log in self.logs)
 
-    def _first(self) -> episodes.Row:
-        return next(log.rows[0] for log in self.logs if log.rows)
+    def _rows(self) -> list[episodes.Row]:
+        return next(log.rows for log in self.logs if log.rows)
 
     def _write(self, path: Path) -> None:
         """The whole recording anew: what stood there stays until the new one is complete."""
 
         def send(stream: rr.RecordingStream) -> None:
-            self._send(stream, [0] * len(self.logs), first=True)
+            self._send(stream, [0] * len(self.logs))
 
         assert self._scene is not None
-        write_recording(path, self._identity, episode_blueprint(self._scene, self._first().info), send)
+        write_recording(path, self._identity, episode_blueprint(self._scene, self._rows()), send)
         self._in_file = self._recorded
 
     def _show(self) -> None:
         assert self._scene is not None
-        first = self._stream is None
         if self._stream is None:
-            blueprint = episode_blueprint(self._scene, self._first().info)
+            blueprint = episode_blueprint(self._scene, self._rows())
             self._stream = open_live(self._live, self._identity, blueprint)
-        self._send(self._stream, self._shown, first=first)
+        self._send(self._stream, self._shown)
         self._shown = [len(log.rows) for log in self.logs]
 
-    def _send(self, stream: rr.RecordingStream, start: Sequence[int], *, first: bool) -> None:
-        """Send each environment's rows from ``start`` on, and before the ``first`` of them what holds for all."""
+    def _send(self, stream: rr.RecordingStream, start: Sequence[int]) -> None:
+        """Send each environment's rows from ``start`` on, and before them what holds for all, such as their mean."""
         assert self._scene is not None
-        if first:
+        if not any(start):
             facts: dict[str, Any] = {"pickenv_version": pickenv.__version__, "rerun_version": rr.__version__}
             stream.send_property("pickenv", rr.AnyValues(**facts))
-            for log in self.logs:
-                episodes.send_looks(stream, self._scene, log.key, self._first())
         for log, begin in zip(self.logs, start, strict=True):
             if len(log.rows) > begin:
-                episodes.send_rows(stream, self._scene, log.key, log.rows[begin:])
+                episode_entities.send_looks(stream, self._scene, log.key, log.rows)
+                episode_entities.send_rows(stream, self._scene, log.key, log.rows[begin:])
 
 
 NOT_OF_THE_RECORDER = ("self", "env", "indices")
@@ -214,14 +217,14 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         observation, info = self.env.reset(seed=seed, options=options)
         self._recorder.met(info)
         if self._log.begins():
-            self._log.note(info, 0.0)
+            self._log.note(info, 0.0, believed_joints(self.env))
         return observation, info
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
         """Step the environment, and note its info while recording."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._log.steps():
-            self._log.note(info, float(reward))
+            self._log.note(info, float(reward), believed_joints(self.env))
         if terminated or truncated:
             self._recorder.ended()
         return observation, reward, terminated, truncated, info

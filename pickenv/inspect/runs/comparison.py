@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Plant
 from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.inspect.colours import policy_key
 from pickenv.inspect.runs.field_grid import FieldGrid
 
@@ -111,6 +112,11 @@ def policy_errors(
         success=success,
         field_attitude=field[:, 3:] if field.shape[1] == 6 else None,
     )
+
+
+def stage_label(calibration: Calibration) -> str:
+    """What a calibration is called among policies: LS, or LS+BPNN after what it learnt of the rest."""
+    return "LS" if calibration.learnt is None else f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
 
 
 def compared(

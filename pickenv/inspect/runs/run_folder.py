@@ -22,6 +22,7 @@ from pickenv.files import write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
+from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
 from pickenv.locks import locked
 from pickenv.provenance import code_fingerprint, file_sha256, versions
@@ -31,10 +32,11 @@ PARTS: Mapping[type, str] = {
     Comparison: "comparison.npz",
     CalibrationTrace: "calibration_trace.npz",
     HarvestTrace: "harvest.npz",
+    RecordedEpisodes: "episodes.npz",
 }
 """The files of the numbers behind figures."""
 
-Part = TypeVar("Part", Comparison, CalibrationTrace, HarvestTrace)
+Part = TypeVar("Part", Comparison, CalibrationTrace, HarvestTrace, RecordedEpisodes)
 ISO9283 = "iso9283.json"
 CONDITIONS = "conditions.json"
 REPORT = "report.html"
@@ -60,6 +62,7 @@ class RunKind:
 KINDS: Mapping[str, RunKind] = {
     "demo": RunKind("pickenv demo --out RUN", "pickenv.inspect.reports.demo_report"),
     "calibration": RunKind("pickenv calibrate FILE --arm ARM --run RUN", "pickenv.inspect.reports.calibration_report"),
+    "comparison": RunKind("pickenv compare POLICY POLICY --out RUN", "pickenv.inspect.reports.comparison_report"),
     "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.agents.evaluation.grid_report"),
     "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
     "conditions": RunKind("pickenv conditions PLANT --out RUN", "pickenv.inspect.reports.conditions_report"),
@@ -232,7 +235,9 @@ def unedited(run: Run, name: str) -> Path:
     return path
 
 
-def save_part(folder: Path, part: Comparison | CalibrationTrace | HarvestTrace, seed: int | None) -> Path:
+def save_part(
+    folder: Path, part: Comparison | CalibrationTrace | HarvestTrace | RecordedEpisodes, seed: int | None
+) -> Path:
     """Write numbers behind figures into a run folder."""
     return save_numbers(folder / PARTS[type(part)], part, seed=seed)
 
@@ -240,6 +245,12 @@ def save_part(folder: Path, part: Comparison | CalibrationTrace | HarvestTrace, 
 def load_part(run: Run, kind: type[Part]) -> Part:
     """Numbers behind figures of a run, to the bit; raises `InputError` as `load_numbers`, or if they were exchanged."""
     return load_numbers(unedited(run, PARTS[kind]), kind, run.made_by)
+
+
+def load_comparison(run: Run) -> tuple[RecordedEpisodes, Comparison | None]:
+    """A comparison of policies: every episode, and their errors over the workspace where the environment has an arm."""
+    there = (run.folder / PARTS[Comparison]).is_file() or PARTS[Comparison] in (run.files or {})
+    return load_part(run, RecordedEpisodes), load_part(run, Comparison) if there else None
 
 
 def load_iso9283(run: Run) -> dict[str, Any]:

@@ -1,11 +1,10 @@
 """PPO on the flat environments; found on the ideal arm, they hold for every plant and feedback.
 
-The gap to the fruit is scaled (`pickenv.agents.policies.gap_wrapper`); without that wrapper no network of this size
-sees millimetres.
+The gap to the fruit is scaled (`pickenv.wrappers.GapScaling`); without that wrapper no network of this size sees
+millimetres. `pickenv/ReachScaled-v0` has it built in.
 """
 
-_REACH = {
-    "env_wrapper": "pickenv.agents.policies.gap_wrapper.GapScaling",
+_SCALED = {
     "n_envs": 64,
     "n_timesteps": 2.5e5,
     "policy": "MlpPolicy",
@@ -19,4 +18,6 @@ _REACH = {
     "policy_kwargs": "dict(net_arch=[64, 64], log_std_init=-1.0)",
 }
 
-hyperparams = {"pickenv/Reach-v0": _REACH, "pickenv/ReachIdeal-v0": _REACH}
+_REACH = _SCALED | {"env_wrapper": "pickenv.wrappers.GapScaling"}
+
+hyperparams = {"pickenv/Reach-v0": _REACH, "pickenv/ReachIdeal-v0": _REACH, "pickenv/ReachScaled-v0": _SCALED}

@@ -1,14 +1,14 @@
 """SAC: with hindsight (HER) on the goal environment, plain on the flat ones.
 
-`pickenv train` scales the gap to the fruit inside the networks (`pickenv.agents.training.off_policy`), so that
-hindsight stays exact.
+The gap to the fruit is scaled, on the flat environments by `pickenv.wrappers.GapScaling`, with hindsight inside the
+networks (`pickenv.agents.training.off_policy`): there a goal may be exchanged after the action was taken.
 """
 
-_REACH = {
+_SCALED = {
     "n_envs": 16,
     "n_timesteps": 1e4,
     "policy": "MlpPolicy",
-    "learning_rate": 1e-3,
+    "learning_rate": "lin_1e-3",
     "buffer_size": 60_000,
     "learning_starts": 1_500,
     "batch_size": 256,
@@ -20,11 +20,17 @@ _REACH = {
     "target_entropy": -12.0,
     "policy_kwargs": "dict(net_arch=[64, 64])",
 }
-_GOAL = _REACH | {
-    "policy": "MultiInputPolicy",
+_REACH = _SCALED | {"env_wrapper": "pickenv.wrappers.GapScaling"}
+_GOAL = _SCALED | {
+    "policy": "pickenv.agents.training.off_policy.SacPolicy",
     "env_kwargs": {"reward": "dense"},
     "replay_buffer_class": "HerReplayBuffer",
     "replay_buffer_kwargs": "dict(n_sampled_goal=2, goal_selection_strategy='future')",
 }
 
-hyperparams = {"pickenv/Reach-v0": _REACH, "pickenv/ReachIdeal-v0": _REACH, "pickenv/ReachGoal-v0": _GOAL}
+hyperparams = {
+    "pickenv/Reach-v0": _REACH,
+    "pickenv/ReachIdeal-v0": _REACH,
+    "pickenv/ReachScaled-v0": _SCALED,
+    "pickenv/ReachGoal-v0": _GOAL,
+}

@@ -1,0 +1,117 @@
+"""Policies that others trained or wrote: a zip of Stable-Baselines3, or a Python file that defines `make_policy`.
+
+Both execute what they hold, so load only what you trust; a policy file (.npz) of `pickenv train` executes nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.agents.policies.policy import Policy
+from pickenv.errors import InputError
+from pickenv.extras import require
+from pickenv.wrappers.gap import Scaling
+
+SUFFIXES = (".zip", ".py")
+MAKER = "make_policy"
+TELLING: Mapping[str, tuple[str, str]] = {
+    "top_quantiles_to_drop_per_net": ("sb3_contrib", "TQC"),
+    "target_policy_noise": ("stable_baselines3", "TD3"),
+    "target_entropy": ("stable_baselines3", "SAC"),
+    "clip_range": ("stable_baselines3", "PPO"),
+    "use_rms_prop": ("stable_baselines3", "A2C"),
+}
+"""A setting that only this algorithm, or it first in this order, keeps in its zip; and where the algorithm is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sb3Policy:
+    """A model of Stable-Baselines3, acting without noise, on one observation or a batch.
+
+    Attributes:
+        model: The model.
+        scaling: Of one that was trained on `pickenv/ReachScaled-v0`: what it sees and what its actions mean.
+    """
+
+    model: Any
+    scaling: Scaling | None = None
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Any) -> NDArray[np.float32]:
+        """The next action, or actions."""
+        if self.scaling is None:
+            return np.asarray(self.model.predict(observation, deterministic=True)[0], dtype=np.float32)
+        action = self.model.predict(self.scaling.shown(observation), deterministic=True)[0]
+        return self.scaling.act(observation, action)
+
+
+def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
+    """Load a policy for an environment.
+
+    Args:
+        path: A zip that a model's ``save`` wrote, or a Python file with ``make_policy(env, seed)``; what that returns
+            has ``act(observation)`` and ``reset()``.
+        env: The environment, single or vector.
+        seed: Of the policy's own draws.
+
+    Raises:
+        InputError: If there is no such file, it is damaged, of an algorithm that is not known, defines no
+            ``make_policy``, or was trained on other observations or actions.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path} does not exist; give a zip of Stable-Baselines3 or a Python file with {MAKER}")
+    return _written(path, env, seed) if path.suffix == ".py" else _trained(path, env)
+
+
+def _written(path: Path, env: Any, seed: int) -> Policy:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    make = getattr(module, MAKER, None)
+    if make is None:
+        raise InputError(f"{path} defines no {MAKER}(env, seed); let it return an object with act and reset")
+    policy: Policy = make(env, seed)
+    if not callable(getattr(policy, "act", None)) or not callable(getattr(policy, "reset", None)):
+        raise InputError(f"what {MAKER} of {path} returns has no act(observation) or no reset(); give it both")
+    return policy
+
+
+def _trained(path: Path, env: Any) -> Sb3Policy:
+    require("stable_baselines3")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            settings = json.loads(archive.read("data"))
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path} is no model of Stable-Baselines3 ({error}); give what its save wrote") from error
+    home = next((found for key, found in TELLING.items() if key in settings), None)
+    if home is None:
+        names = ", ".join(name for _, name in TELLING.values())
+        raise InputError(f"{path} is of an algorithm that is not known here; give one of {names}, or a Python file")
+    require(home[0])
+    model = getattr(importlib.import_module(home[0]), home[1]).load(path, device="cpu")
+    task = getattr(env.unwrapped, "task", None)
+    scaling = None if task is None else Scaling(task.joints, task.camera)
+    if scaling is not None and model.observation_space.shape == (scaling.features,):
+        return Sb3Policy(model, scaling)
+    spaces = (
+        ("observations", model.observation_space, getattr(env, "single_observation_space", env.observation_space)),
+        ("actions", model.action_space, getattr(env, "single_action_space", env.action_space)),
+    )
+    for what, trained, given in spaces:
+        if trained.shape != given.shape or type(trained) is not type(given):
+            raise InputError(f"{path} was trained on {what} {trained}, but the environment has {given}; give its own")
+    return Sb3Policy(model)

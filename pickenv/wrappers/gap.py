@@ -1,0 +1,318 @@
+"""Observations and actions for learning to the last millimetre: the gap by direction and logarithm, actions to match.
+
+A network that reads a gap in metres is blind to millimetres, and its noise hides them. Here the gap to the fruit enters
+as a direction of about unit length and the logarithm of its size, and near the fruit an action is a share of what is
+left: what a policy learns about decimetres then holds for micrometres. The formulas run on NumPy and on torch; the
+wrappers put them around environments.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, SupportsFloat
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from pickenv.envs.reaching.reach import ReachEnv
+from pickenv.envs.reaching.vector import ReachVectorEnv
+from pickenv.envs.shared.simulation import GOAL_NUMBERS, goal_gap
+from pickenv.envs.shared.task import MOST_ACTION, as_numbers
+from pickenv.errors import InputError
+
+SMALLEST = 1e-6
+"""Share of the near gap below which the gap shrinks no further: 0.1 um."""
+
+ROUNDING = 1e-3
+"""What rounding may add to a number that is at most one."""
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Where the numbers stand in an observation, and what counts as near.
+
+    Attributes:
+        joints: Number of joints n.
+        camera: Whether the flat observation ends with the camera's gap.
+        goal: Whether it is a goal observation: observation, achieved and desired goal, one after the other.
+        actions: Whether actions shrink with the gap; if not, only the observation changes.
+        near: Gap below which actions shrink with it, m.
+        near_turn: The same for the attitude, rad.
+    """
+
+    joints: int
+    camera: bool = False
+    goal: bool = False
+    actions: bool = True
+    near: float = 0.1
+    near_turn: float = 0.2
+
+    @property
+    def inputs(self) -> int:
+        """Numbers in the observation."""
+        if self.goal:
+            return self.joints + 3 + 2 * GOAL_NUMBERS
+        return self.joints + (15 if self.camera else 12)
+
+    @property
+    def features(self) -> int:
+        """Numbers that the networks see."""
+        return self.joints + 7
+
+    def check(self, width: int) -> None:
+        """Refuse observations of another length.
+
+        Raises:
+            InputError: If ``width`` is not `inputs`.
+        """
+        if width != self.inputs:
+            raise InputError(
+                f"the policy was trained on observations of {self.inputs} numbers, but the environment gives {width}; "
+                "use the feedback and the arm of its training"
+            )
+
+    def gap(self, values: Any, xp: Any) -> tuple[Any, Any]:
+        """Gap between tool and fruit (m) and between attitudes (rad), ``(..., 3)`` each."""
+        n = self.joints
+        if self.goal:
+            numbers = [values[..., i] for i in range(n + 3, self.inputs)]
+            left = goal_gap(xp, numbers[:GOAL_NUMBERS], numbers[GOAL_NUMBERS:])
+            return xp.stack(left[:3], -1), xp.stack(left[3:], -1)
+        return values[..., n + 12 :] if self.camera else values[..., n + 6 : n + 9], values[..., n + 9 : n + 12]
+
+    def size(self, values: Any, xp: Any) -> Any:
+        """Size of the gap ``(..., 1)``; 1 is near."""
+        gap, turn = self.gap(values, xp)
+        far, turned = (
+            ((part * part).sum(-1)[..., None]) ** 0.5 / near
+            for part, near in ((gap, self.near), (turn, self.near_turn))
+        )
+        return xp.clip(xp.maximum(far, turned), SMALLEST, None)
+
+    def share(self, values: Any, xp: Any) -> Any:
+        """What an action of the network is multiplied by ``(..., 1)``."""
+        size = self.size(values, xp)
+        return xp.clip(size, None, 1.0) if self.actions else 0.0 * size + 1.0
+
+    def observe(self, values: Any, xp: Any) -> Any:
+        """What the networks see ``(..., features)``; ``xp`` is numpy or torch."""
+        gap, turn = self.gap(values, xp)
+        size = self.size(values, xp)
+        parts = (values[..., : self.joints], gap / (self.near * size), turn / (self.near_turn * size))
+        return xp.concatenate((*parts, xp.log10(size) / 2.0), -1)
+
+    def shown(self, values: NDArray[Any]) -> NDArray[np.float32]:
+        """`observe` as an environment shows it."""
+        return np.asarray(self.observe(values, np), dtype=np.float32)
+
+    def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
+        """What the environment gets for a policy's ``actions`` at the observations ``values``.
+
+        Actions of another shape, and numbers larger than ``most`` or not finite, stay as they are: it refuses them.
+        """
+        given = as_numbers("actions", actions)
+        if given.shape != (*values.shape[:-1], self.joints):
+            return given
+        scaled = np.clip(given, -1.0, 1.0) * self.share(values, np)
+        return np.where(np.abs(given) <= most, scaled, given).astype(np.float32)
+
+
+def joined_observation(observation: Any, xp: Any = np) -> Any:
+    """A goal observation as one array; a flat one as it is."""
+    if not isinstance(observation, dict):
+        return observation
+    return xp.concatenate([observation[key] for key in ("observation", "achieved_goal", "desired_goal")], -1)
+
+
+class GapScaling(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """See the gap to the fruit by direction and logarithm, and act in shares of it: what lets plain PPO learn.
+
+    `pickenv/ReachScaled-v0` is `pickenv/Reach-v0` in this wrapper, single and native. With n joints the observation is
+    `Box(float32)` of n + 7 numbers, and the size of the gap is the larger of position over 100 mm and attitude over
+    0.2 rad, at least 1e-6:
+
+    | Num          | Observation                                                  | Min | Max | Unit         |
+    |--------------|--------------------------------------------------------------|-----|-----|--------------|
+    | 0 to n-1     | joint readings, scaled to the limits                         | -1  | 1   | 1            |
+    | n to n+2     | position gap, divided by the size                            | -1  | 1   | 100 mm       |
+    | n+3 to n+5   | attitude gap (rotation vector), divided by the size          | -1  | 1   | 0.2 rad      |
+    | n+6          | half the size's logarithm                                    | -3  | 3   | two decimals |
+
+    The gap is fruit against believed tool, or with ``feedback="camera"`` as the camera measures it. Actions are cut to
+    -1 to 1 and, where the size is below one, multiplied by it.
+
+    Args:
+        env: A `pickenv/Reach-v0` or `pickenv/ReachIdeal-v0`.
+        actions: Whether actions are scaled; if not, only the observation changes.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import pickenv
+        >>> from pickenv.wrappers import GapScaling
+        >>> env = GapScaling(gym.make("pickenv/Reach-v0"))
+        >>> env.reset(seed=0)[0].shape
+        (13,)
+
+    Change log:
+     * v0.1.0 - Added.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], actions: bool = True) -> None:
+        """Wrap ``env``.
+
+        Raises:
+            InputError: If its observations are not those of a reach task, flat.
+        """
+        RecordConstructorArgs.__init__(self, actions=actions)
+        gym.Wrapper.__init__(self, env)
+        self.scaling, self._most = _scaling_of(env, env.observation_space, actions)
+        self.observation_space = _scaled_space(self.scaling)
+        self.raw: Any = np.zeros(self.scaling.inputs, dtype=np.float32)
+        """The observation as the environment gave it."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode."""
+        self.raw, info = self.env.reset(seed=seed, options=options)
+        return self.scaling.shown(self.raw), info
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Act in shares of the gap."""
+        self.raw, reward, terminated, truncated, info = self.env.step(self.scaling.act(self.raw, action, self._most))
+        return self.scaling.shown(self.raw), reward, terminated, truncated, info
+
+
+class GapScalingVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
+    """`GapScaling` for the native vector environments, on NumPy.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import pickenv
+        >>> from pickenv.wrappers import GapScalingVector
+        >>> envs = GapScalingVector(gym.make_vec("pickenv/Reach-v0", num_envs=4))
+        >>> envs.reset(seed=0)[0].shape
+        (4, 13)
+
+    Change log:
+     * v0.2.0 - Added.
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], actions: bool = True) -> None:
+        """Wrap ``env``; ``actions`` as in `GapScaling`.
+
+        Raises:
+            InputError: If its observations are not those of a reach task, flat, in NumPy's arrays.
+        """
+        RecordConstructorArgs.__init__(self, actions=actions)
+        VectorWrapper.__init__(self, env)
+        if env.metadata.get("torch"):
+            raise InputError("GapScalingVector works on NumPy; make the environments with executor='numpy'")
+        self.scaling, self._most = _scaling_of(env, env.single_observation_space, actions)
+        self.single_observation_space = _scaled_space(self.scaling)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.raw: Any = np.zeros((self.num_envs, self.scaling.inputs), dtype=np.float32)
+        """The observations as the environments gave them."""
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes."""
+        self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]  # as gymnasium's own vectors take it
+        return self.scaling.shown(self.raw), infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Act in shares of the gaps."""
+        given = self.scaling.act(self.raw, actions, self._most)
+        self.raw, rewards, terminations, truncations, infos = self.env.step(given)
+        if "final_obs" in infos:
+            final = infos["final_obs"].copy()
+            for i in np.flatnonzero(infos["_final_obs"]):
+                final[i] = self.scaling.shown(final[i])
+            infos = infos | {"final_obs": final}
+        return self.scaling.shown(self.raw), rewards, terminations, truncations, infos
+
+
+def scaled_reach(**arguments: Any) -> GapScaling:
+    """`pickenv/Reach-v0` as a policy learns it: in `pickenv.wrappers.GapScaling`.
+
+    ## Description
+
+    Arm, fruit, plant, reward, information and arguments are those of `pickenv/Reach-v0`. A network that reads a gap in
+    metres is blind to millimetres, and the noise of its exploration hides them: plain PPO stays at some 20 mm there.
+    Here it sees the gap by direction and logarithm and acts in shares of what is left, and comes to where its
+    calibration is what counts ("Training a policy" in the documentation has the figures).
+
+    ## Action Space
+
+    `Box(-1, 1, (6,), float32)`: joint increments as in `pickenv/Reach-v0`, multiplied by the size of the gap where
+    that is below one.
+
+    ## Observation Space
+
+    `Box(float32)`, 13 numbers. The size of the gap is the larger of position over 100 mm and attitude over 0.2 rad, at
+    least 1e-6.
+
+    | Num   | Observation                                                         | Min | Max | Unit         |
+    |-------|---------------------------------------------------------------------|-----|-----|--------------|
+    | 0-5   | joint readings, scaled to the limits                                | -1  | 1   | 1            |
+    | 6-8   | fruit minus believed tool (with a camera: as it sees it), over size | -1  | 1   | 100 mm       |
+    | 9-11  | wanted against believed attitude, rotation vector, over size        | -1  | 1   | 0.2 rad      |
+    | 12    | half the size's logarithm                                           | -3  | 3   | two decimals |
+
+    ## Rewards
+
+    As in `pickenv/Reach-v0`.
+
+    ## Starting State
+
+    As in `pickenv/Reach-v0`; the same seed gives the same fruit.
+
+    ## Episode End
+
+    As in `pickenv/Reach-v0`: truncation after 60 steps.
+
+    ## Arguments
+
+    ```python
+    >>> import gymnasium as gym
+    >>> import pickenv
+    >>> env = gym.make("pickenv/ReachScaled-v0", feedback="camera", camera_noise_mm=1.0)
+    >>> env.reset(seed=1)[0].shape
+    (13,)
+    >>> gym.make_vec("pickenv/ReachScaled-v0", num_envs=64).reset(seed=1)[0].shape
+    (64, 13)
+
+    ```
+
+    Those of `pickenv/Reach-v0`.
+
+    ## Version History
+
+    * v0: First version.
+    """
+    return GapScaling(ReachEnv(**arguments))
+
+
+def scaled_reach_vector(**arguments: Any) -> GapScalingVector:
+    """N environments `pickenv/ReachScaled-v0` in one: `pickenv.envs.ReachVectorEnv` in `GapScalingVector`."""
+    return GapScalingVector(ReachVectorEnv(**arguments))
+
+
+def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> tuple[Scaling, float]:
+    """The scaling that suits an environment, and the largest size of an action's numbers that it takes."""
+    task = getattr(env.unwrapped, "task", None)
+    found = None if task is None else Scaling(task.joints, task.camera, actions=actions)
+    if task is None or found is None or space.shape != (found.inputs,):
+        raise InputError("GapScaling reads flat observations; wrap a pickenv/Reach-v0 environment")
+    return found, task.most_action
+
+
+def _scaled_space(scaling: Scaling) -> spaces.Box:
+    high = np.array([1.0] * scaling.joints + [1.0 + ROUNDING] * 6 + [-math.log10(SMALLEST) / 2.0], dtype=np.float32)
+    return spaces.Box(-high, high, dtype=np.float32)

@@ -1,0 +1,32 @@
+"""The way of a policy: the documentation's lines train one, and print what it misses by raw and calibrated."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "learning.md").read_text(encoding="utf-8")
+LINES = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0])
+def test_a_policy_is_as_accurate_as_the_calibration_behind_it(seed: int, tmp_path: Path) -> None:
+    """Simulated; the bounds are those that the page promises for seeds 0 to 4."""
+    lines = LINES.replace("seed, plant = 0,", f"seed, plant = {seed},")
+    assert f"seed, plant = {seed}," in lines
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", lines],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    left = {name: float(mm) for name, mm in re.findall(r"^(\w+): ([\d.]+) mm$", done.stdout, re.MULTILINE)}
+    assert list(left) == ["raw", "ls", "ls_bpnn"]
+    assert left["raw"] >= 1.5 and 0.45 <= left["ls"] <= 0.75 and left["ls_bpnn"] <= 0.35
