@@ -22,7 +22,7 @@ from matplotlib.quiver import Quiver
 from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.colours import arm_colour, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
-from pickenv.inspect.figures.field_figure import arrow_gain, error_fields, round_down, thinned
+from pickenv.inspect.figures.field_figure import error_fields, field_gain, round_down, thinned
 from pickenv.inspect.figures.plot_policies import CycleCurve
 from pickenv.inspect.figures.plot_slices import error_slices
 from pickenv.inspect.figures.run_drawings import comparison_drawings
@@ -252,8 +252,7 @@ def test_error_fields(comparison: Comparison) -> None:
         known = {tuple(c) for c in np.asarray(viridis(lengths / top) / 255.0)}
         assert {tuple(c[:3]) for c in arrows.get_facecolor()} <= known
     assert "×40" in figure.get_suptitle()
-    spacing = thinned(comparison)[1]
-    assert f"×{round_down(1.1 * spacing / (1e-3 * top)):g}" in error_fields(comparison).get_suptitle()
+    assert f"×{field_gain(comparison.grid_step, top):g}" in error_fields(comparison).get_suptitle()
 
 
 def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison: Comparison) -> None:
@@ -293,7 +292,11 @@ def test_a_gain_is_a_round_number_that_lets_arrows_nearly_touch() -> None:
     steps = np.array([m * 10.0**power for power in range(-7, 8) for m in (1, 2, 3, 4, 5, 8)])
     for value in [*np.exp(np.random.default_rng(0).uniform(-12, 12, 60)), 1.0, 3.0, 80.0, 0.2]:
         assert round_down(value) == pytest.approx(steps[steps <= value * (1 + 1e-9)].max(), rel=1e-12)
-    assert arrow_gain(0.05, 1.1) == 50.0 and arrow_gain(0.05, 1.09) == 50.0 and arrow_gain(0.05, 1.11) == 40.0
+    for step, top, gain in (
+        *((0.08, 1.0, 20.0), (0.04, 3.0, 20.0)),  # 20 times the longest is 0.25 and 1.5 cells
+        *((0.08, 0.99, 80.0), (0.04, 3.01, 10.0)),  # beyond that, so that 1.1 cells hold it
+    ):
+        assert field_gain(step, top) == gain
 
 
 @pytest.mark.parametrize(("most", "stride"), [(400, 1), (60, 2), (20, 3)])
