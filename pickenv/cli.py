@@ -18,6 +18,7 @@ from pickenv.commands.check import check
 from pickenv.commands.comparing import SeveralValues, compare
 from pickenv.commands.conditions import conditions
 from pickenv.commands.examples import examples, pages_address
+from pickenv.commands.filming import film
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
 from pickenv.commands.showing import print_table, progress_bars
@@ -142,7 +143,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         compare,
         study,
     ),
-    "Look at what came out": (inspection.inspect, reports.figures, reports.report),
+    "Look at what came out": (inspection.inspect, film, reports.figures, reports.report),
 }
 """Commands by what they are for, in the order in which `pickenv --help` shows them."""
 

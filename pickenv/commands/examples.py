@@ -42,6 +42,7 @@ EXAMPLES: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
         ),
         "study": ("tolerance-studies.md", ("pickenv study scripts/tolerance_study.toml --quick --out runs/study",)),
         "inspect": ("recordings.md", ("pickenv inspect runs/demo", "pickenv inspect runs/demo --web")),
+        "film": ("films.md", ("pickenv film runs/compare --out film.gif",)),
         "figures": ("figures-and-reports.md", ("pickenv figures runs/demo --format pdf --out figures",)),
         "report": ("figures-and-reports.md", ("pickenv report runs/demo",)),
     }
