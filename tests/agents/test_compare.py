@@ -6,7 +6,6 @@ import html
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -153,9 +152,8 @@ def test_a_run_folder_gives_back_every_episode_and_takes_part_in_another_compari
     for one, other in zip(episodes.policies, found.episodes.policies, strict=True):
         for name, values in vars(one).items():
             np.testing.assert_array_equal(values, getattr(other, name))
-    assert replace(episodes, policies=(), nominal=None, true_geometry=None) == replace(
-        found.episodes, policies=(), nominal=None, true_geometry=None
-    )
+    for name in ("env_id", "plant", "gripper", "tolerance_mm", "seed", "seeds", "period"):
+        assert getattr(episodes, name) == getattr(found.episodes, name)
     assert comparison is not None and len(load_part(run, Comparison).policies) == 2
     again = pickenv.compare([folder, "random"], episodes=EPISODES, grid_step=0.4, seed=5)
     assert [policy.label for policy in again.episodes.policies] == ["raw", "LS", "random"]
@@ -187,7 +185,7 @@ class Pointing(gym.Env[Any, Any]):
         return seen, -float(np.linalg.norm(self.fruit - self.tool)), False, self.moment == 12, info
 
     def _seen(self) -> tuple[Any, dict[str, Any]]:
-        info = {"tool_position": self.tool, "fruit_position": self.fruit}
+        info = {"tool_position": self.tool.copy(), "fruit_position": self.fruit.copy()}
         return np.float32(self.fruit - self.tool), {name: info[name] for name in self.told}
 
 
@@ -240,6 +238,7 @@ def test_a_position_that_is_none_is_refused(value: Any) -> None:
         missing_positions({"tool_position": value, "fruit_position": np.zeros(3)})
 
 
+@pytest.mark.slow
 def test_a_model_of_stable_baselines_takes_part_where_it_fits(tmp_path: Path) -> None:
     sb3 = pytest.importorskip("stable_baselines3")
     env = gym.make("tests/Pointing-v0", max_episode_steps=12)
@@ -269,7 +268,7 @@ def test_a_model_of_stable_baselines_takes_part_where_it_fits(tmp_path: Path) ->
         (lambda folder: pickenv.compare(["scripted"], arms="per_episode"), "use `pickenv evaluate`"),
         (lambda folder: pickenv.compare(["nobody"]), "unknown policy 'nobody'"),
         (lambda folder: pickenv.compare([folder / "none.zip"]), "does not exist"),
-        (lambda folder: pickenv.compare(["scripted"], episodes=0), "give at least one"),
+        (lambda folder: pickenv.compare(["scripted"], episodes=0), "episodes is 0"),
         (lambda folder: pickenv.compare(["scripted"], gripper="claw"), "claw"),
     ],
 )
