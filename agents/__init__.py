@@ -33,7 +33,16 @@ if _TYPE_CHECKING:
 __all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GridSettings", "LearnedPolicy"]
 __all__ += ["OracleReach", "Policy", "PolicyComparison", "PolicyGrid", "RandomReach", "Reaches", "Rollout"]
 __all__ += ["ScriptedHarvest", "ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "calibrate_arm"]
-__all__ += ["compare", "episode_seeds", "load_policy", "roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
+__all__ += [
+    "compare",
+    "episode_seeds",
+    "load_policy",
+    "roll_out",
+    "run_grid",
+    "run_reaches",
+    "shipped_baselines",
+    "train",
+]
 
 __getattr__, __dir__ = _offered(__name__)
 
