@@ -36,8 +36,13 @@ EXAMPLES: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
         "conditions": ("conditions.md", ("pickenv conditions orchard --out runs/conditions",)),
         "train": ("commands.md", ("pickenv train --steps 100000 --compensate my_arm.npz --out runs/policy",)),
         "evaluate": ("findings.md", ("pickenv evaluate --policy runs/policy --out runs/comparison",)),
+        "compare": (
+            "comparing-policies.md",
+            ("pickenv compare scripted scripted --compensate none my_arm.npz --episodes 20 --out runs/compare",),
+        ),
         "study": ("tolerance-studies.md", ("pickenv study scripts/tolerance_study.toml --quick --out runs/study",)),
         "inspect": ("recordings.md", ("pickenv inspect runs/demo", "pickenv inspect runs/demo --web")),
+        "film": ("films.md", ("pickenv film runs/compare --out film.gif",)),
         "figures": ("figures-and-reports.md", ("pickenv figures runs/demo --format pdf --out figures",)),
         "report": ("figures-and-reports.md", ("pickenv report runs/demo",)),
     }
