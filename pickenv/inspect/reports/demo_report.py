@@ -144,7 +144,7 @@ def _cases(cases: Mapping[str, Sequence[PickChange]]) -> report_page.Section:
     caption = "Share of fruit that a gripper takes, by how well the fruit is seen (standard deviation)"
     return report_page.Section(
         "Does it matter?",
-        [report_page.PageTable(caption, heads, rows)] if rows else (),
+        [report_page.Folded(caption, [report_page.PageTable(caption, heads, rows)])] if rows else (),
         "Each arm's own error across the tool, with an error of perception beside it; the gripper's curve says what is "
         "taken.",
     )

@@ -84,19 +84,22 @@ def matters(plant: str, changes: Sequence[PickChange]) -> str:
         changes: From `pick_changes`.
     """
     best = sorted(
-        (max((c for c in changes if c.gripper == name), key=lambda c: c.gain) for name in {c.gripper for c in changes}),
-        key=lambda c: -c.gain,
+        (
+            max((c for c in changes if c.gripper == name), key=lambda c: abs(c.gain))
+            for name in dict.fromkeys(c.gripper for c in changes)
+        ),
+        key=lambda c: -abs(c.gain),
     )
-    if best[0].gain < MATTERS:
+    if abs(best[0].gain) < MATTERS:
         return (
-            f"On {plant} this changes no more than {np.ceil(100.0 * max(best[0].gain, 0.0) - 1e-9):.0f} of 100 picks, with any gripper "
+            f"On {plant} this changes no more than {np.ceil(100.0 * abs(best[0].gain) - 1e-9):.0f} of 100 picks, with any gripper "
             f"and however well the fruit is seen; most {_where(best[0])}: {_both(best[0])}."
         )
-    yes = [f"{_where(c)}: {_both(c)}" for c in best if c.gain >= MATTERS]
-    no = [f"{c.gripper} ({_both(c)})" for c in best if c.gain < MATTERS]
+    yes = [f"{_where(c)}: {_both(c)}" for c in best if abs(c.gain) >= MATTERS]
+    no = [f"{c.gripper} ({_both(c)})" for c in best if abs(c.gain) < MATTERS]
     first = f"On {plant} this changes picks {'; '.join(yes)}."
     sharp = next(c for c in changes if c.gripper == best[0].gripper and c.perception_mm == PERCEPTION_MM[0])
-    if sharp.gain < MATTERS:
+    if abs(sharp.gain) < MATTERS:
         first += f" Were the fruit seen without error, it would change none ({_both(sharp)})."
     return first + (f" Hardly a pick changes with {' and '.join(no)}." if no else "")
 
