@@ -91,8 +91,9 @@ def matters(plant: str, changes: Sequence[PickChange]) -> str:
         key=lambda c: -abs(c.gain),
     )
     if abs(best[0].gain) < MATTERS:
+        most = np.ceil(100.0 * abs(best[0].gain) - 1e-9)
         return (
-            f"On {plant} this changes no more than {np.ceil(100.0 * abs(best[0].gain) - 1e-9):.0f} of 100 picks, with any gripper "
+            f"On {plant} this changes no more than {most:.0f} of 100 picks, with any gripper "
             f"and however well the fruit is seen; most {_where(best[0])}: {_both(best[0])}."
         )
     yes = [f"{_where(c)}: {_both(c)}" for c in best if abs(c.gain) >= MATTERS]

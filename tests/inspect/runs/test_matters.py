@@ -44,5 +44,6 @@ def test_the_sentence_says_for_which_gripper_and_perception_error() -> None:
     assert matters("arm", least).startswith("On arm this changes no more than 3 of 100 picks, with any gripper")
     worse = [PickChange("cup", 0.0, 0.9, 0.8)]
     assert matters("arm", worse) == (
-        "On arm this changes picks with cup and the fruit seen without error: 90 % taken without, 80 % with calibration."
+        "On arm this changes picks with cup and the fruit seen without error: 90 % taken without, "
+        "80 % with calibration."
     )
