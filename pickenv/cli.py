@@ -15,7 +15,9 @@ from pickenv.commands.bench import bench
 from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
+from pickenv.commands.comparing import SeveralValues, compare, film
 from pickenv.commands.conditions import conditions
+from pickenv.commands.examples import examples, pages_address
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
 from pickenv.commands.showing import WIDTH, print_table, progress_bars
@@ -28,6 +30,7 @@ from pickenv.texts import folded, screen_width
 app = typer.Typer(
     name="pickenv",
     help="Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms.",
+    epilog=f"Pages: {pages_address()}/quickstart.md",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
@@ -140,15 +143,17 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         conditions,
         learning.train,
         learning.evaluate,
+        compare,
         study,
     ),
-    "Look at what came out": (inspection.inspect, reports.figures, reports.report),
+    "Look at what came out": (inspection.inspect, film, reports.figures, reports.report),
 }
 """Commands by what they are for, in the order in which `pickenv --help` shows them."""
 
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
-        app.command(rich_help_panel=_purpose)(_command)
+        cls = SeveralValues if _command is compare else None
+        app.command(rich_help_panel=_purpose, epilog=examples(_command.__name__.replace("_", "-")), cls=cls)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
-from pickenv.envs.shared.task import CONTROL_PERIOD, MOST_ACTION, Compensate, check_choice, check_number
+from pickenv.envs.shared.situation import CONTROL_PERIOD
+from pickenv.envs.shared.task import MOST_ACTION, Compensate, check_choice, check_number
 from pickenv.errors import InputError
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import Machine, load_machine
@@ -110,15 +111,12 @@ def make_harvest_task(
     detector: str = "li2016",
     canopy: str | None = None,
     out_of_range: str = "clip",
-    render_mode: str | None = None,
 ) -> HarvestTask:
     """Check the arguments of an environment and read its files.
 
     Raises:
         InputError: If one of them is impossible.
     """
-    if render_mode is not None:
-        raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
