@@ -45,6 +45,7 @@ def begin(monkeypatch):
             "reachable": np.ones((1, len(offsets)), dtype=bool),
         }
         env.state = replace(env.state, **(usual | {key: np.array([value]) for key, value in changes.items()}))
+        env.state.left = batch.work_left(env.task, env.state)
         return env
 
     return build
@@ -125,6 +126,7 @@ def test_an_empty_cup_has_tried_and_looks_again(begin, luck):
     """The fruit hangs 7 mm off, where the gatherer takes 1 - (7 - 5)/5 = 0.6 of them; it was believed at 30 mm."""
     env = begin([[0.007, 0.0, 0.0], FAR], luck=luck, reachable=[True, False])
     env.state.believed[0, 0, 0] += 0.023
+    env.state.left = batch.work_left(env.task, env.state)
     _, reward, over, _, info = env.step(action())
     assert reward == pytest.approx((0.030 - 0.007) / 2 - 0.005)
     assert counters(info) == (0, 0, 1, 0, False) and not over

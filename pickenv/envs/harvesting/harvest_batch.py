@@ -19,7 +19,7 @@ from pickenv.arm.plant.tree import leaves
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import MOST_ACTION, Compensate, check_choice, check_number
 from pickenv.errors import InputError
-from pickenv.harvester.interference import arm_distances
+from pickenv.harvester.interference import arm_distances, pairs_of
 from pickenv.harvester.machine import Machine, load_machine
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.picking import Picking, attempt, draw_luck, load_picking, pushes
@@ -158,6 +158,7 @@ class HarvestState:
         held: Arms that the guard held in the last period.
         closest: Least distance between two arms' centre lines so far, m.
         attempts: Attempts so far.
+        left: `work_left` as it stands, m.
     """
 
     joints: Array
@@ -178,6 +179,7 @@ class HarvestState:
     held: NDArray[np.int64]
     closest: Array
     attempts: NDArray[np.int64]
+    left: Array
 
     @property
     def moved(self) -> Array:
@@ -210,7 +212,7 @@ def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> Harve
         master = pick_point(machine, sight.believed[sight.located]).master
         joints[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
     reachable = np.asarray(machine.reach(joints[:, :3], believed).any(axis=1)) & located
-    return HarvestState(
+    begun = HarvestState(
         joints=joints,
         fruit=fruit,
         shift=still,
@@ -229,7 +231,10 @@ def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> Harve
         held=np.zeros(n, dtype=np.int64),
         closest=distances(task, joints),
         attempts=np.zeros(n, dtype=np.int64),
+        left=np.zeros(n),
     )
+    begun.left = work_left(task, begun)
+    return begun
 
 
 def _drawn_zone(task: HarvestTask, rng: np.random.Generator) -> tuple[Array, Array, Sight]:
@@ -274,41 +279,47 @@ def step(
         compensator: Maps nominal joints of whole machines to commands.
     """
     machine = task.machine
-    before = work_left(task, state)
+    before = state.left
     wanted = actions * task.increment
-    arms_free = (state.busy == 0).repeat(3, axis=1)
-    wanted[:, 3:] *= arms_free
-    wanted[:, :3] *= (state.busy == 0).all(axis=1)[:, None]  # the master stands while a blade cuts
-    target = np.clip(state.joints + wanted, machine.lower, machine.upper)
-    state.held = _guard(machine, state.joints, target)
+    if state.busy.any():
+        wanted[:, 3:] *= (state.busy == 0).repeat(3, axis=1)
+        wanted[:, :3] *= (state.busy == 0).all(axis=1)[:, None]  # the master stands while a blade cuts
+    target = np.minimum(np.maximum(state.joints + wanted, machine.lower), machine.upper)
+    state.held, apart = _guard(task, state.joints, target)
     state.joints = target
     state.busy = np.maximum(state.busy - 1, 0)
-    state.closest = np.minimum(state.closest, distances(task, target))
+    state.closest = np.minimum(state.closest, apart)
     state.periods = state.periods + 1
     commands = target if compensator is None else compensator(target)
     tips = task.true.tips(commands[:, :3], commands[:, 3:].reshape(len(target), machine.arms, 3))
     branch, rules = task.model.branch, task.rules
-    state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
+    if state.swing.any() or state.velocity.any():
+        state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
     collected, lost = attempts(task, state, tips, rngs)
-    progress = before - work_left(task, state)
+    state.left = work_left(task, state)
+    progress = before - state.left
     effort = np.abs(actions).mean(axis=1)
     cost = rules.guard_cost * state.held + rules.period_cost + rules.motion_cost * effort
     return np.asarray(collected - lost + progress - cost)
 
 
-def _guard(machine: Machine, start: Array, target: Array) -> NDArray[np.int64]:
-    """Hold every arm whose move would bring it too near another; changes ``target``, counts held arms."""
-    n, arms = len(start), machine.arms
+def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.int64], Array]:
+    """Hold every arm whose move would bring it too near another; changes ``target``.
+
+    Returns:
+        Arms held, and the least distance between two arms' centre lines afterwards, (machines,) each.
+    """
+    machine, n = task.machine, len(start)
+    arms = machine.arms
     held = np.zeros((n, arms), dtype=bool)
     if arms < 2:
-        return np.asarray(held.sum(axis=1))
-    i, j = np.triu_indices(arms, 1)
+        return np.asarray(held.sum(axis=1)), distances(task, target)
+    i, j = pairs_of(arms)
     old, new = start[:, 3:].reshape(n, arms, 3), target[:, 3:].reshape(n, arms, 3).copy()
-    for _ in range(arms):
-        near = np.full((n, len(i)), np.inf)
-        for share in (0.5, 1.0):
-            near = np.minimum(near, arm_distances(machine, old + share * (new - old)))
-        bad = near < machine.body.clearance
+    for _ in range(arms + 1):
+        between, after = arm_distances(machine, np.stack([old + share * (new - old) for share in (0.5, 1.0)]))
+        bad = np.minimum(between, after) < machine.body.clearance
+        bad &= ~(held[:, i] & held[:, j])
         if not bad.any():
             break
         for pair, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
@@ -316,7 +327,7 @@ def _guard(machine: Machine, start: Array, target: Array) -> NDArray[np.int64]:
             held[:, b] |= bad[:, pair]
         new = np.where(held[..., None], old, new)
     target[:, 3:] = new.reshape(n, -1)
-    return np.asarray(held.sum(axis=1))
+    return np.asarray(held.sum(axis=1)), np.asarray(after.min(axis=-1))
 
 
 def attempts(
@@ -333,13 +344,16 @@ def attempts(
     model, rules = task.model, task.rules
     offset = (state.fruit + state.moved)[:, None] - tips[:, :, None]  # (machines, arms, fruit, 3)
     lateral = np.hypot(offset[..., 0], offset[..., 1])
-    last = np.maximum(state.tried, 0)
-    away = np.linalg.norm(np.take_along_axis(offset, last[:, :, None, None], axis=2)[:, :, 0], axis=-1)
-    state.tried = np.where(away > rules.rearm, -1, state.tried)
+    if (state.tried >= 0).any():
+        last = np.maximum(state.tried, 0)
+        away = np.linalg.norm(np.take_along_axis(offset, last[:, :, None, None], axis=2)[:, :, 0], axis=-1)
+        state.tried = np.where(away > rules.rearm, -1, state.tried)
     free = (state.busy == 0) & (state.tried < 0)
     inside = (lateral < model.outer) & (np.abs(offset[..., 2]) < rules.sensor)
-    inside &= (state.status == HANGING)[:, None, :] & free[:, :, None]
     collected, lost = np.zeros((2, len(tips)))
+    if not inside.any():
+        return collected, lost
+    inside &= (state.status == HANGING)[:, None, :] & free[:, :, None]
     for machine in np.flatnonzero(inside.any(axis=(1, 2))).tolist():
         arms, some = _nearest(np.where(inside[machine], lateral[machine], np.inf))
         fruit, moved, diameters = state.fruit[machine], state.moved[machine, some], state.diameters[machine, some]
@@ -401,7 +415,8 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
     shown = pickable(state)[..., None]
     local = np.stack([right, ahead, away[..., 2]], axis=-1) * shown
     parts = [scaled, state.busy / task.lead, np.concatenate([local, shown], axis=-1).reshape(len(scaled), -1)]
-    return np.asarray(np.clip(np.concatenate(parts, axis=1), *task.bounds), dtype=np.float32)
+    low, high = task.bounds
+    return np.asarray(np.minimum(np.maximum(np.concatenate(parts, axis=1), low), high), dtype=np.float32)
 
 
 def spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
