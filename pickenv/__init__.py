@@ -22,6 +22,7 @@ if _TYPE_CHECKING:
     from pickenv.agents import compare, load_policy, run_reaches
     from pickenv.arm import Arm, Plant, load_arm, load_plant
     from pickenv.calibration import Calibration, Choices, Result, calibrate
+    from pickenv.inspect import film
 
 __all__ = ["Arm", "Calibration", "Choices", "InputError", "Plant", "Result", "__version__", "agents", "arm"]
 __all__ += [
@@ -29,6 +30,7 @@ __all__ += [
     "calibration",
     "compare",
     "envs",
+    "film",
     "harvester",
     "inspect",
     "load_arm",

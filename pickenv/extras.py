@@ -18,6 +18,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "learn": ("torch", "sklearn"),
         "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
         "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
+        "render": ("vtkmodules", "imageio_ffmpeg"),
         "camera": ("cv2",),
         "study": ("pyarrow", "joblib"),
         "ray": ("ray",),

@@ -41,7 +41,7 @@ FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
     (("pickenv.extras", "pickenv.faces"),),
     (GROUND,),
     (("pickenv.arm",), ("pickenv.orchard",)),
-    (("pickenv.calibration",), ("pickenv.harvester",)),
+    (("pickenv.calibration",), ("pickenv.harvester",), ("pickenv.pictures",)),
     (("pickenv.envs", "pickenv.wrappers"), ("pickenv.inspect",), ("pickenv.zoo",)),
     (("pickenv.agents",),),
     (("pickenv.cli", "pickenv.demo", "pickenv.commands", "pickenv.study", "pickenv.bench", "pickenv.__main__"),),
@@ -57,7 +57,7 @@ SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
     "pickenv.arm": (("kinematics",), ("files",), ("effects",), ("plant",)),
     "pickenv.envs": (("shared",), ("reaching",), ("picking", "harvesting")),
-    "pickenv.inspect": (("runs",), ("figures",), ("recordings", "reports")),
+    "pickenv.inspect": (("runs",), ("figures",), ("recordings", "reports", "films")),
     "pickenv.study": (("design",), ("results",), ("running",), ("analysis",)),
     "pickenv.agents": (("policies",), ("evaluation",), ("training",)),
 }
@@ -65,7 +65,7 @@ BELOW = ("pickenv.errors", "pickenv.extras", *GROUND)
 # Narrower than the floors: what these rooms may import, and nothing else of ours.
 ONLY = {
     "pickenv.calibration": ("pickenv.arm", *BELOW),
-    "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", *BELOW),
+    "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.pictures", *BELOW),
 }
 # The ways up: a result writes its own page and files when it is asked to, and loads what writes them then.
 UPWARDS = {
@@ -74,7 +74,19 @@ UPWARDS = {
 }
 HEAVY = (
     *("torch", "stable_baselines3", "sb3_contrib", "rerun", "matplotlib", "plotly", "PIL", "skimage", "sklearn"),
-    *("pyarrow", "pandas", "ray", "grpc", "joblib", "ortools", "onnx", "onnxruntime", "tensorboard", "pettingzoo"),
+    *(
+        "pyarrow",
+        "pandas",
+        "ray",
+        "grpc",
+        "joblib",
+        "ortools",
+        "onnx",
+        "onnxruntime",
+        "tensorboard",
+        "pettingzoo",
+        "vtkmodules",
+    ),
     *("mujoco", "typer", "rich", "yaml", "tqdm", "pydantic"),
 )
 DOORS = {"pickenv": 500, "pickenv.arm": 1300, "pickenv.calibration": 1300}
@@ -348,6 +360,7 @@ IN_CODE = {
     "LEAST_MASS": "the same",
     "STIFFNESS": "of the drives in that simulation",
     "DAMPING": "the same",
+    "SHORTEST_LINK": "how viewers draw a link",
     "STEP_LIMIT": "the inverse's own",
     "DEGREES": "a conversion",
     "ROUNDING": "a rounding error",

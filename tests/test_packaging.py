@@ -41,6 +41,7 @@ def test_the_version_is_the_same_everywhere() -> None:
 
 
 PACKAGES = {
+    "vtkmodules": "vtk",
     "sklearn": "scikit-learn",
     "PIL": "pillow",
     "cv2": "opencv-python-headless",

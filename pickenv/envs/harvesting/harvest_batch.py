@@ -111,15 +111,12 @@ def make_harvest_task(
     detector: str = "li2016",
     canopy: str | None = None,
     out_of_range: str = "clip",
-    render_mode: str | None = None,
 ) -> HarvestTask:
     """Check the arguments of an environment and read its files.
 
     Raises:
         InputError: If one of them is impossible.
     """
-    if render_mode is not None:
-        raise InputError("Harvest-v0 has no render modes; scripts/reproduce_li2016.py draws and records zones")
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
+from pickenv.envs.shared.drawn_env import DrawnEnv
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError
+
+if TYPE_CHECKING:
+    from pickenv.pictures.stage import Stage
 
 Information = dict[str, Any]
 LONGEST = 600
 """Periods of an episode: a minute."""
 
 
-class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class HarvestEnv(DrawnEnv):
     """Pick the fruit of one zone with the multi-arm harvester of Li 2016.
 
     ## Description
@@ -97,6 +100,7 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
       `harvest`); "ideal" shows all fruit where it is. `detector`: "li2016" (default; R-G, Otsu, centroids) or
       "circles". `canopy`: "li2016" (default, leafy) or "li2016_bare". Detections of no fruit are left out.
     - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1 are cut to it or are an error.
+    - `render_mode` (None, "human" or "rgb_array").
 
     `pickenv.wrappers.CompensationWrapper` takes a compensator of the whole machine's joints, for instance a
     `pickenv.harvester.true_machine.Controller`.
@@ -107,8 +111,6 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
       pushes are log-normal and fruit swings; and the cameras came to see what a stereo pair can, instead of 97 % of the
       fruit to a millimetre. Returns from before cannot be compared.
     """
-
-    metadata = {"render_modes": [], "render_fps": 10}  # noqa: RUF012
 
     def __init__(
         self,
@@ -124,10 +126,10 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_mode: str | None = None,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
+        super().__init__(render_mode)
         self.task: HarvestTask = batch.make_harvest_task(
-            slaves, spacing_mm, fruit, ideal, vision, detector, canopy, out_of_range, render_mode
+            slaves, spacing_mm, fruit, ideal, vision, detector, canopy, out_of_range
         )
-        self.render_mode = None
         self.compensator: Compensate | None = None
         self.observation_space, self.action_space = batch.spaces(self.task)
         self.state: HarvestState | None = None
@@ -139,6 +141,8 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         super().reset(seed=seed)
         given_options(options, ())
         self.state = batch.begin_zones(self.task, [self.np_random])
+        if self.render_mode == "human":
+            self.render()
         return batch.observe(self.task, self.state)[0], self._information()
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:
@@ -152,7 +156,14 @@ class HarvestEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             raise InputError("step was called before reset; call reset first")
         rewards = batch.step(self.task, self.state, values[None], [self.np_random], self.compensator)
         terminated = bool(batch.finished(self.state)[0])
+        if self.render_mode == "human":
+            self.render()
         return batch.observe(self.task, self.state)[0], float(rewards[0]), terminated, False, self._information()
+
+    def _stage(self) -> Stage | None:
+        from pickenv.envs.harvesting.harvest_drawing import draw_harvest
+
+        return None if self.state is None else draw_harvest(self.task, self.state, self.compensator, dark=self.dark)
 
     def _information(self) -> Information:
         assert self.state is not None

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
 from pickenv.envs.harvesting.harvest_env import LONGEST
+from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
 from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError
 
@@ -30,16 +31,16 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
 
     Args:
         max_cycles: Periods after which an episode is truncated.
-        render_mode: None; there is no drawing.
+        render_mode: None or "rgb_array".
         arguments: As for `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
     """
 
-    metadata = {"name": "harvest_v0", "render_modes": [], "is_parallelizable": True}  # noqa: RUF012
+    metadata = {"name": "harvest_v0", "render_modes": ["rgb_array"], "is_parallelizable": True}  # noqa: RUF012
 
     def __init__(self, *, max_cycles: int = LONGEST, render_mode: str | None = None, **arguments: Any) -> None:
         """See the class."""
-        self.task: HarvestTask = batch.make_harvest_task(**arguments, render_mode=render_mode)
-        self.max_cycles, self.render_mode = max_cycles, render_mode
+        self.task: HarvestTask = batch.make_harvest_task(**arguments)
+        self.max_cycles, self.render_mode = max_cycles, checked_render_mode(render_mode, ("rgb_array",))
         self.possible_agents = ["master", *(f"slave_{i}" for i in range(self.task.machine.arms))]
         self.agents: list[str] = []
         self.compensator: Compensate | None = None
@@ -102,8 +103,14 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
             raise InputError("state was called before reset; call reset first")
         return np.asarray(batch.observe(self.task, self._state)[0])
 
-    def render(self) -> None:
-        """There is no drawing."""
+    def render(self) -> NDArray[np.uint8] | None:
+        """The whole machine, as in `pickenv/Harvest-v0`."""
+        if self.render_mode is None:
+            return None
+        from pickenv.envs.harvesting.harvest_drawing import draw_harvest
+
+        seen = None if self._state is None else draw_harvest(self.task, self._state, self.compensator)
+        return drawn(seen)
 
     def close(self) -> None:
         """Nothing to close."""

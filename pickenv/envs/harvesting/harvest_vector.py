@@ -15,6 +15,7 @@ from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
 from pickenv.envs.harvesting.harvest_env import LONGEST
+from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
 from pickenv.envs.shared.spaces import final_rows, given_mask, given_options, given_seeds
 from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError
@@ -30,7 +31,7 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         num_envs: Number of harvesters.
         max_episode_steps: Periods after which an episode is truncated.
         autoreset_mode: "NextStep", "SameStep" or "Disabled", or an `AutoresetMode`.
-        render_mode: None; there is no drawing.
+        render_mode: None or "rgb_array".
         arguments: As for `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
     """
 
@@ -46,10 +47,11 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """See the class."""
         if num_envs < 1:
             raise InputError(f"{num_envs} environments are impossible; give 1 or more")
-        self.task: HarvestTask = batch.make_harvest_task(**arguments, render_mode=render_mode)
+        self.task: HarvestTask = batch.make_harvest_task(**arguments)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {"render_modes": [], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
-        self.num_envs, self.max_episode_steps, self.render_mode = num_envs, max_episode_steps, None
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
+        self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
+        self.render_mode = checked_render_mode(render_mode, ("rgb_array",))
         self.single_observation_space, self.single_action_space = batch.spaces(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -99,6 +101,17 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             extra = self._last_words()
             self._restart(np.flatnonzero(self._over))
         return self._observation(), rewards, terminated, truncated, self._information() | extra
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One picture per harvester."""
+        if self.render_mode is None:
+            return None
+        from pickenv.envs.harvesting.harvest_drawing import draw_harvest
+
+        if self.state is None:
+            raise InputError("render was called before reset; call reset first")
+        stages = (draw_harvest(self.task, self.state, self.compensator, row=row) for row in range(self.num_envs))
+        return tuple(map(drawn, stages))
 
     def _seed(self, seed: int | Sequence[int | None] | None) -> None:
         if seed is None and self._rngs:

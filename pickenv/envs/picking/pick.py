@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -31,6 +31,9 @@ from pickenv.envs.shared.situation import (
 from pickenv.envs.shared.spaces import box, given_options
 from pickenv.envs.shared.task import checked_action
 from pickenv.errors import InputError
+
+if TYPE_CHECKING:
+    from pickenv.pictures.stage import Stage
 
 LONGEST = 400
 """Steps of the time budget, whatever `max_episode_steps` says: the environment is not told of that."""
@@ -278,14 +281,15 @@ class PickEnv(ArmEnv):
             self.render()
         return self._observation(shown, believed), reward, terminated, False, self._information(command)
 
-    def _picture(self) -> NDArray[np.uint8] | None:
+    def _stage(self) -> Stage | None:
         from pickenv.envs.picking.pick_drawing import draw_pick
-        from pickenv.envs.shared.drawing import pixels
 
         if self.scene is None:
             return None
-        command, tool = np.array(self._command()), np.array(self._tool[9:])
-        return pixels(draw_pick(self.plant, self.joint_target, command, tool, self.scene, self._number))
+        command = self._command()
+        believed = nominal_frames(FLOATS, self.task, self._shown(command))[1]
+        nominal = self.task.plant.arm.nominal
+        return draw_pick(nominal, np.array(command), self._tool, believed, self.scene, self._number, self.dark)
 
     def _take_arm(self, asked: int | None, *, again: bool) -> None:
         """Choose the true arm: anew in every episode, or once per environment and seed."""

@@ -203,14 +203,14 @@ class Batch(ABC):
             state = begin(x, task, self.plant_of(some), key, start, wanted, self.commands(compensate, start))
             self.write(self.columns, some, state.columns)
 
-    def scene(self, row: int, compensate: Compensate | None) -> tuple[Array, View]:
-        """Joint target and everything that can be seen of one environment, on floats; no time passes."""
+    def scene(self, row: int, compensate: Compensate | None) -> View:
+        """Everything that can be seen of one environment, on floats; no time passes."""
         where = self.indices(np.array([row]))
         state = self.state_of([column[where] for column in self.columns])
         command, key = self.commands(compensate, list(state.target)), self.keys[where]
         _, scene = look(self.x, self.task, self.plant_of(where), state, command, key, key * 0, 0.0)
         plain = (tuple(map(self._float, part)) if isinstance(part, tuple) else self._float(part) for part in scene)
-        return np.array([self._float(value) for value in state.target]), View(*plain)  # type: ignore[arg-type]
+        return View(*plain)  # type: ignore[arg-type]
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on."""

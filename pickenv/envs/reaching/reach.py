@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pickenv.arm import Array, Frame, plant_at, plants_on
 from pickenv.envs.shared import simulation
@@ -21,6 +21,9 @@ from pickenv.envs.shared.spaces import action_space, flat_space, given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, check_choice, checked_action, make_task
 from pickenv.errors import InputError
+
+if TYPE_CHECKING:
+    from pickenv.pictures.stage import Stage
 
 EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
 
@@ -249,15 +252,14 @@ class ReachEnv(ArmEnv):
         """Number of the true arm in its population; 0 for a fixed one."""
         return self._arm
 
-    def _picture(self) -> NDArray[np.uint8] | None:
-        from pickenv.envs.shared.drawing import draw_reach, pixels
+    def _stage(self) -> Stage | None:
+        from pickenv.envs.reaching.reach_drawing import draw_reach
 
         if self._scene is None:
             return None
-        plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, self._arm)
         parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
         scene = simulation.View(*parts)  # type: ignore[arg-type]
-        return pixels(draw_reach(plant, self.joint_target, scene, self.task.tolerance_mm))
+        return draw_reach(self.task.plant.arm.nominal, scene, self.task.tolerance_mm, self.dark)
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
         """Observation and reward; variants with other observations override it."""

@@ -10,12 +10,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Plant, plant_at
+from pickenv.arm import Array, Plant
 from pickenv.arm.plant.named_plants import IDEAL
 from pickenv.envs.reaching.batch import Batch, Flags, Start, Views
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared import spaces
+from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
 from pickenv.envs.shared.given_goals import given_goals
 from pickenv.envs.shared.ladder import on_ladder
 from pickenv.envs.shared.simulation import NUMBER_KEYS
@@ -103,9 +104,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         mode = str(getattr(autoreset_mode, "value", autoreset_mode))
         check_choice("autoreset_mode", mode, tuple(mode.value for mode in AutoresetMode))
         check_choice("executor", executor, EXECUTORS)
-        if render_mode is not None:
-            check_choice("render_mode", render_mode, ("rgb_array",))
-            require("matplotlib")
+        checked_render_mode(render_mode, ("rgb_array",))
         self.task: Task = make_task(**on_ladder("Reach", difficulty, split, arguments))
         self.num_envs, self.max_episode_steps, self.render_mode = int(num_envs), max_episode_steps, render_mode
         self.autoreset_mode = AutoresetMode(mode)
@@ -216,15 +215,14 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         """One picture per environment, as in `pickenv/Reach-v0`."""
         if self.render_mode is None:
             return None
-        from pickenv.envs.shared.drawing import draw_reach, pixels
+        from pickenv.envs.reaching.reach_drawing import draw_reach
 
         if not self._seeded.all():
             raise InputError("render was called before reset; call reset first")
         pictures = []
         for i in range(self.num_envs):
-            plant = self.task.plant if self.task.arms == "fixed" else plant_at(self.task.plant, int(self.batch.arm[i]))
-            target, scene = self.batch.scene(i, self.compensator)
-            pictures.append(pixels(draw_reach(plant, target, scene, self.task.tolerance_mm)))
+            scene = self.batch.scene(i, self.compensator)
+            pictures.append(drawn(draw_reach(self.task.plant.arm.nominal, scene, self.task.tolerance_mm, dark=False)))
         return tuple(pictures)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:

@@ -1,0 +1,1 @@
+"""Films of comparisons: two policies side by side at the same fruit."""

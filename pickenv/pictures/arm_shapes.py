@@ -1,0 +1,176 @@
+"""An arm as something to look at: links, joints, telescopes, a gripper, its ghost, and the camera's field of view.
+
+Where along the arm it deviates is not asked: what the tool is off is spread evenly along the links. Units: m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import qmc
+
+from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.arm.kinematics.link_points import drawn_parts, nominal_points, true_points
+from pickenv.pictures.solids import turned
+from pickenv.pictures.stage import Balls, Mesh, Rgb, Rods, rgba
+
+GAIN = 20
+"""The ghost stands so many times as far from the arm as the arm is from where its controller believes it to be."""
+LINK, JOINT, METAL, GRIPPER = (236, 239, 243), (58, 68, 82), (168, 176, 188), (70, 78, 90)
+GHOST: Rgb = (52, 110, 200)
+FAINT = 0.42
+"""Opacity of the ghost."""
+THICKNESS = 0.028
+"""Radius of the first link, as a share of the arm's length; the last one has `TAPER` of it."""
+CUP_RADIUS = 0.0375
+"""Of a cup that takes a fruit of 60 mm, where a picture is told of no other, m."""
+FOOT = 1.9
+"""Radii of a cup from the fruit's place in it to where the arm ends."""
+TAPER, TELESCOPE, CAP = 0.5, 0.55, 1.28
+
+
+class Solids(NamedTuple):
+    """Parts of a picture."""
+
+    rods: tuple[Rods, ...] = ()
+    balls: tuple[Balls, ...] = ()
+    meshes: tuple[Mesh, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ArmLook:
+    """How one arm is drawn.
+
+    Attributes:
+        parts: Which parts of its polyline are drawn: numbers of their first points.
+        radius: Of these parts, m.
+        slides: Which of them become longer and shorter.
+        sleeve: Length of the outer tube of those that do, m.
+        low: Lowest corner of the room that its points take, m.
+        high: Highest corner.
+    """
+
+    parts: list[int]
+    radius: Array
+    slides: NDArray[np.bool_]
+    sleeve: Array
+    low: Array
+    high: Array
+
+
+@lru_cache(maxsize=8)
+def arm_look(geometry: Geometry) -> ArmLook:
+    """Thickness of an arm's parts, and the room it takes, from poses all over its joint ranges."""
+    share = qmc.Halton(geometry.joints, scramble=False).random(256)
+    points = nominal_points(geometry, geometry.lower + share * (geometry.upper - geometry.lower))
+    parts = drawn_parts(points)
+    lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1)[:, parts]
+    thick = THICKNESS * float(lengths.mean(axis=0).sum())
+    radius = thick * np.linspace(1.0, TAPER, len(parts))
+    slides = np.ptp(lengths, axis=0) > 1e-6
+    low, high = (np.quantile(points.reshape(-1, 3), q, axis=0) for q in (0.03, 0.97))
+    return ArmLook(parts, radius, slides, TELESCOPE * lengths.max(axis=0), low, high)
+
+
+def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = None) -> Solids:
+    """Links, joints and telescopes along a polyline ``(K, 3)``, up to the foot of a gripper.
+
+    Args:
+        look: How thick they are.
+        points: The polyline; its last point is the tool, within the gripper.
+        axis: Direction in which the tool points ``(3,)``.
+        accent: Colour of the links, in place of white.
+    """
+    points = np.concatenate([points[:-1], points[-1:] - FOOT * CUP_RADIUS * axis])
+    start, end = points[look.parts], points[[i + 1 for i in look.parts]]
+    along = end - start
+    length = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
+    inner = Rods(start, end, look.radius * np.where(look.slides, 0.62, 1.0), _by(look.slides, METAL, accent or LINK))
+    outer = look.slides & (length > look.radius)
+    reach = np.minimum(1.0, look.sleeve / length)[:, None]
+    sleeve = (start + along * reach)[outer]
+    tubes = Rods(start[outer], sleeve, look.radius[outer], rgba(accent or LINK, len(sleeve)))
+    joints = Balls(start, CAP * look.radius, rgba(JOINT, len(start)))
+    return Solids((inner, tubes), (joints,))
+
+
+def _by(flags: NDArray[np.bool_], yes: Rgb, no: Rgb) -> NDArray[np.uint8]:
+    return np.where(flags[:, None], rgba(yes, 1), rgba(no, 1)).astype(np.uint8)
+
+
+def ghost_points(geometry: Geometry, command: ArrayLike, tool: Array, believed: Array) -> Array:
+    """The polyline ``(K, 3)`` of the arm as its controller believes it to be, `GAIN` times as far off as it is."""
+    return true_points(geometry, command, tool + GAIN * (believed - tool))
+
+
+def ghost_solids(look: ArmLook, points: Array, colour: Rgb = GHOST) -> Solids:
+    """An arm that is seen through."""
+    start, end = points[look.parts], points[[i + 1 for i in look.parts]]
+    tip = Balls(points[-1:], 0.95 * look.radius[-1:], rgba(colour, 1, FAINT))
+    return Solids((Rods(start, end, 0.8 * look.radius, rgba(colour, len(start), FAINT)),), (tip,))
+
+
+def cup_solids(tool: Array, axis: Array, radius: float, colour: Rgb = GRIPPER, wall: float = 0.0035) -> Solids:
+    """A cup that opens along ``axis`` and holds the lower half of a fruit at ``tool``."""
+    deep = 1.15 * radius
+    inner = radius - wall
+    outline = [
+        [0.4 * radius, -1.35 * deep],
+        [0.7 * radius, -deep],
+        [radius, -0.55 * deep],
+        [radius, 0.0],
+        [radius, 0.0],
+    ]
+    outline += [[inner, 0.0], [inner, 0.0], [inner, -0.5 * deep], [0.6 * radius, -0.9 * deep], [0.0, -deep]]
+    return Solids(meshes=(turned(outline, tool, axis, colour),))
+
+
+def hand_solids(tool: Array, axis: Array, radius: float, closed: bool, colour: Rgb = GRIPPER) -> Solids:
+    """Three fingers around a fruit at ``tool``."""
+    x = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    x /= np.linalg.norm(x)
+    turn = 2.0 * np.pi * np.arange(3)[:, None] / 3
+    out = np.cos(turn) * x + np.sin(turn) * np.cross(axis, x)
+    palm = tool - 1.6 * radius * axis
+    knuckle, tip = palm + 0.7 * radius * out, tool + (0.75 if closed else 1.25) * radius * out + 0.5 * radius * axis
+    middle = tool + (1.1 if closed else 1.4) * radius * out - 0.7 * radius * axis
+    start, end = np.concatenate([knuckle, middle]), np.concatenate([middle, tip])
+    fingers = Rods(start, end, np.full(6, 0.2 * radius), rgba(colour, 6))
+    return Solids((fingers,), (Balls(palm[None], np.array([0.75 * radius]), rgba(JOINT, 1)),))
+
+
+def frustum_solids(eye: Array, ahead: Array, half_angles: Sequence[float], length: float, colour: Rgb) -> Solids:
+    """A camera at ``eye`` that looks along the level unit vector ``ahead``, and the edges of what it sees.
+
+    Args:
+        eye: Where it stands ``(3,)``, m.
+        ahead: Where it looks ``(3,)``.
+        half_angles: Tangents of its half angles of view, to the side and up.
+        length: How far its edges are drawn, m.
+        colour: Of the edges.
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    side = np.cross(ahead, up)
+    corners = np.array([sx * half_angles[0] * side + sz * half_angles[1] * up for sx, sz in _SIGNS])
+    far = eye + length * (ahead + corners)
+    start, end = np.concatenate([np.broadcast_to(eye, (4, 3)), far]), np.concatenate([far, np.roll(far, -1, axis=0)])
+    edges = Rods(start, end, np.full(8, 0.003), rgba(colour, 8))
+    body = Rods((eye - 0.05 * ahead)[None], eye[None], np.array([0.028]), rgba(JOINT, 1))
+    return Solids((edges, body))
+
+
+_SIGNS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+
+
+def joined_solids(*parts: Solids) -> Solids:
+    """All of several parts."""
+    return Solids(
+        tuple(rods for part in parts for rods in part.rods),
+        tuple(balls for part in parts for balls in part.balls),
+        tuple(mesh for part in parts for mesh in part.meshes),
+    )

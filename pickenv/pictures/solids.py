@@ -1,0 +1,169 @@
+"""Solids as triangles: rods and balls are stretched from one template, cups are turned, leaves and ground laid out.
+
+Units: m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.pictures.stage import Balls, Colours, Mesh, Rgb, Rods, rgba
+
+AROUND, ARCS = 14, 4
+"""Corners around a rod, and steps from its rim to its pole: as few as look round in a picture of 480 x 360 px."""
+
+
+class Triangles(NamedTuple):
+    """Corners with normals and colours, and the triangles between them.
+
+    Attributes:
+        corners: ``(V, 3)``, m.
+        normals: ``(V, 3)``.
+        colour: ``(V, 4)``, 0 to 255.
+        triangles: ``(T, 3)``.
+    """
+
+    corners: Array
+    normals: Array
+    colour: Colours
+    triangles: NDArray[np.intp]
+
+
+@lru_cache(maxsize=1)
+def _template() -> tuple[Array, NDArray[np.bool_], NDArray[np.intp]]:
+    """A unit ball cut at its equator: corners (V, 3), which of them belong to the far half, triangles (T, 3)."""
+    lift = np.linspace(0.0, np.pi / 2, ARCS + 1)[:-1]
+    rings = np.concatenate([-lift[::-1], lift])
+    turn = 2.0 * np.pi * np.arange(AROUND) / AROUND
+    ring = np.stack([np.cos(turn), np.sin(turn), np.zeros(AROUND)], axis=-1)
+    body = ring * np.cos(rings)[:, None, None] + [0.0, 0.0, 1.0] * np.sin(rings)[:, None, None]
+    corners = np.concatenate([body.reshape(-1, 3), [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+    far = np.concatenate([np.repeat(np.arange(len(rings)) >= ARCS, AROUND), [False, True]])
+    i = np.arange(AROUND)
+    j = (i + 1) % AROUND
+    low, high = len(corners) - 2, len(corners) - 1
+    top = AROUND * (len(rings) - 1)
+    faces = [np.stack([np.full(AROUND, low), j, i], -1), np.stack([np.full(AROUND, high), top + i, top + j], -1)]
+    for below in AROUND * np.arange(len(rings) - 1):
+        above = below + AROUND
+        faces += [np.stack([below + i, below + j, above + j], -1), np.stack([below + i, above + j, above + i], -1)]
+    return corners, far, np.concatenate(faces)
+
+
+def rod_triangles(rods: Rods) -> Triangles:
+    """Rods as triangles, all of one template."""
+    corners, far, faces = _template()
+    along = rods.end - rods.start
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    z = np.where(length > 1e-9, along / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
+    x = np.cross(z, np.where(np.abs(z[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    normals = np.einsum("vk,nkj->nvj", corners, np.stack([x, np.cross(z, x), z], axis=1))
+    ends = np.where(far[None, :, None], rods.end[:, None], rods.start[:, None])
+    return _joined(ends + normals * rods.radius[:, None, None], normals, rods.colour, faces)
+
+
+def ball_triangles(balls: Balls) -> Triangles:
+    """Balls as triangles, all of one template."""
+    corners, _, faces = _template()
+    normals = np.broadcast_to(corners, (len(balls.centre), *corners.shape))
+    return _joined(balls.centre[:, None] + normals * balls.radius[:, None, None], normals, balls.colour, faces)
+
+
+def _joined(corners: Array, normals: Array, colour: Colours, faces: NDArray[np.intp]) -> Triangles:
+    """N copies of a template, (N, V, 3), as one set of triangles."""
+    count, each = corners.shape[:2]
+    shifted = (faces + each * np.arange(count)[:, None, None]).reshape(-1, 3)
+    return Triangles(corners.reshape(-1, 3), normals.reshape(-1, 3), np.repeat(colour, each, axis=0), shifted)
+
+
+def mesh_triangles(surface: Mesh) -> Triangles:
+    """A surface with the normals of its corners: the mean of those of the triangles around each, by area."""
+    a, b, c = (surface.corners[surface.triangles[:, k]] for k in range(3))
+    face = np.cross(b - a, c - a)
+    normals = np.zeros_like(surface.corners, dtype=float)
+    for k in range(3):
+        np.add.at(normals, surface.triangles[:, k], face)
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    return Triangles(surface.corners, normals, surface.colour, surface.triangles)
+
+
+def all_triangles(parts: Sequence[Triangles]) -> Triangles:
+    """Several sets of triangles as one."""
+    if not parts:
+        return Triangles(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 4), np.uint8), np.empty((0, 3), np.intp))
+    first = np.cumsum([0, *(len(part.corners) for part in parts[:-1])])
+    triangles = [part.triangles + shift for part, shift in zip(parts, first, strict=True)]
+    corners, normals, colour = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    return Triangles(corners, normals, colour.astype(np.uint8), np.concatenate(triangles))
+
+
+def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, opacity: float = 1.0, around: int = 24) -> Mesh:
+    """A surface of revolution.
+
+    Args:
+        profile: Radius and height of points along its outline ``(P, 2)``, m; an edge is kept by giving a point twice.
+        point: Where height is zero ``(3,)``, m.
+        axis: Unit vector in which height grows ``(3,)``.
+        colour: Red, green, blue.
+        opacity: 0 to 1.
+        around: Corners around the axis.
+    """
+    outline = np.asarray(profile, dtype=float)
+    x = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    x = x / np.linalg.norm(x)
+    turn = 2.0 * np.pi * np.arange(around) / around
+    ring = np.cos(turn)[:, None] * x + np.sin(turn)[:, None] * np.cross(axis, x)
+    corners = point + outline[:, None, :1] * ring + outline[:, None, 1:] * axis
+    i = np.arange(around)
+    j, faces = (i + 1) % around, []
+    for k in range(len(outline) - 1):
+        if np.allclose(outline[k], outline[k + 1]):
+            continue
+        low, high = k * around, (k + 1) * around
+        faces += [np.stack([low + i, low + j, high + j], -1), np.stack([low + i, high + j, high + i], -1)]
+    corners = corners.reshape(-1, 3)
+    return Mesh(corners, np.concatenate(faces), rgba(colour, len(corners), opacity))
+
+
+def chequered(low: ArrayLike, high: ArrayLike, height: float, square: float, colours: tuple[Rgb, Rgb]) -> Mesh:
+    """Level ground of squares in two colours, from ``low`` (2,) to at least ``high`` (2,), m."""
+    low = np.floor(np.asarray(low, dtype=float) / square) * square
+    nx, ny = np.maximum(np.ceil((np.asarray(high, dtype=float) - low) / square - 1e-9).astype(int), 1)
+    ix, iy = (grid.ravel() for grid in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
+    place = low + square * np.stack([ix, iy], -1)
+    around = square * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    flat = (place[:, None] + around).reshape(-1, 2)
+    corners = np.column_stack([flat, np.full(len(flat), height)])
+    shade = np.stack([rgba(colour, 1)[0] for colour in colours])[(ix + iy) % 2]
+    return Mesh(corners, _fans(len(place)), np.repeat(shade, 4, axis=0))
+
+
+def leaf_mesh(places: Array, length: float, width: float, colour: ArrayLike, rng: np.random.Generator) -> Mesh:
+    """Leaves of all attitudes and some shades, each a bent rhomb of two triangles.
+
+    Args:
+        places: Their middles ``(N, 3)``, m.
+        length: m.
+        width: m.
+        colour: Red, green, blue of a middling leaf.
+        rng: Source of attitudes and shades.
+    """
+    count = len(places)
+    basis, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))
+    long, across, normal = basis[:, 0] * length / 2, basis[:, 1] * width / 2, basis[:, 2] * width / 5
+    corners = np.stack([places - long, places - across + normal, places + long, places + across + normal], axis=1)
+    shade = np.clip(np.asarray(colour) * (0.75 + 0.5 * rng.random((count, 1))), 0, 255)
+    colours = np.column_stack([shade, np.full(count, 255.0)]).astype(np.uint8)
+    return Mesh(corners.reshape(-1, 3), _fans(count), np.repeat(colours, 4, axis=0))
+
+
+def _fans(count: int) -> NDArray[np.intp]:
+    """Two triangles for each of ``count`` runs of four corners."""
+    return (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)

@@ -1,0 +1,119 @@
+"""What stands around an arm: fruit on stems, leaves and branches of a row of trees, ground, a crate. Units: m.
+
+A row stands along x. Leaves are drawn as dense as a canopy's preset says; they are not those that hide fruit from a
+camera, which environments draw anew in every episode.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.orchard.render import load_look, sample_leaves
+from pickenv.pictures.arm_shapes import JOINT, Solids
+from pickenv.pictures.solids import chequered, leaf_mesh, rod_triangles, turned
+from pickenv.pictures.stage import Balls, Mesh, Rgb, Rods, rgba
+
+RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
+BARK, STEM = (122, 92, 66), (104, 84, 52)
+GROUND = {False: ((226, 230, 220), (214, 220, 208)), True: ((52, 58, 64), (46, 52, 58))}
+"""Colours of the ground on light and on dark pages."""
+SQUARE, SPREAD = 0.5, 6.0
+TWIG = 0.09
+BRIGHTER = 1.35
+"""Leaves are drawn so much lighter than for a camera to look at."""
+
+
+def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, stems: bool = True) -> Solids:
+    """Fruit at ``places`` (N, 3) in colours (N, 3), each on its stem."""
+    radius = np.broadcast_to(np.asarray(diameters, dtype=float) / 2, len(places))
+    shades = np.column_stack([colours, np.full(len(places), 255)]).astype(np.uint8).reshape(-1, 4)
+    balls = Balls(places, radius, shades)
+    if not stems:
+        return Solids(balls=(balls,))
+    top = places + radius[:, None] * [0.0, 0.0, 0.9]
+    twigs = Rods(top, top + np.array([0.012, 0.0, TWIG]), np.full(len(places), 0.004), rgba(STEM, len(places)))
+    return Solids((twigs,), (balls,))
+
+
+def sprig(place: Array, diameter: float) -> Solids:
+    """A few leaves and a piece of branch above a single fruit."""
+    top = place + np.array([0.012, 0.0, 0.9 * diameter / 2 + TWIG])
+    ends = top + np.array([[-0.16, -0.05, -0.01], [0.14, 0.04, 0.03]])
+    branch = Rods(ends[:1], ends[1:], np.array([0.009]), rgba(BARK, 1))
+    rng = np.random.default_rng(0)
+    return Solids((branch,), meshes=(_leaves(top + rng.normal(0.0, 1.0, (9, 3)) * [0.09, 0.05, 0.025], rng),))
+
+
+def _leaves(places: Array, rng: np.random.Generator) -> Mesh:
+    look = load_look("red_apples")
+    return leaf_mesh(places, look.leaf_length, look.leaf_width, BRIGHTER * np.array(look.leaf), rng)
+
+
+@lru_cache(maxsize=8)
+def row_of_trees(
+    low: tuple[float, float, float], high: tuple[float, float, float], leaf_area_per_volume: float, ground: float
+) -> tuple[Mesh, ...]:
+    """Trunks, level branches and leaves in a box of the world frame; the same objects for the same box."""
+    rng = np.random.default_rng(0)
+    bottom, top = np.array(low), np.array(high)
+    middle = (bottom[1] + top[1]) / 2
+    trunks = np.linspace(bottom[0], top[0], max(round((top[0] - bottom[0]) / 0.9), 1) + 1)
+    start, end, radius = [], [], []
+    for x in trunks:
+        start.append([x, middle, ground])
+        end.append([x + 0.03, middle, top[2] + 0.12])
+        radius.append(0.024)
+    for z in np.arange(bottom[2] + 0.12, top[2] + 0.1, 0.24):
+        start.append([bottom[0] - 0.1, middle, z])
+        end.append([top[0] + 0.1, middle, z + 0.02])
+        radius.append(0.011)
+    wood = rod_triangles(Rods(np.array(start), np.array(end), np.array(radius), rgba(BARK, len(start))))
+    grown = [Mesh(wood.corners, wood.triangles, wood.colour)]
+    places = sample_leaves(bottom, top, leaf_area_per_volume, load_look("red_apples"), rng)
+    return (*grown, _leaves(places, rng)) if len(places) else tuple(grown)
+
+
+@lru_cache(maxsize=8)
+def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
+    """Level ground around a place; the same object for the same place."""
+    return chequered((x - SPREAD / 2, y - SPREAD / 2), (x + SPREAD / 2, y + SPREAD / 2), height, SQUARE, GROUND[dark])
+
+
+@lru_cache(maxsize=8)
+def pedestal(x: float, y: float, ground: float, top: float, radius: float) -> Mesh:
+    """What an arm's base stands on."""
+    high = top - ground
+    outline = [
+        [2.2 * radius, 0.0],
+        [2.2 * radius, 0.03],
+        [2.2 * radius, 0.03],
+        [1.5 * radius, 0.06],
+        [1.5 * radius, high],
+    ]
+    outline += [[1.5 * radius, high], [0.0, high]]
+    return turned(outline, np.array([x, y, ground]), np.array([0.0, 0.0, 1.0]), JOINT)
+
+
+def crate(corner: Array, count: int, diameter: float, ground: float) -> Solids:
+    """``count`` fruit in rows of a crate on legs whose lowest corner is ``corner``: what was picked so far."""
+    wide, along = 5, diameter * 1.05
+    number = np.arange(count)
+    place = np.stack([number % wide, (number // wide) % wide, number // wide**2], axis=-1) + 0.5
+    balls = fruit_solids(corner + along * place, diameter, np.broadcast_to(np.array(RIPE), (count, 3)), stems=False)
+    side = along * wide
+    edge = np.array([[0, 0, 0], [side, 0, 0], [side, side, 0], [0, side, 0]], dtype=float)
+    start = np.concatenate([corner + edge + [0.0, 0.0, z] for z in (0.0, 0.6 * along)])
+    end = np.concatenate([corner + np.roll(edge, -1, axis=0) + [0.0, 0.0, z] for z in (0.0, 0.6 * along)])
+    feet = (corner + edge) * [1.0, 1.0, 0.0] + [0.0, 0.0, ground]
+    start, end = np.concatenate([start, feet]), np.concatenate([end, corner + edge])
+    slats = Rods(start, end, np.full(12, 0.008), rgba((196, 160, 110), 12))
+    return Solids((slats, *balls.rods), balls.balls)
+
+
+def fruit_colours(count: int, colour: Rgb = RIPE) -> Array:
+    """One colour for ``count`` fruit, (count, 3), to be changed for some of them."""
+    return np.tile(np.array(colour), (count, 1))
