@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
+from pickenv.envs.harvesting.harvest_zone import AS_DRAWN, GivenZones, drawn_zone
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import MOST_ACTION, Compensate, check_choice, check_number
 from pickenv.errors import InputError
@@ -23,10 +24,9 @@ from pickenv.harvester.interference import arm_distances, pairs_of
 from pickenv.harvester.machine import Machine, load_machine
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.picking import Picking, attempt, draw_luck, load_picking, pushes
-from pickenv.harvester.trees import SHIPPED, Orchard, lab_zone, load_orchard, tree_leaves
+from pickenv.harvester.trees import SHIPPED, Orchard, load_orchard
 from pickenv.harvester.true_machine import TrueMachine, load_true_machine
-from pickenv.harvester.zones import AHEAD
-from pickenv.orchard import Eyes, Sight, Viewpoint, fruit_masses, load_eyes, sample_diameters, see, swing
+from pickenv.orchard import Eyes, fruit_masses, load_eyes, swing
 from pickenv.toml_tables import MM, NUMBER, read, toml_table
 
 HANGING, COLLECTED, LOST = 0, 1, 2
@@ -189,25 +189,27 @@ class HarvestState:
             mine[rows] = theirs
 
 
-ATTEMPTS = 100
-"""Draws of a zone until some of its fruit is located."""
-
-
-def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestState:
-    """Draw a zone for each generator; the master stands at its pick point, the slaves rest.
+def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator], given: GivenZones = AS_DRAWN) -> HarvestState:
+    """Draw a zone for each generator; the master stands at its pick point, the slaves rest, or as is asked for.
 
     Raises:
-        InputError: If the cameras find no fruit in many zones.
+        InputError: If the cameras find no fruit in many zones, or arms stand too near each other.
     """
     machine, n, wanted = task.machine, len(rngs), task.fruit
     fruit, believed, still = np.zeros((3, n, wanted, 3))
     located = np.zeros((n, wanted), dtype=bool)
     diameters, joints = np.empty((n, wanted)), np.empty((n, machine.joints))
     for i, rng in enumerate(rngs):
-        fruit[i], diameters[i], sight = _drawn_zone(task, rng)
+        asked = None if given.fruit is None else given.fruit[i]
+        fruit[i], diameters[i], sight = drawn_zone(task, rng, asked)
         believed[i], located[i] = sight.believed, sight.located
+        if given.joints is not None:
+            joints[i] = given.joints[i]
+            continue
         master = pick_point(machine, sight.believed[sight.located]).master
         joints[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
+    if given.joints is not None and (distances(task, joints) < machine.body.clearance).any():
+        raise InputError("option start_joints brings two arms nearer than the guard lets them; move them apart")
     reachable = np.asarray(machine.reach(joints[:, :3], believed).any(axis=1)) & located
     begun = HarvestState(
         joints=joints,
@@ -232,23 +234,6 @@ def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> Harve
     )
     begun.left = work_left(task, begun)
     return begun
-
-
-def _drawn_zone(task: HarvestTask, rng: np.random.Generator) -> tuple[Array, Array, Sight]:
-    """Fruit (fruit, 3) and diameters of a zone in which some of it is located, and how it is seen."""
-    machine, canopy = task.machine, task.orchard.canopy
-    zone = lab_zone(canopy)
-    low, high = canopy.bottom - machine.base_height, canopy.top - machine.base_height - zone[2]
-    for _ in range(ATTEMPTS):
-        x = rng.uniform(-0.5, 0.5) * (canopy.width - zone[0])
-        corner = np.array([x - zone[0] / 2, -canopy.standoff - canopy.depth, rng.uniform(low, high)])
-        fruit = corner + zone * rng.random((task.fruit, 3))
-        diameters = sample_diameters(task.orchard.size, task.fruit, rng)
-        view = Viewpoint(np.array([x, 0.0, corner[2] + zone[2] / 2]), AHEAD)
-        sight = see(task.eyes, view, fruit, diameters, rng, leaves=tree_leaves(machine, task.eyes, rng))
-        if sight.located.any():
-            return fruit, diameters, sight
-    raise InputError(f"the cameras found no fruit in {ATTEMPTS} zones; give more fruit, or vision='ideal'")
 
 
 def distances(task: HarvestTask, joints: Array) -> Array:
