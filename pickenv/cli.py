@@ -15,10 +15,9 @@ from pickenv.commands.bench import bench
 from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
-from pickenv.commands.comparing import SeveralValues, compare
+from pickenv.commands.comparing import SeveralValues, compare, film
 from pickenv.commands.conditions import conditions
 from pickenv.commands.examples import examples, pages_address
-from pickenv.commands.filming import film
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
 from pickenv.commands.showing import print_table, progress_bars

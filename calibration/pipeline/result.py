@@ -7,7 +7,7 @@ mm and degrees on screens, SI inside.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -332,7 +332,7 @@ class Result:
 
     def _others(self) -> Block:
         """Names of the parameters that stayed: measured and not told from their nominal value, or held by a prior."""
-        stayed = {
+        stayed: dict[str, Callable[[Mapping[str, Any]], bool]] = {
             "measured, and not told from its nominal value": lambda row: (
                 row["state"] == MEASURED and not has_moved(row)
             ),

@@ -223,7 +223,7 @@ class GapScalingVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructor
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin episodes."""
-        self.raw, infos = self.env.reset(seed=seed, options=options)
+        self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]  # as gymnasium's own vectors take it
         return self.scaling.shown(self.raw), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -308,7 +308,7 @@ def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> tuple[Scal
     """The scaling that suits an environment, and the largest size of an action's numbers that it takes."""
     task = getattr(env.unwrapped, "task", None)
     found = None if task is None else Scaling(task.joints, task.camera, actions=actions)
-    if found is None or space.shape != (found.inputs,):
+    if task is None or found is None or space.shape != (found.inputs,):
         raise InputError("GapScaling reads flat observations; wrap a pickenv/Reach-v0 environment")
     return found, task.most_action
 

@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import WHITE, lane, policy_colours
-from pickenv.inspect.figures.field_figure import arrow_gain
+from pickenv.inspect.figures.field_figure import field_gain
 from pickenv.inspect.recordings.blueprint_views import seen_from, with_colour_bar
 from pickenv.inspect.recordings.episode_blueprint import EYE, at_the_end, distance_plot, number_plots, target_view
 from pickenv.inspect.recordings.episode_entities import GAIN, send_looks, send_rows
@@ -106,7 +106,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
 
 def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
     """Each policy's error field, and what the last one removes of the first one's, beside one another."""
-    scribe, top, gain = Scribe(stream), field_top_mm(comparison), field_gain(comparison)
+    scribe, top, gain = Scribe(stream), field_top_mm(comparison), _arrow_gain(comparison)
     for number, (name, title, errors) in enumerate(_fields(comparison)):
         scribe.still(f"fields/{name}", rr.Transform3D(translation=number * _field_step(comparison)))
         centre, radius = shown_box(comparison)
@@ -136,9 +136,9 @@ def field_top_mm(comparison: Comparison) -> float:
     return max(scale_end(field_mm(policy)) for policy in comparison.policies)
 
 
-def field_gain(comparison: Comparison) -> float:
+def _arrow_gain(comparison: Comparison) -> float:
     """How much longer than true size the fields' arrows are drawn."""
-    return arrow_gain(comparison.grid_step, field_top_mm(comparison))
+    return field_gain(comparison.grid_step, field_top_mm(comparison))
 
 
 def _blueprint(episodes: RecordedEpisodes, comparison: Comparison | None) -> rrb.Blueprint:
@@ -174,7 +174,7 @@ def _field_tab(comparison: Comparison) -> Any:
     step, count = _field_step(comparison), len(_fields(comparison))
     middle = centre + (count - 1) / 2.0 * step
     eye = middle + (1.5 * radius + 0.45 * (count - 1) * float(np.linalg.norm(step))) * EYE
-    gain = field_gain(comparison)
+    gain = _arrow_gain(comparison)
     view = seen_from(
         eye, middle, "/fields", ["+ /fields/**"], f"Final misses by goal, one eye for all, arrows ×{gain:g}"
     )

@@ -225,8 +225,8 @@ def _parameters(r: Result) -> Section:
 
     moved, stayed = ([row for row in measured if has_moved(row) is yes] for yes in (True, False))
     held = [row for row in every if row["state"] == HELD]
-    groups = ((f"{len(stayed)} measured, and within {SIGMAS:g} sigma of the nominal value", stayed),)
-    groups += ((f"{len(held)} held by their prior: the data tell little of them", held),)
+    groups = [(f"{len(stayed)} measured, and within {SIGMAS:g} sigma of the nominal value", stayed)]
+    groups += [(f"{len(held)} held by their prior: the data tell little of them", held)]
     heads = ("parameter", "meaning", "change ± uncertainty", "", "stands for")
     return Section(
         "What moved",

@@ -101,8 +101,8 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 def _said(measure: Measure, key: str) -> str:
     """A measure with its interval, in the unit of `MEASURES`."""
     scale, digits = (100.0, 1) if "(%)" in MEASURES.get(key, "") else (1.0, 3)
-    ends = (None if end is None else scale * end for end in (measure.low, measure.high))
-    return estimated(scale * measure.value, *ends, digits)
+    low, high = (None if end is None else scale * end for end in (measure.low, measure.high))
+    return estimated(scale * measure.value, low, high, digits)
 
 
 def _intervals(trace: HarvestTrace) -> str:
