@@ -3,17 +3,23 @@
 #   make demo                 calibrate the arm, pick with it, look at the error: runs/demo
 #   make test                 style, types, tests
 #   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
+#   make test-lowest          arms and calibration with the lowest versions that pyproject.toml promises: .venv-lowest
 #   make test-referees        patched files of UR5 and Panda against Pinocchio, which are large packages
 #   make docs                 the site: docs/_build/html/index.html
+#   make links                every address that the site names is asked whether it is there
+#   make package              wheel and source archive, built twice and compared, and looked through: dist/
+#   make licences             the licence of every installed package that pickenv asks for, as a table
 #   make coverage-of-intervals  how often every 95 % interval holds the truth, on data of known truth
 #   make mutants              change the lines that make numbers, one at a time: docs/mutants.md says what the tests
 #                             did not notice and the score by room. An hour or two; goes on where it was;
 #                             ARGS="--sample 9" for so many of each room, 0 for all, ARGS="--room plant" for one room
 #   make demo ARGS=--quick    options for the command
 #   make ... PYTHON=python3.12  another Python, for a new .venv
+#   make ... TORCH=cuda       torch with CUDA, or TORCH=cpu without; left out, as the computer has a driver by NVIDIA
 
 PYTHON ?= python3
 ARGS ?=
+TORCH ?= auto
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -24,6 +30,7 @@ BROWSER := $(VENV)/.browser
 MUTANTS := $(VENV)/.mutants
 REFEREES := $(VENV)/.referees
 DOCS := $(VENV)/.docs
+RELEASE := $(VENV)/.release
 # Chromium; Mesa's drivers that draw on the processor, for Vulkan (rerun's own viewer) and OpenGL (the browser); a
 # library that playwright's driver needs; a screen that is none, and what the viewer's window needs on it.
 BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatomic1 \
@@ -33,7 +40,7 @@ BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatom
 TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
-.PHONY: demo docs test test-slow test-referees test-browser coverage-of-intervals lint format benchmark mutants clean
+.PHONY: demo docs links package licences test test-slow test-lowest test-referees test-browser coverage-of-intervals lint format benchmark mutants clean
 
 demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
@@ -47,12 +54,38 @@ test-slow: $(DEVELOPMENT)
 test-referees: $(REFEREES)
 	$(PYTEST) -n 2 tests/calibration/delivery $(ARGS)
 
+test-lowest:
+	@$(PYTHON) -m venv --clear $(VENV)-lowest
+	@$(VENV)-lowest/bin/python -m pip --disable-pip-version-check --quiet install packaging
+	@$(VENV)-lowest/bin/python scripts/lowest_versions.py > $(VENV)-lowest/lowest.txt
+	@$(VENV)-lowest/bin/python scripts/install_torch.py cpu $(VENV)-lowest/lowest.txt
+	@$(VENV)-lowest/bin/python -m pip --disable-pip-version-check --quiet install -c $(VENV)-lowest/lowest.txt \
+		".[all]" hypothesis "mujoco<3.12" pytest pytest-benchmark pytest-xdist
+	$(TEST_ENVIRONMENT) $(VENV)-lowest/bin/python -m pytest -n 2 -W default tests/arm tests/orchard $(ARGS)
+
 test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser
 	$(PYTEST) -m browser tests/browser tests/inspect --durations=5 $(ARGS)
 
 docs: $(DOCS)
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html $(ARGS)
+
+links: $(DOCS)
+	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/linkcheck $(ARGS)
+
+# The time of the last commit stands in the archives, so that whoever builds the same commit gets the same bytes.
+package: export SOURCE_DATE_EPOCH := $(shell git log -1 --format=%ct 2>/dev/null || echo 0)
+package: $(RELEASE)
+	rm -rf dist build/again
+	$(BIN)/python -m build --no-isolation --outdir dist >/dev/null
+	$(BIN)/python -m build --no-isolation --outdir build/again >/dev/null
+	cd dist && for each in *; do cmp $$each ../build/again/$$each || exit 1; done
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist
+	rm -rf build
+
+licences: $(RUNTIME)
+	@$(BIN)/python scripts/licences.py
 
 coverage-of-intervals: $(DEVELOPMENT)
 	$(PYTEST) -m coverage -n 2 $(ARGS)
@@ -61,6 +94,8 @@ lint: $(DEVELOPMENT)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/codespell
+	$(BIN)/zizmor --offline --quiet .github
 
 format: $(DEVELOPMENT)
 	$(BIN)/ruff check --fix
@@ -73,7 +108,7 @@ mutants: $(MUTANTS)
 	$(BIN)/python scripts/mutation/mutants.py $(ARGS)
 
 clean:
-	rm -rf $(VENV) runs dist docs/_build docs/_generated .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	rm -rf $(VENV) runs dist build docs/_build docs/_generated .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # torch goes first and alone, at its tested version: an open range makes pip try, and download, several of gigabytes.
@@ -84,7 +119,7 @@ $(RUNTIME): pyproject.toml constraints.txt
 		echo "'$(PYTHON)' cannot make a virtual environment; on Debian or Ubuntu: apt install python3-venv" >&2; exit 1; }
 	@echo "Setting up $(VENV) (once; some minutes, mostly the download of torch)"
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
-	@$(PIP) install -c constraints.txt torch
+	@$(BIN)/python scripts/install_torch.py $(TORCH)
 	@$(PIP) install -c constraints.txt -e ".[rl,inspect]"
 	@touch $@
 
@@ -98,6 +133,10 @@ $(REFEREES): $(DEVELOPMENT)
 
 $(DOCS): $(RUNTIME)
 	@$(PIP) install -c constraints.txt -e ".[all,docs]"
+	@touch $@
+
+$(RELEASE): $(RUNTIME)
+	@$(PIP) install -c constraints.txt -e ".[release]"
 	@touch $@
 
 $(MUTANTS): $(DEVELOPMENT)

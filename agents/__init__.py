@@ -30,19 +30,10 @@ if _TYPE_CHECKING:
     from pickenv.agents.training.training_setup import Training
     from pickenv.inspect.runs.episode_ends import Reaches
 
-__all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GridSettings", "LearnedPolicy"]
-__all__ += ["OracleReach", "Policy", "PolicyComparison", "PolicyGrid", "RandomReach", "Reaches", "Rollout"]
-__all__ += ["ScriptedHarvest", "ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "calibrate_arm"]
-__all__ += [
-    "compare",
-    "episode_seeds",
-    "load_policy",
-    "roll_out",
-    "run_grid",
-    "run_reaches",
-    "shipped_baselines",
-    "train",
-]
+__all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GridSettings", "LearnedPolicy", "OracleReach"]
+__all__ += ["Policy", "PolicyComparison", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]
+__all__ += ["ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "calibrate_arm", "compare"]
+__all__ += ["episode_seeds", "load_policy", "roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
 
 __getattr__, __dir__ = _offered(__name__)
 

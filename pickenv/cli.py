@@ -15,7 +15,9 @@ from pickenv.commands.bench import bench
 from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.check import check
+from pickenv.commands.comparing import SeveralValues, compare
 from pickenv.commands.conditions import conditions
+from pickenv.commands.examples import examples, pages_address
 from pickenv.commands.filming import film
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
@@ -28,6 +30,7 @@ from pickenv.locks import locked
 app = typer.Typer(
     name="pickenv",
     help="Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms.",
+    epilog=f"Pages: {pages_address()}/quickstart.md",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
@@ -71,13 +74,13 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     found = summary["identifiability"]
     heads = (
         "policy",
-        "position mean [mm]",
-        "95 % interval",
-        "RMS [mm]",
-        "p95 [mm]",
-        "attitude mean [deg]",
-        "floor [deg]",
-        "success",
+        "position, mean (mm)",
+        "95 % interval (mm)",
+        "RMS (mm)",
+        "p95 (mm)",
+        "attitude, mean (deg)",
+        "floor (deg)",
+        "success (%)",
     )
     rows = []
     for key, row in summary["policies"].items():
@@ -85,7 +88,7 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
         numbers = (position["rms"], position["p95"], row["attitude_deg"]["mean"], row["noncompensable_deg"])
         said = "none" if interval is None else between(interval[0], interval[1], 3)
         cells = [f"{position['mean']:.3f}", said, *(f"{number:.3f}" for number in numbers)]
-        rows.append([LABELS[key], *cells, percent(row["success_rate"], *row["success_ci95"])])
+        rows.append([LABELS[key], *cells, percent(row["success_rate"], *row["success_ci95"]).replace(" %", "")])
     title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
     caption = (
         f"success: within {summary['tolerance_mm']:g} mm and {summary['attitude_tolerance_deg']:g} deg; floor: attitude"
@@ -107,13 +110,13 @@ def _print_gains(blocked: dict[str, Any]) -> None:
         for row in blocked[kind]:
             ends = (row["lowest"], row["highest"])
             said = "" if ends[0] is None else f" ({between(100 * ends[0], 100 * ends[1], 0)})"
-            rows.append([f"{row['arm']}, {kind}", f"{row['ls_mm']:.2f}", f"{100 * row['removed']:.0f} %{said}"])
+            rows.append([f"{row['arm']}, {kind}", f"{row['ls_mm']:.2f}", f"{100 * row['removed']:.0f}{said}"])
     caption = (
         "rows in blocks held out of all fitting: two tenths of the file, of measured arms each fifth in turn; in"
         " brackets the range over drawn arms, or 95 % over ten blocks of a measured one. qiao2026 is smooth; what is"
         " left of field is made as that of measured arms is. Measured rows: pickenv bench calibration"
     )
-    heads = ("arms", "LS leaves [mm RMS]", "the network removes of it")
+    heads = ("arms", "LS leaves (mm RMS)", "the network removes of it (%)")
     print_table("What LS+BPNN gains on rows far from those it learnt", heads, rows, words=("arms",), caption=caption)
 
 
@@ -137,6 +140,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         conditions,
         learning.train,
         learning.evaluate,
+        compare,
         study,
     ),
     "Look at what came out": (inspection.inspect, film, reports.figures, reports.report),
@@ -145,7 +149,8 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
-        app.command(rich_help_panel=_purpose)(_command)
+        cls = SeveralValues if _command is compare else None
+        app.command(rich_help_panel=_purpose, epilog=examples(_command.__name__.replace("_", "-")), cls=cls)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 
 

@@ -103,6 +103,37 @@ def share_interval(successes: float, trials: int) -> Ends:
     return _wilson(successes / trials, float(trials))
 
 
+def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
+    """Of the difference of two shares of the same trials, the first minus the second: Newcombe's method 10 (1998).
+
+    Wilson's intervals of both, put together with the correlation that the pairs show.
+
+    Args:
+        successes: Whether each trial succeeded one way ``(n,)``.
+        others: And the other way ``(n,)``.
+
+    Raises:
+        ValueError: If there are no trials, or not equally many.
+    """
+    one, other = np.asarray(successes, dtype=bool), np.asarray(others, dtype=bool)
+    if one.shape != other.shape or one.ndim != 1 or not len(one):
+        raise ValueError(f"shares are compared trial by trial; got the shapes {one.shape} and {other.shape}")
+    n = len(one)
+    both, neither = int(np.sum(one & other)), int(np.sum(~one & ~other))
+    first, second = int(one.sum()), int(other.sum())
+    product = first * (n - first) * second * (n - second)
+    cross = float(both * neither) - int(np.sum(one & ~other)) * int(np.sum(~one & other))
+    cross = max(cross - n / 2.0, 0.0) if cross > 0 else cross
+    correlation = cross / np.sqrt(product) if product else 0.0
+    (low_1, high_1), (low_2, high_2) = share_interval(first, n), share_interval(second, n)
+    p, q = first / n, second / n
+
+    def reach(a: float, b: float) -> float:
+        return float(np.sqrt(max(a * a - 2.0 * correlation * a * b + b * b, 0.0)))
+
+    return p - q - reach(p - low_1, high_2 - q), p - q + reach(high_1 - p, q - low_2)
+
+
 def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int = LEAST) -> Ends | None:
     """Of a share whose trials come in clusters, such as the fruit of many arms: Wilson's, of as many trials as count.
 

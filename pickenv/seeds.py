@@ -10,7 +10,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-Purpose = Literal["arms", "fruit", "policy", "calibration", "training", "camera", "picks", "day", "grasps"]
+Purpose = Literal[
+    "arms", "fruit", "policy", "calibration", "training", "camera", "picks", "day", "grasps", "leaderboard"
+]
 """What a stream is drawn for."""
 
 

@@ -7,8 +7,9 @@ and what to do. `shortened` keeps what a message quotes to a line, `decimal_numb
 from __future__ import annotations
 
 import re
+import shutil
 import stat
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -132,6 +133,28 @@ def shortened(value: object, length: int = 60) -> str:
         return "a number of thousands of digits"
     text = one_line(text[: 4 * length])
     return text if len(text) <= length else f"{text[: length - 2].rstrip()} …"
+
+
+def screen_width(otherwise: int) -> int:
+    """Characters of a line of the terminal, or of what COLUMNS says; ``otherwise`` where neither is known."""
+    return shutil.get_terminal_size((otherwise, 24)).columns
+
+
+def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[int]]:
+    """Numbers of the columns of each table that fits ``width``: one, or several that all begin with the first columns.
+
+    Args:
+        sizes: Characters that each column takes, with what is between them.
+        repeated: So many columns come first in every table.
+        width: Characters of a line.
+    """
+    first = list(range(repeated))
+    tables = [first.copy()]
+    for column in range(repeated, len(sizes)):
+        if len(tables[-1]) > repeated and sum(sizes[i] for i in (*tables[-1], column)) > width:
+            tables.append(first.copy())
+        tables[-1].append(column)
+    return tables
 
 
 def listed(names: Iterable[str], length: int = 600) -> str:

@@ -77,15 +77,15 @@ def test_every_cell_is_the_summarys(capsys, reaches):
             f"{mm['p95']:.3f}",
             f"{found['attitude_deg']['mean']:.3f}",
             "0.031",
-            f"{100 * found['success_rate']:.0f} % ({100 * low:.0f} to {100 * high:.0f})",
+            f"{100 * found['success_rate']:.0f} ({100 * low:.0f} to {100 * high:.0f})",
         ]
         assert low < high
     words = " ".join(text.split())
     assert "all of this one calibration: intervals are over fruit" in words and "within 1 mm and 10 deg" in words
     for label, cells in {
-        "smooth, simulated": ["0.50", "75 % (60 to 87)"],
-        "A, measured": ["0.20", "25 %"],
-        "B, measured": ["2.00", "-5 % (-20 to 4)"],
+        "smooth, simulated": ["0.50", "75 (60 to 87)"],
+        "A, measured": ["0.20", "25"],
+        "B, measured": ["2.00", "-5 (-20 to 4)"],
     }.items():
         assert rows[label] == cells
     assert ("means have none with fewer than 20" in words) == (reaches < 20)

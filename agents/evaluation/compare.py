@@ -32,7 +32,7 @@ from pickenv.inspect.runs.recorded_episodes import (
     last_of,
     missing_positions,
 )
-from pickenv.inspect.runs.run_folder import PARTS, RECORD, load_part, read_run
+from pickenv.inspect.runs.run_folder import RECORD, load_comparison, read_run
 from pickenv.limits import check_limit
 from pickenv.orchard.gripper import Gripper, capture_probability, lateral_tolerance, load_gripper, misalignment
 from pickenv.provenance import command_line
@@ -317,10 +317,7 @@ def _recorded(folder: Path) -> PolicyComparison:
     run = read_run(folder)
     if run.kind != "comparison":
         raise InputError(f"{folder} is a run of kind '{run.kind}'; give a folder that `pickenv compare --out` wrote")
-    there = (folder / PARTS[Comparison]).is_file()
-    return PolicyComparison(
-        load_part(run, RecordedEpisodes), load_part(run, Comparison) if there else None, run.command
-    )
+    return PolicyComparison(*load_comparison(run), run.command)
 
 
 SAME = ("env_id", "plant", "gripper", "seed", "seeds")

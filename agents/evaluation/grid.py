@@ -20,7 +20,8 @@ from pickenv.agents.evaluation.rollout import Rollout, roll_out
 from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.named_plants import draw_arms
-from pickenv.envs.shared.task import CONTROL_PERIOD, FEEDBACK, check_choice, check_number
+from pickenv.envs.shared.situation import CONTROL_PERIOD
+from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
 from pickenv.errors import InputError
 from pickenv.limits import check_limit
 from pickenv.orchard.gripper import Gripper, load_gripper

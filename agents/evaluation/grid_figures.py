@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from pickenv.agents.evaluation.grid import PolicyGrid
 from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.envs.shared.task import CONTROL_PERIOD
+from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing

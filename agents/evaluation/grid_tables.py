@@ -26,7 +26,7 @@ ROWS = "rows.json"
 KEYS = ("policy", "compensation", "feedback", "plant", "gripper")
 
 
-HEADS = ("mean (mm)", "95 %", "median arm (mm)", "95th arm (mm)", "success", "cycle (s)")
+HEADS = ("mean (mm)", "95 % interval (mm)", "median arm (mm)", "95th arm (mm)", "success (%)", "cycle (s)")
 """What stands beside `KEYS`; an interval where the number has none of its own column follows in brackets."""
 
 
@@ -40,7 +40,7 @@ def cells_of(row: Mapping[str, Any]) -> list[str]:
         interval_words(row["ci95"], 3) or f"none: {row['no_interval']}",
         with_interval(row["median_arm_mm"], row["median_arm_ci95"], 3),
         with_interval(row["p95_arm_mm"], row["p95_arm_ci95"], 3),
-        with_interval(row["success_rate"], row["success_ci95"], 1, 100.0, " %"),
+        with_interval(row["success_rate"], row["success_ci95"], 1, 100.0),
         "never" if row["cycle_s"] is None else f"{row['cycle_s']:.1f}",
     ]
 

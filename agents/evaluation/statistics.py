@@ -21,6 +21,9 @@ from pickenv.intervals import (
     quantile_interval,
 )
 
+RESAMPLES = 4000
+"""Samples of a bootstrap."""
+
 MARGIN_MM = 0.05
 """Mean errors that differ by less are the same to a picker: a twentieth of what the best gripper forgives."""
 
@@ -82,6 +85,23 @@ def share_over_arms(chances: Array) -> Estimate:
         crossed = crossed_interval(each)
         ends = None if crossed is None else (max(crossed[0], 0.0), min(crossed[1], 1.0))
     return _estimate(float(each.mean()), ends, each)
+
+
+def interquartile_mean(values: Array, sequence: np.random.SeedSequence) -> Estimate:
+    """Mean of the middle half of independent values ``(n,)``, one per arm; its interval is a bootstrap's over them.
+
+    Args:
+        values: The values; the lowest and the highest quarter do not count.
+        sequence: Seeds the bootstrap.
+    """
+    from scipy.stats import trim_mean  # late: half of SciPy comes along
+
+    found = float(trim_mean(values, 0.25))
+    if len(values) < LEAST:
+        return Estimate(found, None, f"needs {LEAST} arms")
+    drawn = np.random.default_rng(sequence).integers(len(values), size=(RESAMPLES, len(values)))
+    low, high = np.quantile(trim_mean(values[drawn], 0.25, axis=1), (0.025, 0.975))
+    return Estimate(found, (float(low), float(high)))
 
 
 def _interval(each: Array) -> Ends | None:

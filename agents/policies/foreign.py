@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pickenv.agents.policies.policy import Policy
 from pickenv.errors import InputError
 from pickenv.extras import require
+from pickenv.wrappers.gap import Scaling
 
 SUFFIXES = (".zip", ".py")
 MAKER = "make_policy"
@@ -35,16 +36,25 @@ TELLING: Mapping[str, tuple[str, str]] = {
 
 @dataclass(frozen=True, eq=False)
 class Sb3Policy:
-    """A model of Stable-Baselines3, acting without noise, on one observation or a batch."""
+    """A model of Stable-Baselines3, acting without noise, on one observation or a batch.
+
+    Attributes:
+        model: The model.
+        scaling: Of one that was trained on `pickenv/ReachScaled-v0`: what it sees and what its actions mean.
+    """
 
     model: Any
+    scaling: Scaling | None = None
 
     def reset(self) -> None:
         """Nothing to forget."""
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """The next action, or actions."""
-        return np.asarray(self.model.predict(observation, deterministic=True)[0], dtype=np.float32)
+        if self.scaling is None:
+            return np.asarray(self.model.predict(observation, deterministic=True)[0], dtype=np.float32)
+        action = self.model.predict(self.scaling.shown(observation), deterministic=True)[0]
+        return self.scaling.act(observation, action)
 
 
 def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
@@ -93,6 +103,10 @@ def _trained(path: Path, env: Any) -> Sb3Policy:
         raise InputError(f"{path} is of an algorithm that is not known here; give one of {names}, or a Python file")
     require(home[0])
     model = getattr(importlib.import_module(home[0]), home[1]).load(path, device="cpu")
+    task = getattr(env.unwrapped, "task", None)
+    scaling = None if task is None else Scaling(task.joints, task.camera)
+    if scaling is not None and model.observation_space.shape == (scaling.features,):
+        return Sb3Policy(model, scaling)
     spaces = (
         ("observations", model.observation_space, getattr(env, "single_observation_space", env.observation_space)),
         ("actions", model.action_space, getattr(env, "single_action_space", env.action_space)),

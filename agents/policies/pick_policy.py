@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pickenv.agents.policies.policy import ReachController
 from pickenv.arm import Pose, displace_pose, forward, inverse, joint_jacobian
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.envs.shared.task import CONTROL_PERIOD
+from pickenv.envs.shared.situation import CONTROL_PERIOD
 
 ARRIVED = 2e-4
 """A joint within this of its goal is there, m or rad."""

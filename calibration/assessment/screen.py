@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
+from textwrap import wrap
 
 import numpy as np
 
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.model.lens import LENS_NAMES
+from pickenv.texts import screen_width, side_by_side
+
+UNBOUNDED = 100_000
+"""Characters of a line that goes elsewhere than to a terminal."""
+NARROW = 10
+"""Characters that a column of words has at least."""
 
 LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "edge", "plane_offset", "zero")
 NUMBERS_OF_KINDS = ("scale", "normal", "along", "axis", "down")
@@ -46,17 +54,38 @@ class Block:
     note: str = ""
 
     def text(self) -> str:
-        """For the terminal."""
-        lines = [self.title + (f": {self.note}" if self.note else "")]
+        """For the terminal, whose lines it fits: heads and words are broken, and what is still too wide is parted."""
+        width = screen_width(UNBOUNDED)
+        return "\n".join(folded(self.title + (f": {self.note}" if self.note else ""), width) + self._lines(width))
+
+    def _lines(self, width: int) -> list[str]:
         columns = list(zip(*self.rows, strict=True))
         heads = self.header or ("",) * len(columns)
-        padded = []
-        for head, cells in zip(heads, columns, strict=True):
-            width = max(map(len, (head, *cells)))
-            side = ">" if is_number(cells[0]) and self.header else "<"
-            padded.append([f"{cell:{side}{width}}" for cell in ((head, *cells) if self.header else cells)])
-        lines += ["  " + "  ".join(row).rstrip() for row in zip(*padded, strict=True)]
-        return "\n".join(lines)
+        numeric = [bool(self.header) and is_number(cells[0]) for cells in columns]
+        sizes = [max(map(len, (head, *cells))) for head, cells in zip(heads, columns, strict=True)]
+        if over(sizes, width) > 0:
+            sizes = [max(map(len, (*head.split(), *cells))) for head, cells in zip(heads, columns, strict=True)]
+            for i in reversed([i for i, number in enumerate(numeric) if not number]):
+                sizes[i] = max(min(sizes[i], NARROW), sizes[i] - max(over(sizes, width), 0))
+        lines = []
+        for table in side_by_side([size + 2 for size in sizes], 1, width):
+            for row in ([self.header] if self.header else []) + list(self.rows):
+                cells = [wrap(row[i], sizes[i], break_on_hyphens=False) or [""] for i in table]
+                for parts in zip_longest(*cells, fillvalue=""):
+                    set_out = zip(parts, table, strict=True)
+                    padded = [f"{part:{'>' if numeric[i] else '<'}{sizes[i]}}" for part, i in set_out]
+                    lines.append("  " + "  ".join(padded).rstrip())
+        return lines
+
+
+def over(sizes: Sequence[int], width: int) -> int:
+    """By how many characters columns of these sizes, each with two before it, are wider than a line."""
+    return sum(sizes) + 2 * len(sizes) - width
+
+
+def folded(text: str, width: int) -> list[str]:
+    """A sentence in lines of a terminal; the second and later ones are set in."""
+    return wrap(text, width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def main_parts(absorbed: Mapping[str, float]) -> dict[str, float]:

@@ -7,7 +7,7 @@ mm and degrees on screens, SI inside.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,8 +21,16 @@ from pickenv.calibration.assessment.base_frame import BaseFrameError
 from pickenv.calibration.assessment.harmonic_table import OWN, harmonic_block, harmonic_rows
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import Quality
-from pickenv.calibration.assessment.screen import Block, figure, main_parts, unit_of, unknowns_in
-from pickenv.calibration.assessment.states import LOST, MEASURED
+from pickenv.calibration.assessment.screen import (
+    UNBOUNDED,
+    Block,
+    figure,
+    folded,
+    main_parts,
+    unit_of,
+    unknowns_in,
+)
+from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from pickenv.calibration.assessment.stiffness_table import stiffness_block, stiffness_rows
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.diagnosis import LeftOut
@@ -48,6 +56,15 @@ from pickenv.calibration.reading.read import NoiseFloor
 from pickenv.calibration.residuals.gate import GateReport
 from pickenv.extras import require
 from pickenv.intervals import Ends
+from pickenv.texts import screen_width
+
+SIGMAS = 2.0
+"""A parameter has moved where its change is more than so many of its standard deviations."""
+
+
+def has_moved(row: Mapping[str, Any]) -> bool:
+    """Whether one of `Result.parameters` changed by more than `SIGMAS` of its standard deviations."""
+    return bool(abs(row["change"]) > SIGMAS * row["std"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +216,7 @@ class Result:
 
     def blocks(self) -> tuple[Block, ...]:
         """What both the terminal and the page show, in order, after verdict and frames."""
-        found = [self._errors(), self._parameters(), self._dropped()]
+        found = [self._errors(), self._parameters(), self._others(), self._dropped()]
         if self.left_out:
             places = tuple((item.text(),) for item in self.left_out)
             kept = any(item.kept for item in self.left_out)
@@ -263,8 +280,11 @@ class Result:
         verdict, _, reason = self.quality.verdict().partition(": ")
         lines = [f"verdict: {verdict.upper()}: {reason}"]
         lines += [f"  {finding.weight}: {finding.text}" for finding in self.quality.others]
-        lines += [f"frames: {self.frames_text}", *(block.text() for block in self.blocks())]
-        return "\n".join(lines)
+        lines += [f"frames: {self.frames_text}"]
+        width = screen_width(UNBOUNDED)
+        return "\n".join(
+            [*(part for line in lines for part in folded(line, width)), *(b.text() for b in self.blocks())]
+        )
 
     def _label(self, name: str) -> str:
         labels = {NOMINAL: "nominal" if self.known_frames else "nominal, base and tool fitted", GEOMETRIC: "geometry"}
@@ -302,14 +322,25 @@ class Result:
         return rows
 
     def _parameters(self) -> Block:
+        measured = [row for row in self.parameters() if row["state"] == MEASURED]
+        measured = [row for row in measured if not row["name"].startswith(("periodic", "compliance"))]
         rows = [
-            (row["name"], figure(row["change"]), figure(row["std"]), row["unit"])
-            for row in self.parameters()
-            if row["state"] == MEASURED and not row["name"].startswith(("periodic", "compliance"))
+            (row["name"], figure(row["change"]), figure(row["std"]), row["unit"]) for row in measured if has_moved(row)
         ]
-        return Block(
-            "Parameters", ("parameter", "change", "± 1 sigma", "unit"), tuple(rows), self.quality.states.text()
-        )
+        note = f"{self.quality.states.text()}; here are those that moved by more than {SIGMAS:g} sigma"
+        return Block("Parameters", ("parameter", "change", "± 1 sigma", "unit"), tuple(rows), note)
+
+    def _others(self) -> Block:
+        """Names of the parameters that stayed: measured and not told from their nominal value, or held by a prior."""
+        stayed: dict[str, Callable[[Mapping[str, Any]], bool]] = {
+            "measured, and not told from its nominal value": lambda row: (
+                row["state"] == MEASURED and not has_moved(row)
+            ),
+            HELD: lambda row: row["state"] == HELD,
+        }
+        named = {why: [row["name"] for row in self.parameters() if those(row)] for why, those in stayed.items()}
+        rows = tuple((why, ", ".join(names)) for why, names in named.items() if names)
+        return Block("Parameters that stayed", (), rows, f"within {SIGMAS:g} sigma, or held")
 
     def _dropped(self) -> Block:
         dropped = self.fit.identification.identifiability.dropped

@@ -1,4 +1,4 @@
-"""`pickenv bench`: what was measured, beside what was predicted and what others reach."""
+"""`pickenv bench`: measured robots, beside what was predicted and what others reach; policies, by their errors."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from pickenv.commands.showing import print_table, progress_bars
 from pickenv.files import separate, write_json, write_text
 from pickenv.locks import locked
 
-bench = typer.Typer(name="bench", help="Benchmarks on measured robots, against twins and peers.", no_args_is_help=True)
+bench = typer.Typer(
+    name="bench", help="Benchmarks: calibrations on measured robots, policies on simulated ones.", no_args_is_help=True
+)
 
 
 @bench.callback()
 def _benchmarks() -> None:
-    """Benchmarks on measured robots, against twins and peers."""
+    """Benchmarks: calibrations on measured robots, policies on simulated ones."""
 
 
 @bench.command()
@@ -81,3 +83,58 @@ def calibration(
             (json_file, lambda path: write_json(path, bench_json(found))),
         ]
         deliver(saves, lambda: show(found))
+
+
+@bench.command()
+def policies(
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A policy to judge as well: a file of `pickenv train` (.npz), a zip of SB3 or Python, both executed."
+        ),
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the table and what is done; what was cut off goes on.")] = (
+        Path("runs/policies")
+    ),
+    plant: Annotated[list[str] | None, typer.Option(help="Plant preset, a task each; may be repeated.")] = None,
+    arms: Annotated[int | None, typer.Option(help="Arms drawn for each seed.", min=1)] = None,
+    episodes: Annotated[int | None, typer.Option(help="Fruits per arm.", min=1)] = None,
+    seeds: Annotated[int, typer.Option(help="How many seeds, from 0; at least 5.")] = 5,
+    quick: Annotated[bool, typer.Option("--quick", help="Three policies on one arm a seed: a minute.")] = False,
+    workers: Annotated[int, typer.Option(help="Processes; they do not change the figures.", min=1)] = 1,
+) -> None:
+    """Policies raw and calibrated, with interquartile means over arms that no two seeds share."""
+    from dataclasses import replace
+
+    from pickenv.agents.evaluation.leaderboard import (
+        HEADS,
+        LeaderboardSettings,
+        leaderboard_cells,
+        leaderboard_tables,
+        run_leaderboard,
+    )
+    from pickenv.extras import require
+
+    page = out / "leaderboard.md"
+    separate({"--policy": policy}, {"--out": [page], "--json": json_file})
+    require("torch", "pyarrow", *(["joblib"] if workers > 1 else []))
+    usual = LeaderboardSettings.quick() if quick else LeaderboardSettings()
+    settings = replace(
+        usual,
+        policies=(*usual.policies, *dict.fromkeys(policy or [])),
+        plants=tuple(plant or usual.plants),
+        seeds=tuple(range(seeds)),
+        arms=arms or usual.arms,
+        episodes=episodes or usual.episodes,
+    )
+    with locked(out):
+        with progress_bars() as report:
+            rows = run_leaderboard(settings, out, report, workers)
+        words = ("task", "policy", "feedback", "compensation")
+        shown = [[row["task"].partition(", ")[2], *leaderboard_cells(row)] for row in rows]
+        saves = [
+            (page, lambda path: write_text(path, leaderboard_tables(rows))),
+            (json_file, lambda path: write_json(path, {"rows": rows})),
+        ]
+        deliver(saves, lambda: print_table("Policies", (*words, *HEADS), shown, words=words))

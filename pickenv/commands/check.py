@@ -197,8 +197,9 @@ def _saved(path: Path) -> tuple[int | None, str]:
     from pickenv.inspect.runs.calibration_trace import CalibrationTrace
     from pickenv.inspect.runs.comparison import Comparison
     from pickenv.inspect.runs.harvest_trace import HarvestTrace
+    from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 
-    kinds: tuple[type, ...] = (CalibrationTrace, Comparison, PolicyGrid, HarvestTrace)
+    kinds: tuple[type, ...] = (CalibrationTrace, Comparison, PolicyGrid, HarvestTrace, RecordedEpisodes)
     name = read_container(path, None, remake=REMAKE).kind
     saved.load_numbers(path, next(kind for kind in kinds if kind.__name__ == name), "the command that wrote it")
     return saved.FORMAT, "the numbers behind figures"
@@ -210,6 +211,6 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
     "policy": _policy,
     "checkpoint": _checkpoint,
     "chunk of a study": _chunk,
-    **dict.fromkeys(("CalibrationTrace", "Comparison", "PolicyGrid", "HarvestTrace"), _saved),
+    **dict.fromkeys(("CalibrationTrace", "Comparison", "PolicyGrid", "HarvestTrace", "RecordedEpisodes"), _saved),
 }
 """How each kind of file is verified: its version, and a few words about it."""

@@ -72,6 +72,11 @@ def _record(run: Run, policy: str | None) -> Path:
         return _record_evaluation(run, policy)
     if policy is not None:
         raise InputError(f"{run.folder} holds no evaluation, so it has no --policy {policy}; leave --policy out")
+    if run.kind == "comparison":
+        from pickenv.inspect.recordings.policy_recording import record_policies
+        from pickenv.inspect.runs.run_folder import load_comparison
+
+        return record_policies(*load_comparison(run), run.folder / "comparison.rrd")
     if run.kind == "demo":
         return record_comparison(load_part(run, Comparison), run.folder / "errors.rrd")
     if run.kind == "study":

@@ -33,7 +33,7 @@ def arms(json_file: JsonFile = None) -> None:
         [(json_file, lambda path: write_json(path, {"arms": found}))],
         lambda: print_table(
             "arms that come with pickenv",
-            ("name", "joints", "reach [mm]", "source"),
+            ("name", "joints", "reach (mm)", "source"),
             rows,
             words=("name", "joints", "source"),
             caption="reach: the farthest that the tool gets from the arm's base",
@@ -49,7 +49,7 @@ def effects(
     seed: Annotated[int, typer.Option(help="Seed of the reaches.", min=0)] = 0,
     json_file: JsonFile = None,
 ) -> None:
-    """Each effect's share of the tip error of a simulated arm, in mm: alone, taken away, and all together."""
+    """Each effect's share of the tip error of a simulated arm, in mm: alone, what is left without it, and all."""
     import numpy as np
 
     from pickenv.arm import load_plant

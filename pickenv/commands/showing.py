@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
+
+from pickenv.texts import screen_width, side_by_side
 
 WIDTH = 150
 """Characters of a table that goes elsewhere than to a terminal."""
@@ -51,7 +52,7 @@ def print_table(
     caption: str = "",
     width: int = WIDTH,
 ) -> None:
-    """Print a table with lines around it.
+    """Print a table with lines around it; one wider than the terminal (or COLUMNS) in several, one below another.
 
     Args:
         title: Above it.
@@ -65,9 +66,26 @@ def print_table(
     from rich.markup import escape  # else a unit in brackets is taken for a style, and swallowed
     from rich.table import Table
 
-    table = Table(title=escape(title), caption=escape(caption) or None)
-    for head in heads:
-        table.add_column(escape(head), justify="left" if head in words else "right")
-    for row in rows:
-        table.add_row(*map(escape, row))
-    Console(width=None if sys.stdout.isatty() else width).print(table)
+    names, lines, room = list(heads), [list(row) for row in rows], screen_width(width)
+    columns = [(name, [row[i] for row in lines]) for i, name in enumerate(names)]
+    whole = [max(map(len, (*name.split("\n"), *cells))) for name, cells in columns]
+    least = [  # heads and words may be broken at spaces, numbers may not
+        max(
+            map(len, (*name.split(), *(part for cell in cells for part in (cell.split() if name in words else [cell]))))
+        )
+        for name, cells in columns
+    ]
+    sizes = [size + 3 for size in (whole if sum(whole) + 3 * len(whole) + 1 <= room else least)]
+    leading = next((i for i, name in enumerate(names) if name not in words), len(names))
+    parts = side_by_side(sizes, leading, room - 1)
+    console = Console(width=room)
+    for number, part in enumerate(parts):
+        table = Table(
+            title=escape(title) if number == 0 else None,
+            caption=escape(caption) or None if number == len(parts) - 1 else None,
+        )
+        for i in part:
+            table.add_column(escape(names[i]), justify="left" if names[i] in words else "right", min_width=least[i])
+        for row in lines:
+            table.add_row(*(escape(row[i]) for i in part))
+        console.print(table)

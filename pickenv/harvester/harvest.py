@@ -277,8 +277,8 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     state.misled += int((~there).sum())
     state.attempted[fruit] = True
     state.attached[fruit] |= outcome.attached[there]
-    state.detached[fruit] |= outcome.detached[there]
-    state.collected[fruit] |= outcome.collected[there]
+    state.detached[fruit] = outcome.detached[there]  # only what hangs is picked
+    state.collected[fruit] = outcome.collected[there]
     state.by_arm[fruit] = arm[there]
     np.add.at(state.load, arm[outcome.collected], 1)
     closest, aimed = closest_approach(machine, task.work, task.times), task.work.joints[arm, local]

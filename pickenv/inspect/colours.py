@@ -42,7 +42,7 @@ BY_KEY: dict[str, Rgb] = {
     "ls_gp": PURPLE,
     "best": PURPLE,
 }
-OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (240, 228, 66), (150, 150, 150))
+OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (150, 140, 20), (150, 150, 150))
 NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
 """Policies stand in this order everywhere; others follow."""

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from pickenv.envs.reaching.reach import ReachEnv
 from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.envs.shared.simulation import GOAL_NUMBERS, goal_gap
+from pickenv.envs.shared.task import MOST_ACTION, as_numbers
 from pickenv.errors import InputError
 
 SMALLEST = 1e-6
@@ -111,9 +112,16 @@ class Scaling:
         """`observe` as an environment shows it."""
         return np.asarray(self.observe(values, np), dtype=np.float32)
 
-    def act(self, values: NDArray[Any], actions: Any) -> NDArray[np.float32]:
-        """What the environment gets for a policy's ``actions`` at the observations ``values``."""
-        return np.asarray(np.clip(actions, -1.0, 1.0) * self.share(values, np), dtype=np.float32)
+    def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
+        """What the environment gets for a policy's ``actions`` at the observations ``values``.
+
+        Actions of another shape, and numbers larger than ``most`` or not finite, stay as they are: it refuses them.
+        """
+        given = as_numbers("actions", actions)
+        if given.shape != (*values.shape[:-1], self.joints):
+            return given
+        scaled = np.clip(given, -1.0, 1.0) * self.share(values, np)
+        return np.where(np.abs(given) <= most, scaled, given).astype(np.float32)
 
 
 def joined_observation(observation: Any, xp: Any = np) -> Any:
@@ -164,7 +172,7 @@ class GapScaling(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """
         RecordConstructorArgs.__init__(self, actions=actions)
         gym.Wrapper.__init__(self, env)
-        self.scaling = _scaling_of(env, env.observation_space, actions)
+        self.scaling, self._most = _scaling_of(env, env.observation_space, actions)
         self.observation_space = _scaled_space(self.scaling)
         self.raw: Any = np.zeros(self.scaling.inputs, dtype=np.float32)
         """The observation as the environment gave it."""
@@ -176,7 +184,7 @@ class GapScaling(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Act in shares of the gap."""
-        self.raw, reward, terminated, truncated, info = self.env.step(self.scaling.act(self.raw, action))
+        self.raw, reward, terminated, truncated, info = self.env.step(self.scaling.act(self.raw, action, self._most))
         return self.scaling.shown(self.raw), reward, terminated, truncated, info
 
 
@@ -205,7 +213,7 @@ class GapScalingVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructor
         VectorWrapper.__init__(self, env)
         if env.metadata.get("torch"):
             raise InputError("GapScalingVector works on NumPy; make the environments with executor='numpy'")
-        self.scaling = _scaling_of(env, env.single_observation_space, actions)
+        self.scaling, self._most = _scaling_of(env, env.single_observation_space, actions)
         self.single_observation_space = _scaled_space(self.scaling)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.raw: Any = np.zeros((self.num_envs, self.scaling.inputs), dtype=np.float32)
@@ -215,12 +223,12 @@ class GapScalingVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructor
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin episodes."""
-        self.raw, infos = self.env.reset(seed=seed, options=options)
+        self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]  # as gymnasium's own vectors take it
         return self.scaling.shown(self.raw), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Act in shares of the gaps."""
-        given = self.scaling.act(self.raw, actions)
+        given = self.scaling.act(self.raw, actions, self._most)
         self.raw, rewards, terminations, truncations, infos = self.env.step(given)
         if "final_obs" in infos:
             final = infos["final_obs"].copy()
@@ -296,12 +304,13 @@ def scaled_reach_vector(**arguments: Any) -> GapScalingVector:
     return GapScalingVector(ReachVectorEnv(**arguments))
 
 
-def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> Scaling:
+def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> tuple[Scaling, float]:
+    """The scaling that suits an environment, and the largest size of an action's numbers that it takes."""
     task = getattr(env.unwrapped, "task", None)
     found = None if task is None else Scaling(task.joints, task.camera, actions=actions)
-    if found is None or space.shape != (found.inputs,):
+    if task is None or found is None or space.shape != (found.inputs,):
         raise InputError("GapScaling reads flat observations; wrap a pickenv/Reach-v0 environment")
-    return found
+    return found, task.most_action
 
 
 def _scaled_space(scaling: Scaling) -> spaces.Box:

@@ -2,9 +2,10 @@
 
 mutmut makes the mutants; each is tried in a copy of the project, against the tests of its room alone, and is killed if
 one of them fails or does not end in time. What is written after each mutant is taken up again by the next run: a mutant
-is tried again only if its file has changed or, where it survived, the tests of its room have. Text, messages and what a
-decorator covers are left as they are, and so are changes that make no difference (mutants_equivalent.toml). A sample's
-score is kept when its room is done, and stands whatever becomes of the tests; the page is made of what is kept.
+is tried again only if its file has changed or, where it survived, the tests of its room have. Text, messages, what a
+decorator covers and how a drawing looks are left as they are, and so are changes that make no difference
+(mutants_equivalent.toml). A sample's score is kept when its room is done, and stands whatever becomes of the tests; the
+page is made of what is kept.
 
 Run: python scripts/mutation/mutants.py [--room NAME]... [--sample N] [--seed S] [--again] [--known]
      [--json FILE] [--also FILE]... [--page FILE]
@@ -21,8 +22,9 @@ import signal
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Set
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -77,22 +79,34 @@ class Mutant:
         return changed.code
 
 
-def dropped_options(call: cst.Call) -> Iterator[cst.CSTNode]:
+def dropped_options(looks: Set[str], call: cst.Call) -> Iterator[cst.CSTNode]:
     """The call without one of its named arguments; without another, or with None, mutmut's ideas, it only crashes."""
-    named = {i for i, argument in enumerate(call.args) if argument.keyword is not None and not is_guard(argument)}
+    named = {i for i, argument in enumerate(call.args) if argument.keyword is not None and not is_left(argument, looks)}
     shorter = [found for found in mutators.operator_arg_removal(call) if len(found.args) < len(call.args)]
     return (found for i, found in enumerate(shorter) if i in named)
 
 
-def is_guard(node: cst.CSTNode) -> bool:
-    """Whether it is the ``strict=True`` of a zip, or a ``dtype=float``, which change nothing where the input is sound.
+LOOKS = (
+    "alpha aspect bbox bbox_to_anchor borderaxespad borderpad capsize clip_on color colors columnspacing edgecolor "
+    "edgecolors extend facecolor facecolors fontsize frameon ha handlelength handletextpad headlength headwidth "
+    "height_ratios hspace labelpad labelsize labelspacing length linestyle linestyles linewidth linewidths loc "
+    "location lw marker markersize mew minor ms ncols pad rasterized rotation s sharex sharey shrink size squeeze "
+    "style textcoords va visible weight which width_ratios wspace xlim xytext ylim zorder"
+)
+"""Options in `DRAWINGS` that say how a drawing looks; no number that it shows."""
+DRAWINGS = "pickenv/inspect/figures/"
 
-    Lengths are equal then, and numbers are floats.
+
+def is_left(node: cst.CSTNode, looks: Set[str]) -> bool:
+    """Whether it is an option that changes no number where the input is sound.
+
+    The ``strict=True`` of a zip, whose lengths are equal then; a ``dtype=float``; how a drawing looks.
     """
     if not isinstance(node, cst.Arg) or node.keyword is None:
         return False
     is_float = isinstance(node.value, cst.Name) and node.value.value == "float"
-    return node.keyword.value == "strict" or (node.keyword.value == "dtype" and is_float)
+    name = node.keyword.value
+    return name == "strict" or (name == "dtype" and is_float) or name in looks
 
 
 def sizes_to_work_out(call: cst.Call) -> list[cst.CSTNode]:
@@ -110,31 +124,31 @@ OPERATORS: mutators.OPERATORS_TYPE = [
     (cst.CSTNode, mutators.operator_keywords),
     (cst.CSTNode, mutators.operator_swap_op),
     (cst.IfExp, mutators.operator_if_exp),
-    (cst.Call, dropped_options),
 ]
 """Of mutmut's, those that change a number or which way is taken."""
 
 
 class Changes(MutationVisitor):
-    """mutmut's search for changes, but for what is said to people."""
+    """mutmut's search for changes, but for what is said to people, and for how what is drawn looks."""
 
-    def __init__(self) -> None:
-        super().__init__(OPERATORS, IgnoredCode(set(), set(), set()))
-        self.left: list[cst.CSTNode] = []
+    def __init__(self, looks: Set[str]) -> None:
+        operators = [*OPERATORS, (cst.Call, partial(dropped_options, looks))]
+        super().__init__(operators, IgnoredCode(set(), set(), set()))
+        self.looks, self.left = looks, list[cst.CSTNode]()
 
     def on_visit(self, node: cst.CSTNode) -> bool:
         """Whether to look into a node."""
         if isinstance(node, cst.Call):
             self.left += sizes_to_work_out(node)
         said = isinstance(node, cst.Raise | cst.Assert | cst.FormattedString)
-        return not said and not is_guard(node) and node not in self.left and super().on_visit(node)
+        return not said and not is_left(node, self.looks) and node not in self.left and super().on_visit(node)
 
 
 def mutants_of(path: str, code: str) -> list[Mutant]:
     """Every mutant of a file, in the order of its lines."""
     wrapper = MetadataWrapper(cst.parse_module(code))
     places = wrapper.resolve(PositionProvider)
-    visitor = Changes()
+    visitor = Changes(set(LOOKS.split() if path.startswith(DRAWINGS) else ()))
     module = wrapper.visit(visitor)
     lines = code.splitlines()
     found: list[Mutant] = []
@@ -240,7 +254,7 @@ def main(
     known_only: Annotated[bool, typer.Option("--known", help="Try nothing: the page of what is kept.")] = False,
     json_file: Annotated[Path, typer.Option("--json", help="Where verdicts and scores are kept.")] = KEPT,
     also: Annotated[list[Path] | None, typer.Option(help="What other runs kept, taken over.")] = None,
-    page: Annotated[Path, typer.Option(help="The page.")] = ROOT / "docs/mutants.md",
+    page: Annotated[Path, typer.Option(help="The page; written when no room is named.")] = ROOT / "docs/mutants.md",
 ) -> None:
     """Change the lines that make numbers, one at a time, and count what the tests notice."""
     from pickenv.files import write_text  # late: see WARM
@@ -260,7 +274,7 @@ def main(
     }
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
     WARM.set_forkserver_preload(["__main__", *LIBRARIES])
-    mutants = {name: shuffled(name, seed, equivalents) for name in ROOMS}
+    mutants = {name: shuffled(name, seed, equivalents) for name in names}
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) if known_only else copied_project(Path(folder))
         for name in () if known_only else names:
@@ -279,10 +293,11 @@ def main(
     tried = {name: {m.key: kept[m.key]["verdict"] for m in found if m.key in kept} for name, found in mutants.items()}
     now = [score_of(name, len(mutants[name]), list(verdicts.values())) for name, verdicts in tried.items() if verdicts]
     survivors = [key for verdicts in tried.values() for key, verdict in verdicts.items() if verdict == "passed"]
-    print(table([score for score in now if score.room in names]))
+    print(table(now))
     print(f"{len(survivors)} survive; each is a test to write, or a change that makes no difference")
     write_text(json_file, as_lines(samples, kept))
-    write_text(page, page_of(now, samples, survivors, equivalents))
+    if not room:
+        write_text(page, page_of(now, samples, survivors, equivalents))
 
 
 if __name__ == "__main__":

@@ -88,8 +88,8 @@ is another such sample, drawn with a new seed after that. **Now** counts the cha
 files that are the same since: among them are those that tests were written for, so that its interval says too
 much. What survived counts as surviving until it is tried again.
 
-Made by `make mutants ARGS="--sample 10 --seed SEED"`, which tries a sample, or `make mutants ARGS=--known`, which
-tries nothing, of what `scripts/mutation/mutants_kept.json` holds.
+Made by `make mutants ARGS=--known` of what `scripts/mutation/mutants_kept.json` holds, which tries nothing; samples
+are tried by `make mutants ARGS="--room ROOM --sample 10 --seed SEED"`, survivors anew by `make mutants ARGS=--again`.
 
 | room | mutants | first try: seed | score | fresh since: seed | score | now: tried | killed | of these late | score |
 |:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|

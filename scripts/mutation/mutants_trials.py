@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import compileall
+import contextlib
 import multiprocessing
 import os
 import shutil
@@ -77,5 +78,7 @@ def run_tests(copy: Path, tests: Iterable[str], seconds: float | None) -> str:
         return {0: "passed", None: "took too long"}.get(process.exitcode, "failed")
     finally:  # with whatever the tests had started, also when we are interrupted
         if process.is_alive() and process.pid is not None:
-            os.killpg(process.pid, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):  # it has no group of its own yet
+                os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
         process.join()

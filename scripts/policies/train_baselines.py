@@ -100,7 +100,7 @@ def card(name: str, policy: LearnedPolicy, found: list[dict[str, Any]]) -> str:
             "## Use",
             "",
             f"Feedback `{'camera' if policy.scaling.camera else 'encoders'}`. Observations and actions are scaled by "
-            "the gap to the fruit (`agents/policies/gap.py`), so accuracy is limited by what the policy can see, not "
+            "the gap to the fruit (`pickenv/wrappers/gap.py`), so accuracy is limited by what the policy can see, not "
             "by its network.",
             "",
             "```python",
@@ -123,11 +123,7 @@ def card(name: str, policy: LearnedPolicy, found: list[dict[str, Any]]) -> str:
             "",
             "## Limits",
             "",
-            *(
-                ["The goal environment does not reward the attitude: the tool arrives at the fruit, but from anywhere."]
-                if goal
-                else ["Trained for one arm's nominal geometry; it refuses other arms."]
-            ),
+            "Trained for one arm's nominal geometry; it refuses other arms.",
             "No obstacles, no joint torques, one fruit at a time; a simulated arm, never a real one.",
             "",
             "Judged by `python scripts/policies/train_baselines.py --cards`; trained by it without that option.",

@@ -20,7 +20,7 @@ from pickenv.agents.evaluation.statistics import Estimate
 from pickenv.agents.policies.learned import load_policy
 from pickenv.arm import load_plant
 from pickenv.commands import learning as commands
-from pickenv.envs.shared.task import CONTROL_PERIOD
+from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.errors import InputError
 from pickenv.inspect.figures.run_drawings import write_drawings
 from pickenv.inspect.runs.run_folder import read_run

@@ -197,7 +197,8 @@ def test_what_the_camera_sees_is_off_by_the_numbers_of_its_own_streams():
     """The fruit's place by one stream, once; each moment's offset by the next three numbers of another."""
     task = make_task(feedback="camera", camera_noise_mm=2.0, fruit_noise_mm=3.0)
     key, joints = episode_key(FLOATS, 5, 0), list(task.middle)
-    state = simulation.begin(FLOATS, task, task.plant, key, joints, joints, joints)
+    wanted = simulation.nominal_frames(FLOATS, task, joints)[1]
+    state = simulation.begin(FLOATS, task, task.plant, key, joints, wanted, joints)
     fruit, camera = (stream_key(FLOATS, key, stream) for stream in (FRUIT, CAMERA))
     np.testing.assert_allclose(
         np.array(state.seen) - state.goal[9:], [3e-3 * normal(FLOATS, fruit, i) for i in range(3)], rtol=1e-9

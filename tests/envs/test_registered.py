@@ -35,7 +35,7 @@ DRAWN = {
         CAMERA,
         lambda seen, info, _: {
             "goal": seen["desired_goal"],
-            "camera": seen["achieved_goal"],
+            "camera": seen["achieved_goal"][:3],
             "fruit": info["fruit_position"],
         },
     ),

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import pickenv
 from pickenv import InputError
+from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachVectorEnv
 
 EARLY = {"end_on_success": True, "tolerance_mm": 400.0, "angle_tolerance_deg": 100.0}
 """A capture region so large that random actions end episodes at different times."""
@@ -21,6 +22,27 @@ VARIANTS = {
     "camera, arm per episode": {"feedback": "camera", "camera_noise_mm": 3.0, "arms": "per_episode"},
     "orchard, arm per environment": {"plant": "orchard", "arms": "per_env"},
     "field, arm per episode": {"plant": "field", "arms": "per_episode"},
+    "late, noisy and warm, from anywhere": {
+        "plant": "orchard",
+        "feedback": "camera",
+        "control_period_s": 0.05,
+        "latency": 2,
+        "action_delay": 1,
+        "joint_noise": 0.3,
+        "hours_on": 2.0,
+        "start_spread": 0.4,
+        "goal_region": [[-0.6, -1.2, 0.2], [0.6, 1.2, 1.4]],
+    },
+    "the same, drawn": {
+        "plant": "orchard",
+        "arms": "per_episode",
+        "control_period_s": [0.05, 0.2],
+        "latency": [0, 3],
+        "action_delay": [1, 2],
+        "joint_noise": [0.0, 0.5],
+        "hours_on": [0.0, 8.0],
+        "start_spread": 0.9,
+    },
 }
 SINGLE = {"field, arm per episode": 1e-6}
 """Waves of a field are single precision in NumPy and double in torch: they agree to a nanometre (in mm here)."""
@@ -358,12 +380,18 @@ def test_rounding_to_single_precision_takes_no_action_out_of_its_range():
     np.testing.assert_array_equal(one.step(most)[0], other.step(np.ones((2, 6)))[0])
 
 
-def test_pictures_of_all():
-    envs = native(2, render_mode="rgb_array", arms="per_env")
+@pytest.mark.parametrize("arms", ["per_env", "fixed"])
+def test_pictures_of_all(arms):
+    envs = native(2, render_mode="rgb_array", arms=arms)
     envs.reset(seed=0)
     pictures = envs.render()
     assert [picture.shape for picture in pictures] == [(360, 720, 3)] * 2
     assert not np.array_equal(*pictures)
+
+
+@pytest.mark.parametrize("kind", [ReachVectorEnv, ReachGoalVectorEnv])
+def test_one_environment_is_made_where_no_number_is_said(kind):
+    assert kind().num_envs == 1
 
 
 def test_the_package_is_named():

@@ -8,7 +8,7 @@ import pytest
 from pickenv.agents.policies.harvest_policy import ScriptedHarvest
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_env import HarvestEnv
-from pickenv.envs.shared.task import CONTROL_PERIOD
+from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.harvester.picking import attempt, displacements, draw_luck, pushes
 
 AWAY = np.array([0.0, 0.0, 9.0])

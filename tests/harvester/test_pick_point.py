@@ -85,3 +85,11 @@ def test_zones_smaller_than_their_overlap_are_refused():
 def test_a_zone_of_fruit_below_every_reach_has_a_pick_point_that_reaches_nothing(machine):
     assert pick_point(machine, np.array([[0.0, -1.2, 0.40]])).count == 0
     assert pick_point(machine, np.array([[0.0, -1.2, 0.40], [0.1, -1.2, 0.5]])).count == 1
+
+
+@pytest.mark.parametrize("x", [-1.2, 0.8, 1.0])
+def test_fruit_above_every_reach_does_not_pull_the_pick_point_away(machine, x):
+    """Two fruit on one side, and five on the other that no height of the master brings near."""
+    near = [[x, -0.9, 1.0], [0.95 * x, -1.0, 1.1]]
+    high = [[-x + 0.1 * k, -0.9, 4.0] for k in range(5)]
+    assert pick_point(machine, np.array(near + high)).count == 2

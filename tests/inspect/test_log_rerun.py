@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import nullcontext
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
@@ -62,29 +63,39 @@ def test_every_value_is_read_back(tmp_path: Path, reader: Callable[[Path], Any])
     reading = reader(tmp_path / "episodes-raw.rrd")
     infos = [info for episode in episodes for info in episode]
     assert len(infos) == 27
-    np.testing.assert_array_equal(reading.times("/outcome/raw", "step"), np.arange(27))
-    np.testing.assert_array_equal(reading.times("/outcome/raw", "episode"), np.repeat([0, 1, 2], 9))
-    np.testing.assert_allclose(reading.times("/outcome/raw", "sim_time"), 1e8 * np.arange(27))
+    np.testing.assert_array_equal(reading.times("/outcome/1_raw", "step"), np.arange(27))
+    np.testing.assert_array_equal(reading.times("/outcome/1_raw", "episode"), np.repeat([0, 1, 2], 9))
+    seconds = 0.1 * np.arange(27) + np.repeat([0.0, 1.0, 2.0], 9)  # a second of nothing between episodes
+    np.testing.assert_allclose(reading.times("/outcome/1_raw", "sim_time"), 1e9 * seconds)
+    np.testing.assert_allclose(reading.times("/outcome/1_raw", "episode_time"), 1e8 * np.tile(np.arange(9), 3))
     fruit, tool, q = (np.array([i[key] for i in infos]) for key in ("fruit_position", "tool_position", "joint_command"))
     np.testing.assert_allclose(reading.values("/world/fruit/raw", "Points3D:positions"), fruit, atol=1e-6)
     np.testing.assert_allclose(reading.values("/world/miss/raw", "Arrows3D:vectors"), tool - fruit, atol=1e-6)
     np.testing.assert_allclose(reading.values("/world/miss/raw", "PickError:xyz_mm"), 1e3 * (tool - fruit), atol=1e-3)
     np.testing.assert_allclose(reading.values("/target/raw", "Points3D:positions"), 1e3 * (tool - fruit), atol=1e-3)
-    numbers = reading.values("/metrics/mm/raw", "Scalars:scalars")
+    distance = 1e3 * np.linalg.norm(tool - fruit, axis=1)
+    np.testing.assert_allclose(overlaid(reading, "/distance/1_raw", 3), np.log10(distance), rtol=1e-12)
+    numbers = overlaid(reading, "/metrics/mm/1_raw", 3)
     np.testing.assert_array_equal(numbers, [info["position_error_mm"] for info in infos])
-    degrees = reading.values("/metrics/deg/raw", "Scalars:scalars").reshape(27, 3)
-    names = reading.values("/metrics/deg/raw", "SeriesLines:names").tolist()
+    degrees = overlaid(reading, "/metrics/deg/1_raw", 3).reshape(27, 3)
+    names = reading.values("/metrics/deg/1_raw", "SeriesLines:names").tolist()
     for name, column in zip(names, degrees.T, strict=True):
-        np.testing.assert_array_equal(column, [info[name.replace(" ", "_")] for info in infos])
-    rewards = reading.values("/metrics/other/raw", "Scalars:scalars")
+        key = name.removeprefix("raw, ").replace(" ", "_")
+        np.testing.assert_array_equal(column, [info[key] for info in infos])
+    rewards = overlaid(reading, "/metrics/other/1_raw", 3)
     np.testing.assert_array_equal(rewards, [info.get("reward", 0.0) for info in infos])
-    states = reading.values("/outcome/raw", "StateChange:state")
+    states = reading.values("/outcome/1_raw", "StateChange:state")
     assert states.tolist() == ["yes" if info["is_success"] else "no" for info in infos]
     nominal = forward(gym.make("pickenv/Reach-v0").unwrapped.plant.arm.nominal, q).position
     np.testing.assert_allclose(rod_ends(reading, "/world/arm/nominal/raw", 27), nominal, atol=2e-6)
     np.testing.assert_allclose(rod_ends(reading, "/world/arm/true/raw", 27), tool, atol=2e-6)
     assert reading.unmatched_rules() == []
     assert len(reading.rules()) >= 8
+
+
+def overlaid(reading: Any, entity: str, episodes: int) -> np.ndarray:
+    """An entity's numbers, episode by episode as they lie over one another."""
+    return np.concatenate([reading.values(f"{entity}/{number}", "Scalars:scalars") for number in range(episodes)])
 
 
 def rod_ends(reading: Any, entity: str, moments: int) -> np.ndarray:
@@ -117,7 +128,7 @@ def test_the_schedule_is_that_of_record_video(tmp_path: Path, reader: Callable[[
     assert [k for k in range(3001) if capped_cubic(k)] == wanted
     run(reach(tmp_path, steps=2, episode_trigger=None), 10, 2)
     reading = reader(tmp_path / "episodes-raw.rrd")
-    assert reading.times("/outcome/raw", "episode").tolist() == [0] * 3 + [1] * 3 + [8] * 3
+    assert reading.times("/outcome/1_raw", "episode").tolist() == [0] * 3 + [1] * 3 + [8] * 3
 
 
 def test_a_step_trigger_records_a_length(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
@@ -125,9 +136,9 @@ def test_a_step_trigger_records_a_length(tmp_path: Path, reader: Callable[[Path]
     episodes = run(env, 3, 8)
     infos = [info["position_error_mm"] for episode in episodes for info in episode]
     reading = reader(tmp_path / "episodes-raw.rrd")
-    numbers = reading.values("/metrics/mm/raw", "Scalars:scalars")
+    numbers = overlaid(reading, "/metrics/mm/1_raw", 2)
     np.testing.assert_array_equal(numbers, [infos[i] for i in (3, 4, 5, 6, 14, 15, 16, 17)])
-    assert reading.times("/outcome/raw", "step").tolist() == list(range(8))
+    assert reading.times("/outcome/1_raw", "step").tolist() == list(range(8))
 
 
 def test_nothing_recorded_writes_nothing(tmp_path: Path) -> None:
@@ -135,18 +146,25 @@ def test_nothing_recorded_writes_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("make", [lambda: gym.make("pickenv/Pick-v0", max_episode_steps=5), HarvestEnv])
-def test_other_environments_are_logged_as_far_as_info_allows(
-    make: Callable[[], gym.Env[Any, Any]], tmp_path: Path, reader: Callable[[Path], Any]
+@pytest.mark.parametrize(
+    ("make", "missing"),
+    [
+        (lambda: gym.make("pickenv/Pick-v0", max_episode_steps=5), None),
+        (HarvestEnv, "lacks 'tool_position' and 'fruit_position'"),
+    ],
+)
+def test_other_environments_are_logged_as_far_as_info_allows_and_what_is_missing_is_said(
+    make: Callable[[], gym.Env[Any, Any]], missing: str | None, tmp_path: Path, reader: Callable[[Path], Any]
 ) -> None:
-    infos = run(LogRerun(make(), tmp_path, episode_trigger=always), 1, 5)[0]
+    with nullcontext() if missing is None else pytest.warns(UserWarning, match=missing):
+        infos = run(LogRerun(make(), tmp_path, episode_trigger=always), 1, 5)[0]
     reading = reader(tmp_path / "episodes-policy.rrd")
     assert reading.unmatched_rules() == []
     assert ("/world/arm/true/policy" in reading.entities()) == ("tool_position" in infos[0])
-    names = reading.values("/metrics/other/policy", "SeriesLines:names").tolist()
-    values = reading.values("/metrics/other/policy", "Scalars:scalars").reshape(6, -1)
-    assert "collected" in names
-    np.testing.assert_array_equal(values[:, names.index("collected")], [info["collected"] for info in infos])
+    names = reading.values("/metrics/other/4_policy", "SeriesLines:names").tolist()
+    values = overlaid(reading, "/metrics/other/4_policy", 1).reshape(6, -1)
+    collected = values[:, names.index("policy, collected")]
+    np.testing.assert_array_equal(collected, [info["collected"] for info in infos])
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
@@ -175,9 +193,9 @@ def test_chosen_environments_of_a_vector_are_logged_as_if_alone(
             else:
                 episodes.append(episodes[-1] + (mode == "NextStep" and len(wanted) % 4 == 0))
             wanted.append(infos["position_error_mm"][0])
-        entity = f"/metrics/mm/raw/env_{i}"
-        np.testing.assert_array_equal(reading.values(entity, "Scalars:scalars"), wanted)
-        assert reading.times(entity, "episode").tolist() == episodes
+        found = overlaid(reading, f"/metrics/mm/1_raw/env_{i}", 1 + episodes[-1])
+        np.testing.assert_array_equal(found, wanted)
+        assert reading.times(f"/outcome/1_raw/env_{i}", "episode").tolist() == episodes
 
 
 def test_a_vector_of_single_environments_is_logged_too(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
@@ -190,7 +208,7 @@ def test_a_vector_of_single_environments_is_logged_too(tmp_path: Path, reader: C
         wanted.append(infos["position_error_mm"][1])
     logged.close()
     reading = reader(tmp_path / "episodes-policy.rrd")
-    np.testing.assert_array_equal(reading.values("/metrics/mm/policy/env_1", "Scalars:scalars")[1:], wanted)
+    np.testing.assert_array_equal(overlaid(reading, "/metrics/mm/4_policy/env_1", 1)[1:], wanted)
 
 
 def test_files_of_several_policies_are_one_recording(tmp_path: Path, reader: Callable[[Path], Any]) -> None:
@@ -205,7 +223,7 @@ def test_files_of_several_policies_are_one_recording(tmp_path: Path, reader: Cal
     assert (entry.application_id, entry.recording_id) == ("pickenv", "Reach-v0:qiao2026:seed3")
     store = RrdReader(both).stream().collect()
     entities = {column.entity_path for column in store.schema().component_columns()}
-    assert {"/world/miss/raw", "/world/miss/ls", "/metrics/mm/raw", "/metrics/mm/ls"} <= entities
+    assert {"/world/miss/raw", "/world/miss/ls", "/metrics/mm/1_raw", "/metrics/mm/2_ls"} <= entities
 
 
 def test_equal_seeds_give_equal_files_and_other_seeds_others(tmp_path: Path) -> None:
@@ -241,10 +259,10 @@ def test_a_killed_writer_leaves_a_recording_that_reads(
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], env=environment)
     path = tmp_path / "episodes-policy.rrd"
-    awaited(path, lambda chunks: sum(c.num_rows for c in chunks if c.entity_path == "/outcome/policy") >= 5)
+    awaited(path, lambda chunks: sum(c.num_rows for c in chunks if c.entity_path == "/outcome/4_policy") >= 5)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    times = reader(path).times("/outcome/policy", "step")
+    times = reader(path).times("/outcome/4_policy", "step")
     assert len(times) >= 5
     np.testing.assert_array_equal(times, np.arange(len(times)))
     assert subprocess.run([RERUN, "rrd", "verify", path], capture_output=True, check=False).returncode == 0
@@ -309,7 +327,7 @@ def free_port() -> int:
 
 def scalars(chunks: list[Any]) -> list[np.ndarray]:
     """The errors of one policy, chunk by chunk."""
-    batches = [chunk.to_record_batch() for chunk in chunks if chunk.entity_path == "/metrics/mm/raw"]
+    batches = [chunk.to_record_batch() for chunk in chunks if chunk.entity_path == "/metrics/mm/1_raw/0"]
     columns = [batch.column("Scalars:scalars") for batch in batches if "Scalars:scalars" in batch.schema.names]
     return [column.flatten().to_numpy() for column in columns]
 
@@ -334,7 +352,7 @@ def test_a_server_and_a_file_get_the_same(
         os.killpg(taker.pid, signal.SIGTERM)
         taker.wait()
         env.close()
-    written = reader(tmp_path / "episodes-raw.rrd").values("/metrics/mm/raw", "Scalars:scalars")
+    written = reader(tmp_path / "episodes-raw.rrd").values("/metrics/mm/1_raw/0", "Scalars:scalars")
     np.testing.assert_array_equal(served, written)
 
 

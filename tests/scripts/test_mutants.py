@@ -49,6 +49,18 @@ def test_numbers_operators_conditions_and_options_are_changed_and_nothing_else(s
         assert mutant.key.startswith(f"mean.py:{mutant.line} ")
 
 
+def test_how_a_drawing_looks_is_left_and_what_it_shows_is_not(script):
+    code = "axes.plot(1e3 * errors, linewidth=2.0, label=said(p=95))\n"
+    drawn, other = (
+        {m.change for m in script.mutants_of(path, code)} for path in (f"{script.DRAWINGS}a.py", "pickenv/a.py")
+    )
+    assert "1e3 * errors -> 1e3 / errors" in drawn and "95 -> 96" in drawn
+    assert {change for change in other - drawn if "->" in change} == {
+        "2.0 -> 3.0",
+        "axes.plot(1e3 * errors, linewidth=2.0, label=said(p=95)) -> axes.plot(1e3 * errors, label=said(p=95))",
+    }
+
+
 def test_a_larger_sample_holds_a_smaller_one_and_every_room_has_files_and_tests(script):
     for name, room in script.ROOMS.items():
         assert all((script.ROOT / path).is_file() for path in (*room.sources, *room.tests)), name

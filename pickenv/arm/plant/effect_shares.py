@@ -1,4 +1,4 @@
-"""Which effect costs how many millimetres at the tip: one at a time, one taken away, and all together.
+"""Which effect costs how many millimetres at the tip: one at a time, all but one, and all together.
 
 Every figure is the distance between two tool positions at the same joint command: after a reach at full speed and a
 short wait, on a machine that has been running for some time.
@@ -50,7 +50,7 @@ class EffectShares:
         dwell: Waiting time between arrival and measurement, s.
         alone: For each effect that is on, its share when it is the only one; ``geometry`` is the true against the
             nominal geometry.
-        removed: For each of them, how far the tool moves when it is taken away from all.
+        without: For each of them, true tool against the nominal one with everything on but it: the error that remains.
         all: True tool against the nominal one, everything on.
         sum_of_means: Sum of the means of ``alone``, mm: all shares in one line, the worst case.
         root_sum_square: Root of the sum of the squared means of ``alone``, mm: shares in random directions.
@@ -61,7 +61,7 @@ class EffectShares:
     running_hours: float
     dwell: float
     alone: dict[str, Share]
-    removed: dict[str, Share]
+    without: dict[str, Share]
     all: Share
     sum_of_means: float
     root_sum_square: float
@@ -72,7 +72,7 @@ class EffectShares:
 
     def report(self) -> str:
         """A table for people."""
-        head = f"{'effect':<20}{'alone: mean':>13}{'varying':>10}{'p95':>9}{'max':>9}{'taken away: mean':>19}"
+        head = f"{'effect':<20}{'alone: mean':>13}{'varying':>10}{'p95':>9}{'max':>9}{'without: mean':>17}"
         lines = [
             f"Tip error of plant {self.plant} in mm: {self.reaches} reaches, {self.dwell:g} s after arrival, "
             f"{self.running_hours:g} h after start",
@@ -81,10 +81,11 @@ class EffectShares:
         ]
         for name, share in self.alone.items():
             figures = f"{share.mean:13.3f}{share.varying:10.3f}{share.p95:9.3f}{share.max:9.3f}"
-            lines.append(f"{name.replace('_', ' '):<20}{figures}{self.removed[name].mean:19.3f}")
+            lines.append(f"{name.replace('_', ' '):<20}{figures}{self.without[name].mean:17.3f}")
         lines.append("-" * len(head))
         total = self.all
-        lines.append(f"{'all':<20}{total.mean:13.3f}{total.varying:10.3f}{total.p95:9.3f}{total.max:9.3f}")
+        lines.append(f"{'all':<20}{total.mean:13.3f}{total.varying:10.3f}{total.p95:9.3f}{total.max:9.3f}{0.0:17.3f}")
+        lines.append("alone: the only effect that is on; without: what all the others leave")
         lines.append(f"sum of the means {self.sum_of_means:.3f}, root of the sum of squares {self.root_sum_square:.3f}")
         return "\n".join(lines)
 
@@ -121,7 +122,7 @@ def effect_shares(
 
     everything = reached(*on)
     alone = {name: _share(reached(name) - believed) for name in on}
-    removed = {name: _share(everything - reached(*(other for other in on if other != name))) for name in on}
+    without = {name: _share(reached(*(other for other in on if other != name)) - believed) for name in on}
     means = [share.mean for share in alone.values()]
     return EffectShares(
         plant=plant.name,
@@ -129,7 +130,7 @@ def effect_shares(
         running_hours=running_time / 3600.0,
         dwell=pace.dwell,
         alone=alone,
-        removed=removed,
+        without=without,
         all=_share(everything - believed),
         sum_of_means=float(np.sum(means)),
         root_sum_square=float(np.sqrt(np.sum(np.square(means)))),

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
-from pickenv.envs.shared.task import CONTROL_PERIOD, MOST_ACTION, Compensate, check_choice, check_number
+from pickenv.envs.shared.situation import CONTROL_PERIOD
+from pickenv.envs.shared.task import MOST_ACTION, Compensate, check_choice, check_number
 from pickenv.errors import InputError
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import Machine, load_machine

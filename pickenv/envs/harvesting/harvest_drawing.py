@@ -12,7 +12,8 @@ from pickenv.arm import Array
 from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting.harvest_batch import COLLECTED, HANGING, HarvestState, HarvestTask
 from pickenv.envs.shared.drawing import GHOST_WORDS, staged
-from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate
+from pickenv.envs.shared.situation import CONTROL_PERIOD
+from pickenv.envs.shared.task import Compensate
 from pickenv.harvester.machine import Machine
 from pickenv.pictures.arm_shapes import (
     CUP_RADIUS,

@@ -12,12 +12,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Frame, PlantState, plant_at
 from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_scene import PUBLISHED, PickScene, PickSetting, draw_scene, make_setting, upright_turn
+from pickenv.envs.picking.pick_scene import PickScene, draw_scene, upright_turn
+from pickenv.envs.picking.pick_task import make_pick
 from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS
+from pickenv.envs.shared.ladder import on_ladder
 from pickenv.envs.shared.simulation import move, nominal_frames, nominal_readings, scaled
+from pickenv.envs.shared.situation import (
+    Components,
+    acted,
+    drawn_start,
+    drawn_values,
+    in_period,
+    sensed,
+    warmed_up,
+    with_joint_noise,
+)
 from pickenv.envs.shared.spaces import box, given_options
-from pickenv.envs.shared.task import CONTROL_PERIOD, check_count, check_number, checked_action, make_task
+from pickenv.envs.shared.task import checked_action
 from pickenv.errors import InputError
 
 if TYPE_CHECKING:
@@ -165,6 +177,9 @@ class PickEnv(ArmEnv):
     - `arms` ("fixed", "per_env" or "per_episode"), `tolerances`, `population` and `population_seed`: the plant's own
       true arm, or one of a population, as in `pickenv/Reach-v0`.
     - `out_of_range` ("clip" or "refuse"): as in `pickenv/Reach-v0`.
+    - `control_period_s`, `latency` (of joint readings), `action_delay` (of the gripper too), `joint_noise`, `hours_on`
+      and `start_spread`, numbers or ranges: as in `pickenv/Reach-v0`.
+    - `difficulty` and `split`: as in `pickenv/Reach-v0`.
     - `render_mode` (None, "human" or "rgb_array").
 
     There is no native vector version: it would gain little, since drawing a canopy takes as long as some seventy steps.
@@ -177,34 +192,11 @@ class PickEnv(ArmEnv):
     """
 
     def __init__(
-        self,
-        *,
-        plant: str = "orchard",
-        without: Sequence[str] = (),
-        gripper: str = "li_cup",
-        camera: str = "laser_line",
-        canopy: str = "li2016",
-        fruit_map: str = "li2016_lab",
-        fruit_size: str = "li2016",
-        fruit: float = 10.0,
-        looks: int = 16,
-        vision: str = PUBLISHED,
-        detector: str = "li2016",
-        arms: str = "fixed",
-        tolerances: str = "medium",
-        population: int = 256,
-        population_seed: int = 0,
-        out_of_range: str = "clip",
-        render_mode: str | None = None,
+        self, *, difficulty: str | None = None, split: str = "train", render_mode: str | None = None, **arguments: Any
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        check_number("fruit", fruit, positive=True)
-        check_count("looks", looks)
-        drawn: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
-        super().__init__(make_task(plant, without, arms=arms, out_of_range=out_of_range, **drawn), render_mode)
-        self.orchard: PickSetting = make_setting(
-            canopy, fruit_map, fruit_size, camera, gripper, fruit, looks, vision, detector
-        )
+        task, self.orchard = make_pick(**on_ladder("Pick", difficulty, split, arguments))
+        super().__init__(task, render_mode)
         self._reach = reach_of(self.plant.arm.nominal, self.orchard.station.approach)
         bounds = box([1.0] * self.task.joints + [self.task.reach] * 6 + [2 * self.task.reach] * 3 + [math.pi] * 3)
         self._low = np.concatenate([bounds.low, np.zeros(5, np.float32)])
@@ -215,6 +207,7 @@ class PickEnv(ArmEnv):
         self._target: Sequence[float] = self.task.middle
         self._state = PlantState()
         self._tool: Frame = ()
+        self._sensed: Components = ()
         self._arm: int | None = None
 
     @property
@@ -233,14 +226,20 @@ class PickEnv(ArmEnv):
         """Start before another section of canopy; see the class for `options`."""
         super().reset(seed=seed)
         options = given_options(options, ("fruit", "start_joints", "arm"))
-        start = options.get("start_joints")
-        self._target = self.task.middle if start is None else self.task.given_joints("start_joints", start).tolist()
+        task, given, start = self.task, self.task.situation, options.get("start_joints")
+        start = None if start is None else task.given_joints("start_joints", start).tolist()
         self.scene = draw_scene(self.orchard, self._reach, self.np_random, options.get("fruit"))
         self._take_arm(options.get("arm"), again=seed is not None)
-        self._step, self._still = 0, STILL
+        self._key = 0 if given.plain else int(self.np_random.integers(2**63))
+        self._drawn = drawn_values(FLOATS, given, self._key)
+        self._sent: Components = (0.0,) * (given.widths(task.joints + 1, 0)[1])
+        if start is None:
+            start = drawn_start(FLOATS, given, self._key, task.lower, task.upper) if given.spread else task.middle
+        self._target, self._step, self._still = start, 0, STILL
         command = self._command()
-        self._state = self.plant.initial_state(math, command)
-        self._state, self._tool = self.plant.advance(math, self._state, command, 0.0)
+        memory = self.plant.initial_state(math, command)
+        memory = warmed_up(FLOATS, given, self._drawn, self.plant, memory, command)
+        self._state, self._tool = self.plant.advance(math, memory, command, 0.0)
         shown = self._shown(command)
         believed = nominal_frames(FLOATS, self.task, shown)[1]
         self._number = self._next(believed)
@@ -258,17 +257,20 @@ class PickEnv(ArmEnv):
         if self.scene is None:
             raise InputError("step was called before reset; call reset first")
         scene = self.scene
-        *moves, gripper = values.tolist()
+        task, given = self.task, self.task.situation
+        arrived, self._sent = acted(FLOATS, given, self._drawn, self._sent, values.tolist())
+        *moves, gripper = arrived
+        period = given.value("period", self._drawn)
         collected, damaged = scene.funnel()["collected"], int(scene.damaged.sum())
-        target = move(FLOATS, self.task, self._target, moves)
+        target = move(FLOATS, task, self._target, in_period(FLOATS, given, self._drawn, moves))
         moved = any(abs(a - b) > 1e-9 for a, b in zip(target, self._target, strict=True))
-        self._still = 0.0 if moved else min(STILL, self._still + CONTROL_PERIOD)
+        self._still = 0.0 if moved else min(STILL, self._still + period)
         self._target, self._step, before = target, self._step + 1, self._tool
         command = self._command()
-        self._state, self._tool = self.plant.advance(math, self._state, command, CONTROL_PERIOD)
+        self._state, self._tool = self.plant.advance(math, self._state, command, period)
         shown = self._shown(command)
         believed = nominal_frames(FLOATS, self.task, shown)[1]
-        scene.advance(before, self._tool, self._number, CONTROL_PERIOD)
+        scene.advance(before, self._tool, self._number, period)
         scene.work_gripper(gripper, self._number, believed, self._tool)
         if scene.held is None and not scene.waiting[self._number]:
             self._number = self._next(believed)
@@ -314,7 +316,12 @@ class PickEnv(ArmEnv):
         return command
 
     def _shown(self, command: Sequence[float]) -> list[float]:
-        return nominal_readings(FLOATS, self.plant, self._state, self._target, command)
+        """Joints as their readings arrive, late and noisy where the situation says so."""
+        given, first = self.task.situation, self._step == 0
+        read = nominal_readings(FLOATS, self.plant, self._state, self._target, command)
+        read = with_joint_noise(FLOATS, given, self._drawn, self._key, self._step, read)
+        arrived, self._sensed = sensed(FLOATS, given, self._drawn, self._sensed, read, first)
+        return list(arrived)
 
     def _observation(self, shown: Sequence[float], believed: Frame) -> NDArray[np.float32]:
         scene = self.scene

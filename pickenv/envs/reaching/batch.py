@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from itertools import chain
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -17,7 +16,17 @@ from pickenv.arm import Array, Plant, PlantState, plants_on
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.arm.plant.tree import leaves, tree_map
 from pickenv.envs.shared.backends import Executor, Scalar
-from pickenv.envs.shared.simulation import GOAL_NUMBERS, ReachState, View, begin, drawn_arm, goal_attempt, look
+from pickenv.envs.shared.simulation import (
+    GOAL_NUMBERS,
+    ReachState,
+    View,
+    begin,
+    drawn_arm,
+    goal_attempt,
+    look,
+    nominal_frames,
+)
+from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task, bounds_of
 from pickenv.errors import InputError
@@ -35,7 +44,8 @@ class Start(NamedTuple):
         seeds: Streams' seeds.
         episodes: Numbers of the episodes.
         start: Joint targets ``(count, n)``, or None for mid-range.
-        goal: Joints of wanted poses ``(count, n)``, or None to draw them.
+        goal: Joints of wanted poses ``(count, n)``, or None.
+        wanted: Frames of wanted poses ``(count, 12)``, or None; without either they are drawn.
         arm: Numbers of true arms ``(count,)``, or None to draw them.
     """
 
@@ -43,6 +53,7 @@ class Start(NamedTuple):
     episodes: Words
     start: Array | None = None
     goal: Array | None = None
+    wanted: Array | None = None
     arm: NDArray[np.intp] | None = None
 
 
@@ -89,13 +100,26 @@ class Batch(ABC):
         self.arm: NDArray[np.intp] = np.zeros(count, dtype=np.intp)
         self.keys: Scalar = self.words(np.zeros(count, dtype=np.uint64))
         self.columns: Columns = []
-        self._memory: list[int] = []
+        self._widths: list[int] = []
+        self._plant_widths: list[int] = []
 
     def remember(self) -> None:
-        """Make room for the state: joint target (n), goal (12), fruit as seen (3), and what the plant remembers."""
+        """Make room for the state: everything in `ReachState`, one column per number."""
+        n, camera = self.task.joints, 3 * self.task.camera
         middle = list(self.numbers(np.array([self.task.middle]).T))
-        self._memory = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
-        self.columns = list(self.numbers(np.zeros((self.task.joints + 15 + sum(self._memory), self.count))))
+        self._plant_widths = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
+        self._widths = [n, 12, 3, *self.task.situation.widths(n, n + camera)]
+        self.columns = list(self.numbers(np.zeros((sum(self._widths) + sum(self._plant_widths), self.count))))
+
+    @property
+    def fixed(self) -> int:
+        """Columns up to which nothing changes during an episode, but the joint target."""
+        return sum(self._widths[:4])
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a step that never was would leave a trace."""
+        return self.plant.has_state or self.task.situation.late
 
     def numbers(self, values: Array) -> Scalar:
         """NumPy's numbers where the executor computes, one component ``(count,)`` per row."""
@@ -167,11 +191,17 @@ class Batch(ABC):
         middle = np.broadcast_to(np.array(task.middle), (len(rows), n))
         for a, b in self.blocks(len(rows)):
             some, key = where[a:b], keys[a:b]
-            start = list(self.numbers((middle if how.start is None else how.start)[a:b].T))
-            goal = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
-            state = begin(x, task, self.plant_of(some), key, start, goal, self.commands(compensate, start))
-            self.write(self.columns, some, (*state.target, *state.goal, *state.seen))
-            self.write(self.columns[n + 15 :], some, list(chain.from_iterable(state.plant)))
+            if how.start is None and task.situation.spread:
+                start = drawn_start(x, task.situation, key, task.lower, task.upper)
+            else:
+                start = list(self.numbers((middle if how.start is None else how.start)[a:b].T))
+            if how.wanted is None:
+                goal = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
+                wanted = nominal_frames(x, task, goal)[1]
+            else:
+                wanted = tuple(self.numbers(how.wanted[a:b].T))
+            state = begin(x, task, self.plant_of(some), key, start, wanted, self.commands(compensate, start))
+            self.write(self.columns, some, state.columns)
 
     def scene(self, row: int, compensate: Compensate | None) -> View:
         """Everything that can be seen of one environment, on floats; no time passes."""
@@ -231,13 +261,12 @@ class Batch(ABC):
 
     def state_of(self, columns: Columns) -> ReachState:
         """The state that columns hold."""
-        n = self.task.joints
-        parts, first = [], n + 15
-        for width in self._memory:
+        parts, first = [], 0
+        for width in (*self._widths, *self._plant_widths):
             parts.append(tuple(columns[first : first + width]))
             first += width
-        target, goal, seen = tuple(columns[:n]), tuple(columns[n : n + 12]), tuple(columns[n + 12 : n + 15])
-        return ReachState(target, goal, seen, PlantState(*parts))
+        target, goal, seen, drawn, sent, sensed, *memory = parts
+        return ReachState(target, goal, seen, drawn, sent, sensed, PlantState(*memory))
 
     def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
         """What the drives get for joint targets; a compensator works on NumPy."""
@@ -247,8 +276,8 @@ class Batch(ABC):
         return list(self.numbers(np.asarray(compensate(given)).T))
 
     def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
-        """Write the first columns in some environments."""
-        for column, new in zip(columns, values, strict=False):
+        """Write the columns of some environments, the last first: what waits in a queue is moved on before it goes."""
+        for column, new in zip(list(columns)[::-1], list(values)[::-1], strict=True):
             self.put(column, where, new)
 
     def widths(self) -> tuple[int, ...]:
@@ -261,14 +290,14 @@ class Batch(ABC):
         return ((a, min(a + self.block, count)) for a in range(0, count, self.block))
 
     def _draw_goals(self, keys: Scalar) -> Columns:
-        """Joints of the first pose of each stream whose tool points upwards."""
+        """Joints of the first pose of each stream that is wanted."""
         task, streams = self.task, stream_key(self.x, keys, GOAL)
         joints = list(self.numbers(np.zeros((task.joints, len(keys)))))
         open_ = self.indices(np.arange(len(keys)))
         for attempt in range(GOAL_ATTEMPTS):
-            tried, upright = goal_attempt(self.x, task, streams[open_], attempt)
+            tried, fits = goal_attempt(self.x, task, streams[open_], attempt)
             self.write(joints, open_, tried)
-            open_ = open_[~(upright & (open_ >= 0))]
+            open_ = open_[~(fits & (open_ >= 0))]
             if not len(open_):
                 return joints
         raise task.no_goal()

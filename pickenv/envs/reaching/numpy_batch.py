@@ -6,7 +6,6 @@ number.
 
 from __future__ import annotations
 
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plants_on
 from pickenv.envs.reaching.batch import Batch, Flags, Rows, Views, Words
-from pickenv.envs.shared.backends import NUMPY
+from pickenv.envs.shared.backends import NUMPY, Scalar
 from pickenv.envs.shared.exact import exact_plant
-from pickenv.envs.shared.simulation import flat_observation, goal_observation, goal_reward, look, move, true_reward
+from pickenv.envs.shared.simulation import (
+    ReachState,
+    act,
+    flat_observation,
+    goal_observation,
+    goal_reward,
+    look,
+    true_reward,
+)
 from pickenv.envs.shared.spaces import final_rows
-from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate, Task, as_numbers
+from pickenv.envs.shared.task import Compensate, Task, as_numbers
 
 
 class NumpyBatch(Batch):
@@ -51,15 +58,16 @@ class NumpyBatch(Batch):
 
     def advance(self, actions: Array, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
-        out, n, rested = self._empty(self.count), self.task.joints, np.empty(0, dtype=np.intp)
+        out, rested = self._empty(self.count), np.empty(0, dtype=np.intp)
         if live is not None:
             actions = actions * live
-            rested = np.flatnonzero(~live) if self.plant.has_state else rested
+            rested = np.flatnonzero(~live) if self.remembers else rested
         before = [column[rested] for column in self.columns] if len(rested) else []
         for block, plant in zip(self._blocks, self._plants, strict=True):
-            target = move(self.x, self.task, [column[block] for column in self.columns[:n]], list(actions[:, block]))
-            self.write(self.columns, block, target)
-            self._show(out, block, block, plant, compensate, moments[block], CONTROL_PERIOD)
+            state = self.state_of([column[block] for column in self.columns])
+            state = act(self.x, self.task, state, list(actions[:, block]))
+            period = self.task.situation.value("period", state.drawn)
+            self._show(out, block, block, state, plant, compensate, moments[block], period)
         if len(rested):  # a plant with memory must not live through a step that never was
             self.write(self.columns, rested, before)
             self.scatter(out, rested, self.show(rested, compensate))
@@ -72,7 +80,8 @@ class NumpyBatch(Batch):
         out = self._empty(len(rows))
         for a, b in self.blocks(len(rows)):
             some, still = rows[a:b], np.zeros(b - a, dtype=np.uint64)
-            self._show(out, slice(a, b), some, self.plant_of(some), compensate, still, 0.0)
+            state = self.state_of([column[some] for column in self.columns])
+            self._show(out, slice(a, b), some, state, self.plant_of(some), compensate, still, 0.0)
         return out
 
     def final_observations(self, observations: Any, rows: Rows) -> NDArray[np.object_]:
@@ -84,17 +93,16 @@ class NumpyBatch(Batch):
         out: Views,
         place: slice,
         where: Any,
+        state: ReachState,
         plant: Plant,
         compensate: Compensate | None,
         moments: Words,
-        dt: float,
+        dt: Scalar,
     ) -> None:
         """Let ``dt`` pass for the environments ``where``, and put what they show into ``out`` at ``place``."""
         x, task = self.x, self.task
-        state = self.state_of([column[where] for column in self.columns])
         command = self.commands(compensate, list(state.target))
-        memory, scene = look(x, task, plant, state, command, self.keys[where], moments, dt)
-        self.write(self.columns[task.joints + 15 :], where, list(chain.from_iterable(memory)))
+        state, scene = look(x, task, plant, state, command, self.keys[where], moments, dt)
         parts = goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
         for array, part in zip(out.observation, parts, strict=True):
             self.write(list(array), place, part)
@@ -107,6 +115,8 @@ class NumpyBatch(Batch):
         self.write(list(out.numbers), place, scene.numbers)
         if self.poses:
             self.write(list(out.vectors), place, scene.vectors)
+        self.write(self.columns[: task.joints], where, state.target)
+        self.write(self.columns[self.fixed :], where, state.columns[self.fixed :])
 
     def _empty(self, count: int) -> Views:
         return Views(

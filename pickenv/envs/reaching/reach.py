@@ -9,14 +9,17 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Array, plant_at, plants_on
+from pickenv.arm import Array, Frame, plant_at, plants_on
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.exact import exact_plant
+from pickenv.envs.shared.given_goals import given_goals
+from pickenv.envs.shared.ladder import on_ladder
+from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import action_space, flat_space, given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
-from pickenv.envs.shared.task import CONTROL_PERIOD, GOAL_ATTEMPTS, check_choice, checked_action, make_task
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, check_choice, checked_action, make_task
 from pickenv.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,10 +81,16 @@ class ReachEnv(ArmEnv):
 
     ## Starting State
 
-    All joints at mid-range. Wanted poses are drawn from the nominal arm's joint ranges, 5 % away from the limits, such
-    that the tool points upwards within `max_tilt_deg`: the arm picks from below. A plant with memory (backlash,
-    vibration, warm-up) starts at rest, cold and not yet sunk. `reset(options=...)` takes `"start_joints"` and
-    `"goal_joints"` (rad and m) and, where `arms` is not "fixed", `"arm"`, the number of the arm in the population.
+    All joints at mid-range, or drawn with `start_spread`. Wanted poses are drawn from the nominal arm's joint ranges,
+    5 % away from the limits, such that the tool points upwards within `max_tilt_deg`: the arm picks from below. A plant
+    with memory (backlash, vibration, warm-up) starts at rest, cold and not yet sunk, or after `hours_on`.
+    `reset(options=...)` takes
+
+    - `"start_joints"` (rad and m);
+    - the goal as one of `"goal_joints"` (rad and m), `"goal_position"` (x, y, z in m; the attitude is the arm's own
+      there, within `max_tilt_deg`) and `"goal_pose"` (x, y, z and a rotation vector, m and rad; what the arm cannot
+      turn to counts as `noncompensable_deg`), in the base frame;
+    - where `arms` is not "fixed", `"arm"`, the number of the arm in the population.
 
     Every random number is a hash of seed and episode (`pickenv.envs.shared.streams`): resets without a seed go on
     through the seed's episodes, and an environment gives the same episodes alone, in a `SyncVectorEnv` and in the
@@ -142,6 +151,20 @@ class ReachEnv(ArmEnv):
       a population that it never saw.
     - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1, as networks without bounds give them, are cut
       to it or are an error; numbers that are not finite are always one.
+    - `goal_region` (two corners [[x, y, z], [x, y, z]] of a box, m, base frame, default None): where goals are drawn.
+    - `control_period_s` (s, 0.001 to 10, default 0.1): time between two actions, and with it the largest increment.
+    - `latency` (whole periods, 0 to 20, default 0): how late readings of joints and camera arrive.
+    - `action_delay` (whole periods, 0 to 20, default 0): how late actions take effect.
+    - `joint_noise` (mrad of joints that turn, mm of those that slide; 0 to 100, default 0): standard deviation of each
+      joint reading.
+    - `hours_on` (h, 0 to 1000, default 0): how long the arm has been on, and standing, when an episode begins.
+    - `start_spread` (0 to 1, default 0): share of each joint's range from which starts are drawn, about mid-range.
+
+    Period, latency, delay, noise and hours may be ranges, [least, largest], from which every episode draws its own.
+
+    - `difficulty` (None, "ideal", "fine", "coarse", "orchard", "day" or "own_eyes"): a rung of the ladder
+      (`pickenv.envs.shared.ladder`), which fixes plant, arms, eyes and situation; and `split` ("train" or "test"),
+      which of its two populations of arms, that have none in common.
     - `executor` ("floats" or "numpy"): floats are fast; with "numpy" an environment gives the same bits as the native
       vector environment on NumPy.
     - `render_mode` (None, "human" or "rgb_array").
@@ -154,10 +177,18 @@ class ReachEnv(ArmEnv):
     * v0: First version.
     """
 
-    def __init__(self, *, executor: str = "floats", render_mode: str | None = None, **arguments: Any) -> None:
+    def __init__(
+        self,
+        *,
+        difficulty: str | None = None,
+        split: str = "train",
+        executor: str = "floats",
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         check_choice("executor", executor, tuple(EXECUTORS))
-        super().__init__(make_task(**arguments), render_mode)
+        super().__init__(make_task(**on_ladder("Reach", difficulty, split, arguments)), render_mode)
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)
         self._x: Executor = EXECUTORS[executor]
@@ -184,10 +215,9 @@ class ReachEnv(ArmEnv):
         x, task = self._x, self.task
         self._key = episode_key(x, self._word(self._stream), self._word(self._episode))
         self._take_arm(options.get("arm"))
-        start = self._given(options, "start_joints") or self._numbers(task.middle)
-        goal = self._given(options, "goal_joints")
-        goal = self._draw_goal() if goal is None else goal
-        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
+        start = self._start(options.get("start_joints"))
+        wanted = self._wanted(options)
+        self._state = simulation.begin(x, task, self.plant, self._key, start, wanted, self._command(start))
         self._step = 0
         observation, _, information = self._look(0.0)
         if self.render_mode == "human":
@@ -204,10 +234,10 @@ class ReachEnv(ArmEnv):
         values = checked_action(action, (self.task.joints,), self.task.most_action)
         if self._state is None:
             raise InputError("step was called before reset; call reset first")
-        target = simulation.move(self._x, self.task, self._state.target, self._numbers(values.tolist()))
-        self._state = self._state._replace(target=target)
+        self._state = simulation.act(self._x, self.task, self._state, self._numbers(values.tolist()))
         self._step += 1
-        observation, reward, information = self._look(CONTROL_PERIOD)
+        period = self.task.situation.value("period", self._state.drawn)
+        observation, reward, information = self._look(period)
         if self.render_mode == "human":
             self.render()
         return observation, reward, self.task.end_on_success and information["is_success"], False, information
@@ -236,14 +266,14 @@ class ReachEnv(ArmEnv):
         reward: Scalar = simulation.true_reward(self._x, self.task, scene)
         return np.array(self._plain(simulation.flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
 
-    def _look(self, dt: float) -> tuple[Any, float, Information]:
+    def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
         """Let time pass at the present joint target, then observation, reward and information."""
         state, plain = self._state, self._plain
         assert state is not None
         command = self._command(state.target)
         moment = self._word(self._step)
-        plant, scene = simulation.look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
-        self._state, self._scene = state._replace(plant=plant), scene
+        self._state, scene = simulation.look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
+        self._scene = scene
         observation, reward = self._observe(scene)
         information: Information = dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True))
         information |= {
@@ -276,20 +306,28 @@ class ReachEnv(ArmEnv):
         else:
             self.plant = exact_plant(plants_on(task.plant, lambda values: values[number : number + 1]))
 
-    def _draw_goal(self) -> list[Scalar]:
-        """Joints of the first pose drawn whose tool points upwards."""
-        x, task = self._x, self.task
+    def _wanted(self, options: dict[str, Any]) -> Frame:
+        """Frame of the wanted pose: as it is asked for, or of the first pose drawn that is wanted."""
+        x, task, given = self._x, self.task, given_goals(self.task, options)
+        if given.frames is not None:
+            return tuple(self._numbers(given.frames.tolist()))
+        if given.joints is not None:
+            return simulation.nominal_frames(x, task, self._numbers(given.joints.tolist()))[1]
         stream = stream_key(x, self._key, GOAL)
         for attempt in range(GOAL_ATTEMPTS):
-            joints, upright = simulation.goal_attempt(x, task, stream, attempt)
-            if upright:
-                return joints
+            joints, fits = simulation.goal_attempt(x, task, stream, attempt)
+            if fits:
+                return simulation.nominal_frames(x, task, joints)[1]
         raise task.no_goal()
 
-    def _given(self, options: dict[str, Any], key: str) -> Sequence[Scalar] | None:
-        if options.get(key) is None:
-            return None
-        return self._numbers(self.task.given_joints(key, options[key]).tolist())
+    def _start(self, asked: Any) -> Sequence[Scalar]:
+        """Joint target to start from: as it is asked for, drawn, or mid-range."""
+        task = self.task
+        if asked is not None:
+            return self._numbers(task.given_joints("start_joints", asked).tolist())
+        if task.situation.spread:
+            return drawn_start(self._x, task.situation, self._key, task.lower, task.upper)
+        return self._numbers(task.middle)
 
     def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:
         """Floats as the executor wants them."""

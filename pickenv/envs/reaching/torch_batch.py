@@ -18,7 +18,7 @@ from pickenv.arm import Array, Plant, plants_on
 from pickenv.envs.reaching.batch import Batch, Columns, Flags, Rows, Views, Words
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.backends import Executor, Scalar, torch_executor
-from pickenv.envs.shared.task import CONTROL_PERIOD, Compensate, Task, as_numbers, check_choice
+from pickenv.envs.shared.task import Compensate, Task, as_numbers, check_choice
 from pickenv.errors import InputError
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
@@ -128,27 +128,37 @@ class TorchBatch(Batch):
     def components(self, actions: Tensor) -> tuple[Tensor, float, float]:
         """Actions component by component, their least and their largest number: zero on a device, so as not to wait."""
         low, high = torch.aminmax(actions) if self.device.type == "cpu" else (0.0, 0.0)
-        return actions.T.to(self.dtype).contiguous(), float(low), float(high)
+        return actions.T.to(self.dtype, copy=True).contiguous(), float(low), float(high)
 
     def advance(self, actions: Tensor, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
-        n, alive = self.task.joints, None
-        dt: Scalar = CONTROL_PERIOD
+        n, fixed, alive, given = self.task.joints, self.fixed, None, self.task.situation
+        rested, before = np.empty(0, dtype=np.intp), []
+        dt: Scalar = given.period.low
         if live is not None:
             alive = self.flags(live).to(self.dtype)
             actions = actions * alive
+            if given.late:
+                rested = np.flatnonzero(~live)
+                before = [column[self.indices(rested)] for column in self.columns]
         if self.plant.has_state:
-            dt = self.numbers(np.full(self.count, CONTROL_PERIOD)) if alive is None else dt * alive
-        when = self.words(moments) if self.task.camera_noise else self.keys
-        targets, rest = self.columns[:n], (self.columns[n:], self.keys, when, dt)
+            dt = given.value("period", self.state_of(self.columns).drawn)
+            dt = dt if given.period.varies else self.numbers(np.full(self.count, dt))
+            dt = dt if alive is None else dt * alive
+        noisy = self.task.camera_noise or given.joint_noise.high
+        rest = (self.keys, self.words(moments) if noisy else self.keys, dt)
         if compensate is None:
-            out = self._step(targets, list(actions), *rest)
+            out = self._step(self.columns, list(actions), *rest)
         else:
-            moved = list(simulation.move(self.x, self.task, targets, list(actions)))
-            out = [*moved, *self._see(moved, self.commands(compensate, moved), *rest)]
-        held = len(self.columns) - n - 15
-        self.columns = [*out[:n], *self.columns[n : n + 15], *out[n : n + held]]
+            state = simulation.act(self.x, self.task, self.state_of(self.columns), list(actions))
+            moved = state.columns
+            out = [*state.target, *self._see(moved, self.commands(compensate, moved[:n]), *rest)]
+        held = len(self.columns) - fixed
+        self.columns = [*out[:n], *self.columns[n:fixed], *out[n : n + held]]
         shown = self._outcome(out[n + held :], self.columns[n + 9 : n + 12])
+        if len(rested):
+            self.write(self.columns, self.indices(rested), before)
+            shown = self.merged(shown, rested, self.show(rested, compensate))
         return shown if alive is None else shown._replace(reward=shown.reward * alive)
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
@@ -156,42 +166,34 @@ class TorchBatch(Batch):
         n, where = self.task.joints, self.indices(rows)
         columns, keys = [column[where] for column in self.columns], self.keys[where]
         commands, still = self.commands(compensate, columns[:n]), torch.zeros_like(keys)
-        out = self._shown(columns[:n], commands, columns[n:], keys, still, 0.0, self.plant_of(where))
-        held = len(columns) - n - 15
-        self.write(self.columns[n + 15 :], where, out[:held])
+        out = self._shown(columns, commands, keys, still, 0.0, self.plant_of(where))
+        held = len(columns) - self.fixed
+        self.write(self.columns[self.fixed :], where, out[:held])
         return self._outcome(out[held:], columns[n + 9 : n + 12])
 
     def final_observations(self, observations: Any, rows: Rows) -> Any:
         """The observations as they are: a batch, of which `_final_obs` marks the rows that count."""
         return observations
 
-    def _act(self, targets: Columns, actions: Columns, *rest: Any) -> Columns:
+    def _act(self, columns: Columns, actions: Columns, *rest: Any) -> Columns:
         """One step of all environments, without a compensator: new targets, then what `_shown` gives."""
-        moved = list(simulation.move(self.x, self.task, targets, actions))
-        return [*moved, *self._shown(moved, moved, *rest)]
+        state = simulation.act(self.x, self.task, self.state_of(columns), actions)
+        return [*state.target, *self._shown(state.columns, list(state.target), *rest)]
 
     def _shown(
-        self,
-        targets: Columns,
-        commands: Columns,
-        others: Columns,
-        keys: Tensor,
-        when: Tensor,
-        dt: Scalar,
-        plant: Plant | None = None,
+        self, columns: Columns, commands: Columns, keys: Tensor, when: Tensor, dt: Scalar, plant: Plant | None = None
     ) -> Columns:
-        """What plants remember, observation, reward, numbers and vectors, all in one number type and side by side.
+        """What is remembered, observation, reward, numbers and vectors, all in one number type and side by side.
 
         That is what a processor's compiled loop is fast with: stacking, float32 and truth values come afterwards.
         """
         x, plant = self.x, plant or self.plant
-        memory, scene = simulation.look(
-            x, self.task, plant, self.state_of([*targets, *others]), commands, keys, when, dt
-        )
+        state, scene = simulation.look(x, self.task, plant, self.state_of(columns), commands, keys, when, dt)
         parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
         reward = [] if self.goal_dict else [simulation.true_reward(x, self.task, scene)]
         vectors = scene.vectors[:-3] if self.poses else ()
-        return [*chain.from_iterable(memory), *chain.from_iterable(parts), *reward, *scene.numbers, *vectors]
+        memory = [value.to(self.dtype) for value in state.columns[self.fixed :]]
+        return [*memory, *chain.from_iterable(parts), *reward, *scene.numbers, *vectors]
 
     def _outcome(self, out: Columns, fruit: Columns) -> Views:
         """Columns of `_shown`, after the memory, and the fruit's position as an `Views`."""

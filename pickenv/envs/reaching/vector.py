@@ -17,6 +17,8 @@ from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared import spaces
 from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
+from pickenv.envs.shared.given_goals import given_goals
+from pickenv.envs.shared.ladder import on_ladder
 from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import Compensate, Task, check_choice, check_count, make_task
@@ -40,11 +42,13 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
     | "Disabled"             | refused until `reset` has been called     | returned by the step that ended it          |
 
     `reset(options={"reset_mask": mask})` begins episodes where the mask is True and leaves the others alone;
-    "start_joints", "goal_joints" ``(6,)`` or ``(N, 6)`` and "arm" (one number or N) are as in `pickenv/Reach-v0`. Infos
-    are dicts of arrays with a mask ``_key`` for every key.
+    the other options are as in `pickenv/Reach-v0`, given once for all environments or once for each, as ``(6,)`` or
+    ``(N, 6)``. Infos are dicts of arrays with a mask ``_key`` for every key.
 
     Args:
         num_envs: N.
+        difficulty: A rung of the ladder, as in `pickenv/Reach-v0`.
+        split: Its arms to learn on, or to be judged on.
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         autoreset_mode: An `AutoresetMode` or its name, see the table.
         executor: "numpy", or "torch" for tensors in and out.
@@ -82,6 +86,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self,
         num_envs: int = 1,
         *,
+        difficulty: str | None = None,
+        split: str = "train",
         max_episode_steps: int | None = 60,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         executor: str = "numpy",
@@ -99,7 +105,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         check_choice("autoreset_mode", mode, tuple(mode.value for mode in AutoresetMode))
         check_choice("executor", executor, EXECUTORS)
         checked_render_mode(render_mode, ("rgb_array",))
-        self.task: Task = make_task(**arguments)
+        self.task: Task = make_task(**on_ladder("Reach", difficulty, split, arguments))
         self.num_envs, self.max_episode_steps, self.render_mode = int(num_envs), max_episode_steps, render_mode
         self.autoreset_mode = AutoresetMode(mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode, "torch": executor == "torch"}
@@ -253,9 +259,11 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
     def _chosen(self, options: dict[str, Any], rows: NDArray[np.intp]) -> dict[str, Any]:
         """Options of `reset` for the environments ``rows``."""
         chosen: dict[str, Any] = {}
-        for key in ("start_joints", "goal_joints"):
-            if options.get(key) is not None:
-                chosen[key.split("_")[0]] = self.task.given_joints(key, options[key], self.num_envs)[rows]
+        if options.get("start_joints") is not None:
+            chosen["start"] = self.task.given_joints("start_joints", options["start_joints"], self.num_envs)[rows]
+        goals = given_goals(self.task, options, self.num_envs)
+        chosen["goal"] = None if goals.joints is None else goals.joints[rows]
+        chosen["wanted"] = None if goals.frames is None else goals.frames[rows]
         if options.get("arm") is not None:
             arms = np.asarray(options["arm"])
             if arms.shape not in ((), (self.num_envs,)):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from types import ModuleType
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from pickenv.arm import Frame, Plant, PlantState
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar, attach, frames
 from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
+from pickenv.envs.shared import situation
 from pickenv.envs.shared.backends import Executor
 from pickenv.envs.shared.exact import inexact
 from pickenv.envs.shared.streams import ARM, CAMERA, FRUIT, episode_key, normal, stream_key, uniform
@@ -39,13 +41,24 @@ class ReachState(NamedTuple):
         target: Nominal joint target that the actions have built up, n.
         goal: Frame of the fruit with the wanted attitude.
         seen: Fruit position as the camera saw it, 3.
+        drawn: What was drawn for the episode, in the order of `Situation.drawn`.
+        sent: Actions under way, the latest first.
+        sensed: Readings under way, the latest first.
         plant: What the true arm remembers.
     """
 
     target: Components
     goal: Frame
     seen: Components
+    drawn: Components
+    sent: Components
+    sensed: Components
     plant: PlantState
+
+    @property
+    def columns(self) -> list[Scalar]:
+        """All its numbers, one after the other."""
+        return list(chain(*self[:-1], *self.plant))
 
 
 class View(NamedTuple):
@@ -107,20 +120,24 @@ def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[F
 
 
 def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[list[Scalar], Scalar]:
-    """Joints drawn for a wanted pose, and whether its tool points upwards within the largest tilt.
+    """Joints drawn for a wanted pose, and whether its tool is in the region and points upwards within the largest tilt.
 
     Args:
         x: The executor.
         task: The task.
         key: Key of the episode's goal stream.
-        attempt: Number of the attempt, from 0; the first upright one is the goal.
+        attempt: Number of the attempt, from 0; the first that fits is the goal.
     """
     joints = []
     for i, (low, high) in enumerate(zip(task.lower, task.upper, strict=True)):
         margin = GOAL_MARGIN * (high - low)
         share = uniform(x, key, attempt * task.joints + i)
         joints.append((low + margin) + share * (high - low - 2.0 * margin))
-    return joints, nominal_frames(x, task, joints)[1][8] >= task.min_upright
+    tool = nominal_frames(x, task, joints)[1]
+    fits = tool[8] >= task.min_upright
+    for low, value, high in zip(task.region[0], tool[9:], task.region[1], strict=True) if task.region else ():
+        fits = fits & (low <= value) & (value <= high)
+    return joints, fits
 
 
 def drawn_arm(x: Executor, task: Task, seed: Scalar, key: Scalar) -> Scalar:
@@ -143,7 +160,7 @@ def begin(
     plant: Plant,
     key: Scalar,
     start: Sequence[Scalar],
-    goal: Sequence[Scalar],
+    wanted: Frame,
     command: Sequence[Scalar],
 ) -> ReachState:
     """State at the start of an episode.
@@ -154,15 +171,18 @@ def begin(
         plant: The true arm, or arms.
         key: Key of the episode.
         start: Joint target to start from.
-        goal: Joints that bring the nominal tool to the fruit with the wanted attitude.
+        wanted: Frame of the fruit with the wanted attitude.
         command: What the drives get for ``start``.
     """
-    wanted = nominal_frames(x, task, goal)[1]
-    seen = wanted[9:]
+    given, seen = task.situation, wanted[9:]
     if task.fruit_noise:
         fruit = stream_key(x, key, FRUIT)
         seen = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(seen))
-    return ReachState(tuple(start), wanted, seen, plant.initial_state(x.m, command))
+    drawn = situation.drawn_values(x, given, key)
+    _, sent, late = given.widths(task.joints, task.joints + 3 * task.camera)
+    rest = start[0] * 0.0
+    memory = situation.warmed_up(x, given, drawn, plant, plant.initial_state(x.m, command), command)
+    return ReachState(tuple(start), wanted, seen, drawn, (rest,) * sent, (rest,) * late, memory)
 
 
 def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> Components:
@@ -170,6 +190,14 @@ def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Sca
     m, limits = x.m, zip(target, action, task.increment, task.lower, task.upper, strict=True)
     moved = [clipped(m, q + clipped(m, share, -1.0, 1.0) * most, low, high) for q, share, most, low, high in limits]
     return tuple(moved)
+
+
+def act(x: Executor, task: Task, state: ReachState, action: Sequence[Scalar]) -> ReachState:
+    """The state after an action: its joint target is that of `move`, late where actions are."""
+    given, drawn = task.situation, state.drawn
+    action, sent = situation.acted(x, given, drawn, state.sent, action)
+    target = move(x, task, state.target, situation.in_period(x, given, drawn, action))
+    return state._replace(target=target, sent=sent)
 
 
 def look(
@@ -181,7 +209,7 @@ def look(
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
-) -> tuple[PlantState, View]:
+) -> tuple[ReachState, View]:
     """Hold the joint command for ``dt`` seconds and see where the true tool is.
 
     Args:
@@ -191,22 +219,16 @@ def look(
         state: The state, with its new joint target.
         command: What the drives get for that target.
         key: Key of the episode.
-        moment: Number of the step in its episode, a 64-bit word; used for the camera's noise only.
-        dt: s, one number or one per environment; 0 at the start of an episode.
+        moment: Number of the step in its episode, a 64-bit word; used for the noise of camera and joints only.
+        dt: s, one number or one per environment; the plain number 0.0 at the start of an episode.
 
     Returns:
-        What the plant remembers, and everything that can be seen.
+        The state afterwards, and everything that can be seen.
     """
-    m, target, goal, seen = x.m, state.target, state.goal, state.seen
+    m, target, goal, seen, given = x.m, state.target, state.goal, state.seen, task.situation
     plant_state, ended = plant.advance(m, state.plant, command, dt)
-    shown, true = nominal_readings(x, plant, plant_state, target, command), inexact(ended)
-    links, believed = nominal_frames(x, task, shown)
-    lag = rotation_between(m, believed, goal)
+    read, true = nominal_readings(x, plant, plant_state, target, command), inexact(ended)
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
-    distance_mm = 1e3 * length(x, (dx, dy, dz))
-    angle_deg = DEGREES * length(x, turn)
-    noncompensable_deg = DEGREES * _lost_angle(x, task, links, turn)
-    rest = angle_deg * angle_deg - noncompensable_deg * noncompensable_deg
     camera: Components = ()
     if task.camera:
         camera = (-dx, -dy, -dz)
@@ -215,7 +237,19 @@ def look(
             first = x.times(moment, 3)
             noise = (normal(x, stream, x.plus(first, x.word(i))) for i in range(3))
             camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
-    return plant_state, View(
+    shown = situation.with_joint_noise(x, given, state.drawn, key, moment, read)
+    begins = isinstance(dt, float) and dt == 0.0
+    arrived, late = situation.sensed(x, given, state.drawn, state.sensed, (*shown, *camera), begins)
+    shown, camera = list(arrived[: task.joints]), tuple(arrived[task.joints :])
+    links, believed = nominal_frames(x, task, shown)
+    lag = rotation_between(m, believed, goal)
+    if given.latency.high or given.joint_noise.high:  # the truth has its own
+        links, _ = nominal_frames(x, task, read)
+    distance_mm = 1e3 * length(x, (dx, dy, dz))
+    angle_deg = DEGREES * length(x, turn)
+    noncompensable_deg = DEGREES * _lost_angle(x, task, links, turn)
+    rest = angle_deg * angle_deg - noncompensable_deg * noncompensable_deg
+    return state._replace(sensed=late, plant=plant_state), View(
         readings=scaled(x, task, shown),
         believed=believed[9:],
         attitude=(*believed[6:9], *believed[:3]),

@@ -10,10 +10,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from pickenv.envs.shared.given_goals import GOALS
 from pickenv.envs.shared.task import Task
 from pickenv.errors import InputError
 
-OPTIONS = ("start_joints", "goal_joints", "arm")
+OPTIONS = ("start_joints", *GOALS, "arm")
 
 
 def flat_space(task: Task) -> spaces.Box:

@@ -16,8 +16,9 @@ from pickenv.envs.shared.backends import MASK, Executor
 GOLDEN = 0x9E3779B97F4A7C15
 """2^64 divided by the golden ratio, odd: the step of the Weyl sequence."""
 
-GOAL, FRUIT, CAMERA, ARM = range(1, 5)
-"""Streams of one episode: the wanted pose, the fruit as the camera saw it, the camera in each step, the true arm."""
+GOAL, FRUIT, CAMERA, ARM, DRAWN, START, JOINTS = range(1, 8)
+"""Streams of one episode: the wanted pose, the fruit as the camera saw it, the camera in each step, the true arm, what
+else is drawn for the episode, where it starts, the joints' readings in each step."""
 
 
 def mixed(x: Executor, word: Scalar) -> Scalar:

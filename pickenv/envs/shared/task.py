@@ -21,11 +21,9 @@ from pickenv.arm.kinematics.forward import Chain, chain_of, frames
 from pickenv.arm.plant.named_plants import class_of, draw_arms
 from pickenv.arm.plant.plant_batch import plant_count
 from pickenv.envs.shared.exact import exact_chain
+from pickenv.envs.shared.situation import Components, Situation, make_situation
 from pickenv.errors import InputError
 from pickenv.limits import check_limit, shown
-
-CONTROL_PERIOD = 0.1
-"""Time between two actions, s: with the arm file's joint speeds it bounds one action's increment."""
 
 MOST_ACTION = {"clip": float(np.finfo(np.float32).max), "refuse": 1.0 + 1e-6}
 """Largest size of an action's numbers that is taken: any finite one, which is then cut to 1; or 1, and what rounding to
@@ -76,6 +74,8 @@ class Task:
         min_upright: Smallest z component of the wanted tool axis.
         lost_axes: Links whose z axes span the plane in which the tool cannot be turned freely, or None.
         most_action: Largest size of an action's numbers that is taken.
+        region: Two opposite corners of the box that goals are drawn from, m, or None for wherever the arm gets.
+        situation: Timing, sensing and start of episodes.
     """
 
     plant: Plant
@@ -94,6 +94,8 @@ class Task:
     min_upright: float
     lost_axes: tuple[int, int] | None
     most_action: float
+    region: tuple[Components, Components] | None
+    situation: Situation
 
     @property
     def joints(self) -> int:
@@ -156,11 +158,12 @@ class Task:
         return int(number)
 
     def no_goal(self) -> InputError:
-        """Said when no pose is found that meets `min_upright`."""
+        """Said when no pose is found that meets `min_upright`, in the region if there is one."""
         tilt = math.degrees(math.acos(self.min_upright))
+        where, what = (" in goal_region", " or move goal_region") if self.region else ("", "")
         return InputError(
-            f"arm '{self.plant.arm.name}' found no pose with its tool within {tilt:.0f} deg of the vertical; raise "
-            "max_tilt_deg"
+            f"arm '{self.plant.arm.name}' found no pose{where} with its tool within {tilt:.0f} deg of the vertical; "
+            f"raise max_tilt_deg{what}"
         )
 
 
@@ -180,12 +183,15 @@ def make_task(
     population_seed: int = 0,
     fruit_noise_mm: float | None = None,
     out_of_range: str = "clip",
+    goal_region: Sequence[Sequence[float]] | None = None,
+    **situation: Any,
 ) -> Task:
     """Check an environment's arguments (`pickenv/Reach-v0` explains them) and gather its constants.
 
     Raises:
         InputError: If an argument is impossible; one sentence says which.
     """
+    given = make_situation(**situation)
     check_choice("feedback", feedback, FEEDBACK)
     check_choice("reward", reward, REWARDS)
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
@@ -215,7 +221,7 @@ def make_task(
         nominal=chain_of(geometry),
         lower=tuple(geometry.lower.tolist()),
         upper=tuple(geometry.upper.tolist()),
-        increment=tuple((true_arm.arm.speed * CONTROL_PERIOD).tolist()),
+        increment=tuple((true_arm.arm.speed * given.period.high).tolist()),
         camera=feedback == "camera",
         camera_noise=camera_noise_mm * 1e-3,
         fruit_noise=fruit_noise_mm * 1e-3,
@@ -226,7 +232,24 @@ def make_task(
         min_upright=math.cos(math.radians(min(tilt, 180.0))),
         lost_axes=lost_axes(geometry),
         most_action=MOST_ACTION[out_of_range],
+        region=None if goal_region is None else checked_region(goal_region),
+        situation=given,
     )
+
+
+def checked_region(given: Any) -> tuple[Components, Components]:
+    """Two corners of a box as floats.
+
+    Raises:
+        InputError: If they are something else, or the first is not below the second in every coordinate.
+    """
+    corners = as_numbers("goal_region", given)
+    if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
+        raise InputError(
+            f"goal_region is {shown(given)}; give the corners of a box, [[x, y, z], [x, y, z]] in m, least ones first"
+        )
+    low, high = corners.tolist()
+    return tuple(low), tuple(high)
 
 
 def load_true_arm(plant: str, without: Sequence[str] = (), seed: int = 0) -> Plant:

@@ -20,9 +20,16 @@ from numpy.typing import NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.inspect.colours import viridis, viridis_map
-from pickenv.inspect.figures.style import INK, RULE, SOFT, WIDTH, new_figure
+from pickenv.inspect.figures.style import INK, RULE, SOFT, WIDTH, change, new_figure
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
-from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, colour_scale_mm, error_spread, field_mm, ticks
+from pickenv.inspect.runs.comparison_summary import (
+    GAIN,
+    SCALE_PERCENTILE,
+    colour_scale_mm,
+    error_spread,
+    field_mm,
+    ticks,
+)
 from pickenv.inspect.runs.links import nominal_points
 from pickenv.inspect.runs.view import eye_direction, shown_box
 
@@ -37,7 +44,7 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
 
     Args:
         comparison: What to show.
-        gain: How much longer than true size errors are drawn; chosen to fill the picture when left out.
+        gain: How much longer than true size errors are drawn; `field_gain` when left out.
 
     Raises:
         InputError: If there is no policy or no field point, or if the gain is not above zero.
@@ -47,9 +54,9 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         raise InputError("there is no error field to draw; give at least one policy and one field point")
     if gain is not None and not gain > 0.0:
         raise InputError(f"the gain is {gain}; give a number above zero")
-    shown, spacing = thinned(comparison)
+    shown, _ = thinned(comparison)
     top = colour_scale_mm(comparison)
-    gain = gain or arrow_gain(spacing, top)
+    gain = gain or field_gain(comparison.grid_step, top)
     low, high = _extent(comparison, _View(comparison))
     height = min(0.93 * PANEL_WIDTH * (high[1] - low[1]) / (high[0] - low[0]), PANEL_WIDTH)
     width, look = PANEL_WIDTH * max(len(policies), 2), {"axes.grid": False, "axes.titlelocation": "center"}
@@ -62,10 +69,11 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
             text = f"mean {numbers.mean:.2f} mm, max {numbers.largest:.2f} mm"
             axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
         cast("ConstrainedLayoutEngine", figure.get_layout_engine()).set(h_pad=0.11)
+        means = change({p.label: error_spread(field_mm(p)).mean for p in policies}, "mm")
         figure.suptitle(
-            f"Tool position error across the workspace: wanted (dot) to true position, drawn ×{gain:g}", fontsize=10
+            f"Mean error across the workspace: {means}; wanted (dot) to true position ×{gain:g}", fontsize=10
         )
-        colour_bar(figure, panels, top)
+        colour_bar(figure, panels, top, policies[0].label)
     return figure
 
 
@@ -80,14 +88,18 @@ def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np
     return np.arange(len(comparison.field_points)), comparison.grid_step
 
 
-def arrow_gain(spacing: float, top_mm: float) -> float:
-    """How much longer than true size arrows are drawn so that they nearly touch: a round number.
+def field_gain(step: float, top_mm: float) -> float:
+    """How much longer than true size one field's arrows are drawn, in every figure of it: a round number.
+
+    That of recordings where the longest arrow then takes a quarter of a cell or more and no more than one and a half;
+    elsewhere so that arrows nearly touch.
 
     Args:
-        spacing: Distance of neighbouring arrows, m.
+        step: Cell size of the field, m.
         top_mm: Upper end of the colour scale, mm.
     """
-    return round_down(1.1 * spacing / (top_mm * 1e-3))
+    cells = GAIN * top_mm * 1e-3 / step
+    return GAIN if 0.25 <= cells <= 1.5 else round_down(1.1 * step / (top_mm * 1e-3))
 
 
 def round_down(value: float) -> float:
@@ -218,12 +230,13 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
         axes.plot(*np.stack([a, b]).T, color=RULE, linewidth=thickness, solid_capstyle="round", zorder=1.5)
 
 
-def colour_bar(figure: Figure, panels: Any, top: float) -> None:
-    """The one scale of all panels, Viridis from 0 to ``top`` mm, below them."""
+def colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
+    """The one scale of all panels, Viridis from 0 to ``top`` mm, below them; ``first`` is whose errors set its end."""
     scale = ScalarMappable(Normalize(0.0, top), viridis_map())
     bar = figure.colorbar(
         scale, ax=list(np.ravel(panels)), location="bottom", aspect=60, shrink=0.8, pad=0.02, extend="max"
     )
     bar.set_ticks(ticks(top))
-    bar.set_label(f"position error (mm); the scale ends at p{SCALE_PERCENTILE:g} of the first field", color=INK)
+    end = f"the colour saturates above {top:.3g} mm, the {SCALE_PERCENTILE:g}th percentile of {first}"
+    bar.set_label(f"position error (mm); {end}", color=INK)
     bar.outline.set_visible(False)

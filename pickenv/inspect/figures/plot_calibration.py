@@ -17,7 +17,13 @@ from numpy.typing import ArrayLike
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.errors import InputError
 from pickenv.inspect.colours import OTHERS, RED, policy_colours, viridis_map
+from pickenv.inspect.figures import style
 from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, finite_series, new_figure, plain_decades, rgb
+
+NAME_ROOM = 0.15
+"""Inches along the axis that an upright name of a parameter takes."""
+NUMBER_ROOM = 0.22
+"""Inches along the axis that a number of up to three digits takes."""
 
 
 def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
@@ -31,6 +37,7 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
     if attitude_rms_deg is not None:
         curves["attitude residual, RMS (deg)"] = attitude_rms_deg
     series, (blue,) = finite_series(curves), rgb(policy_colours(["ls"]))
+    rms = next(iter(series.values()))
     with new_figure(COLUMN if len(series) == 1 else WIDTH, 2.6) as figure:
         panels: Any = figure.subplots(1, len(series), squeeze=False)[0]
         for axes, (label, values) in zip(panels, series.items(), strict=True):
@@ -44,7 +51,9 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
             axes.margins(y=0.12)
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
             plain_decades(axes.yaxis)
-        panels[0].set_title("Convergence of least squares")
+        first, last = (style.short(float(rms[i])) for i in (0, -1))
+        count = len(rms) - 1
+        style.headline(panels[0], f"Least squares: {first} to {last} mm in {count} iteration{'s' * (count != 1)}")
     return figure
 
 
@@ -57,7 +66,8 @@ def network_convergence(loss: ArrayLike) -> Figure:
     (values,) = finite_series({"training": loss}).values()
     with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel="epoch (number)", ylabel="loss, MSE of normalised targets (–)")
-        axes.set_title("Convergence of the residual network")
+        ends = " to ".join(style.short(float(values[i])) for i in (0, -1))
+        style.headline(axes, f"Training loss: {ends} in {len(values)} epochs")
         axes.semilogy(values, color=rgb(policy_colours(["ls_bpnn"]))[0], label="training")
         plain_decades(axes.yaxis)
         axes.legend()
@@ -86,14 +96,15 @@ def parameter_spectrum(
     drawn, place = np.maximum(values, floor), np.arange(len(values))
     blue, red = rgb([*policy_colours(["ls"]), RED])
     diagonal = names is not None
-    with new_figure(WIDTH, 3.1) as figure:
+    shown = style.spaced(names or (), NAME_ROOM, WIDTH - 0.9)
+    with new_figure(WIDTH, 2.6 + 0.065 * max(map(len, ("8 points", *shown)))) as figure:
         axes = figure.add_subplot(ylabel=f"{'|R_ii|' if diagonal else 'singular value'} (scaled, –)")
         axes.set_xlabel("parameter" if diagonal else "singular value (number)")
         condition = float(values[kept].max() / values[kept].min()) if kept.any() else np.inf
         told = (
             f"{int(kept.sum())} of {len(values)} parameters kept" if diagonal else f"condition number {condition:.3g}"
         )
-        axes.set_title(f"Identifiability: {told}")
+        style.headline(axes, f"Identifiability: {told}")
         for chosen, colour, marker, label in ((kept, blue, "o", "kept"), (~kept, red, "x", "dropped")):
             if not chosen.any():
                 continue
@@ -106,11 +117,14 @@ def parameter_spectrum(
         axes.set(yscale="log", xlim=(-0.7, len(values) - 0.3), ylim=(drawn.min() / 3.0, drawn.max() * 3.0))
         axes.grid(axis="x", visible=False)
         if names is not None:
-            axes.set_xticks(place, list(names), rotation=90, fontsize=8)
+            axes.set_xticks(place, shown, rotation=90, fontsize=8)
+            if "" in shown:
+                axes.set_xlabel(f"parameter ({len(names) - shown.count('')} of {len(names)} are named)")
             for tick, chosen in zip(axes.get_xticklabels(), kept, strict=True):
                 tick.set_color(INK if chosen else red)
         else:
-            axes.set_xticks(place, [str(i + 1) for i in place], fontsize=8)
+            numbers = style.spaced([str(i + 1) for i in place], NUMBER_ROOM, WIDTH - 0.9)
+            axes.set_xticks(place, numbers, fontsize=8)
         plain_decades(axes.yaxis)
         figure.legend(loc="outside lower center", ncols=3)
     return figure
@@ -133,6 +147,9 @@ def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
             axes.plot([0.0, 100.0], [row, row], color=RULE, linewidth=1.0, zorder=1.0)
             mark = np.tile([row - 0.3, row + 0.3, np.nan], len(place) // 3)
             axes.plot(place, mark, color=blue, linewidth=0.7, alpha=0.6)
+        spans = np.ptp(share, axis=0)
+        said = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (spans.min(), spans.max())))
+        style.headline(axes, f"Each joint moves over {said} % of its range", beside=1.2)
         ends = zip(geometry.joint_names, lower, upper, units, strict=True)
         named = [f"{name}  {low:.0f} to {high:.0f} {unit}".replace("-", "−") for name, low, high, unit in ends]
         axes.set_yticks(range(geometry.joints), named)
@@ -159,6 +176,8 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
     mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
     with new_figure(COLUMN, 3.0, **{"axes.grid": False}) as figure:
         axes = figure.add_subplot(xlabel="distance from base (mm)", ylabel="height (mm)")
+        middle, most = (style.short(float(v)) for v in (np.median(values), values.max()))
+        style.headline(axes, f"Median {middle}, largest {most} mm")
         extent = (edges[0][0], edges[0][-1], edges[1][0], edges[1][-1])
         picture = axes.imshow(mean, origin="lower", extent=extent, cmap=viridis_map(), interpolation="none")
         bar = figure.colorbar(picture, ax=axes, label="standard uncertainty (mm)")
@@ -167,17 +186,22 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
 
 
 def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
-    """How pose sets fill the joint ranges: each joint's distribution, and each pair of joints.
+    """How pose sets fill the ranges that were measured: each joint's distribution, and each pair of joints.
 
     Args:
-        geometry: Gives the joints' names, kinds and limits, which frame the plots.
+        geometry: Gives the joints' names, kinds and limits; the title says what share of those was measured.
         sets: For each set, by label (identification, training, test), its joints ``(N, n)``, rad or m.
     """
     n = geometry.joints
     scale = _scale(geometry)
-    lower, upper, units = _limits(geometry)
+    least, most, units = _limits(geometry)
     shown = {label: np.asarray(q, dtype=float).reshape(-1, n) * scale for label, q in sets.items()}
-    colours = rgb([OTHERS[0], OTHERS[1], (70, 70, 78), *OTHERS[2:]])  # sets are not policies
+    every = np.concatenate([*shown.values(), np.full((1, n), np.nan)])
+    lower, upper = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    shares = 100.0 * (upper - lower) / (most - least)
+    rim = np.where(upper > lower, 0.05 * (upper - lower), 0.01 * (most - least))
+    lower, upper = lower - rim, upper + rim
+    colours = rgb([OTHERS[0], OTHERS[1], OTHERS[3]])  # sets are not policies
     with new_figure(WIDTH, WIDTH * 0.95, **{"font.size": 7.5, "axes.grid": False}) as figure:
         grid: Any = figure.subplots(n, n, squeeze=False)
         for row, column in np.ndindex(n, n):
@@ -207,7 +231,8 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
                 axes.set_ylabel(f"q{row + 1}\n({units[row]})")
         grid[0, 0].set_ylabel("density\n(relative)")
         figure.align_ylabels(grid[:, 0])
-        figure.suptitle("Joint configurations within the joint limits", fontweight="bold")
+        said = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (shares.min(), shares.max())))
+        figure.suptitle(f"Poses span {said} % of the joint ranges; shown is what they span", fontweight="bold")
         handles = [
             Line2D([], [], color=colour, marker="o", markersize=4, label=f"{label} ({len(q)})")
             for (label, q), colour in zip(shown.items(), colours, strict=False)

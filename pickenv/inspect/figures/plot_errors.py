@@ -19,7 +19,7 @@ from pickenv.inspect.runs.comparison_summary import round_step
 
 
 def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position error", unit: str = "mm") -> Figure:
-    """Error at each test pose, one curve per method: before and after calibration.
+    """Error at each test pose on a logarithmic axis, a mark per pose and method: before and after calibration.
 
     Args:
         errors: For each method, by label, its errors ``(N,)``, in ``unit``.
@@ -29,13 +29,14 @@ def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position
     series = style.finite_series(errors)
     with style.new_figure(style.WIDTH, 2.9) as figure:
         axes = figure.add_subplot(xlabel="test pose (number)", ylabel=f"{quantity} ({unit})")
-        axes.set_title(f"{quantity.capitalize()} at each test pose")
+        style.headline(axes, _better(series))
         for label, values, colour in style.coloured(series):
             number = np.arange(1, len(values) + 1)
             name = f"{label}: mean {values.mean():.2f} {unit}, max {values.max():.2f} {unit}"
-            axes.plot(number, values, "o-", color=colour, label=name, markersize=3.0, linewidth=1.1)
+            axes.plot(number, values, "o", color=colour, label=name, markersize=3.0)
         longest = max(len(values) for values in series.values())
-        axes.set(xlim=(0.5, longest + 0.5), ylim=(0.0, None))
+        axes.set(xlim=(0.5, longest + 0.5), yscale="log")
+        style.plain_decades(axes.yaxis)
         figure.legend(loc="outside lower center", ncols=2)
     return figure
 
@@ -61,7 +62,8 @@ def error_by_method(
     colours = style.rgb(policy_colours(list(series)))
     with style.new_figure(max(style.COLUMN, 1.2 + 0.9 * len(series)), 2.9) as figure:
         axes = figure.add_subplot(ylabel=f"{quantity} ({unit})", xlabel=f"method (number of {counted})")
-        axes.set_title(f"{quantity[:1].upper()}{quantity[1:]} by method", pad=16.0)
+        means = style.change({label: float(values.mean()) for label, values in series.items()}, unit)
+        style.headline(axes, f"Mean {quantity}{' of reaches' * (counted == 'reaches')}: {means}", pad=16.0)
         boxes = axes.boxplot(
             list(series.values()),
             widths=0.55,
@@ -98,7 +100,7 @@ def error_histogram(errors_mm: Mapping[str, ArrayLike]) -> Figure:
     width = round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
     with style.new_figure(style.COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel="position error (mm)", ylabel=f"share of poses in {width:g} mm (%)")
-        axes.set_title("Distribution")
+        style.headline(axes, f"Median: {style.change({n: float(np.median(v)) for n, v in series.items()}, 'mm')}")
         for label, values, colour in style.coloured(series):
             edges = width * np.arange(int(values.max() / width) + 2)
             share = np.full(len(values), 100.0 / len(values))
@@ -131,7 +133,12 @@ def error_cumulative(
     series = style.finite_series(errors)
     with style.new_figure(style.COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"{counted} within it (%)")
-        axes.set_title("Cumulative distribution")
+        if tolerance is None:
+            ends = {name: float(np.percentile(v, 95)) for name, v in series.items()}
+            style.headline(axes, f"95 of 100 {counted} within: {style.change(ends, unit)}")
+        else:
+            shares = {name: 100.0 * float(np.mean(v <= tolerance)) for name, v in series.items()}
+            style.headline(axes, f"Within {tolerance:g} {unit}: {style.change(shares, '%')}")
         for label, values, colour in style.coloured(series):
             axes.ecdf(values, color=colour, label=label)
         axes.set_xscale("log")
@@ -172,15 +179,26 @@ def error_against(
     parts = _groups(x, groups)
     with style.new_figure(style.COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{name} ({unit})", ylabel="position error (mm)")
-        axes.set_title(f"Error against {name}", pad=16.0)
+        last, values = list(series.items())[-1]
+        ends = [(values[part].mean(), x[part].mean()) for part in (parts[0], parts[-1])]
+        said = ", ".join(f"{style.short(mean)} mm at {style.short(place)} {unit}" for mean, place in ends)
+        style.headline(axes, f"{last}: {said}", pad=16.0)
         axes.annotate("dots: poses, line: means of groups", (0.0, 1.02), xycoords="axes fraction", fontsize=7.5)
         for label, values, colour in style.coloured(series):
             axes.plot(x, values, ".", color=colour, markersize=3.0, alpha=0.45)
             means = np.array([[x[part].mean(), values[part].mean()] for part in parts])
             axes.plot(*means.T, "o-", color=colour, markersize=4.0, label=label)
         axes.set_ylim(bottom=0.0)
-        figure.legend(loc="outside lower center", ncols=len(series))
+        figure.legend(loc="outside lower center", ncols=2)
     return figure
+
+
+def _better(series: Mapping[str, Array]) -> str:
+    """At how many poses the last method errs less than the first, or a single one's mean."""
+    (first, before), (last, after) = next(iter(series.items())), list(series.items())[-1]
+    if first == last or len(before) != len(after):
+        return f"{last} at {len(after)} poses: largest {style.short(float(after.max()))}"
+    return f"{last} errs less than {first} at {int((after < before).sum())} of {len(after)} poses"
 
 
 def _groups(x: Array, most: int) -> list[NDArray[np.intp]]:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pickenv.errors import InputError
 from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect import colours
-from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, new_figure, rgb
+from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, change, headline, new_figure, rgb
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 
 (RED,) = rgb([colours.RED])
@@ -43,7 +43,7 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
             begin = (tree.start - tree.held)[waited]
             axes.barh(tree.arm[waited], tree.held[waited], 0.18, begin, color=RED)
             axes.set_yticks(range(arms + 1), [*(f"arm {i + 1}" for i in range(arms)), "master stands"])
-            axes.set_title(f"{name}: {int(tree.collected.sum())} of {len(tree.fruit)} fruit in {tree.seconds:.0f} s")
+            headline(axes, f"{name}: {int(tree.collected.sum())} of {len(tree.fruit)} fruit in {tree.seconds:.0f} s")
             axes.grid(axis="y", visible=False)
         panels[-1].set_xlim(left=0.0)
         panels[-1].set_xlabel("time on one tree (s); hollow: the cup came back empty, red: held back by a neighbour")
@@ -64,7 +64,9 @@ def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
                 axes.scatter(*tree.fruit[mine][:, (0, 2)].T, s=18, color=_colour(arm))
             left_over = ~tree.collected
             axes.scatter(*tree.fruit[left_over][:, (0, 2)].T, s=16, marker="x", color=RED, linewidths=1.0)
-            axes.set(title=name, xlabel="x along the row (m)", aspect="equal")
+            title = f"{name}: {int(tree.collected.sum())} of {len(tree.fruit)} collected"
+            headline(axes, title)
+            axes.set(xlabel="x along the row (m)", aspect="equal")
             axes.invert_xaxis()
         panels[0].set_ylabel("z above the base (m)")
         handles = _arm_marks(panels[0], arms)
@@ -83,11 +85,14 @@ def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
     stages = list(next(iter(funnels.values())))
     width = 0.84 / len(funnels)
     with new_figure(WIDTH, 3.0) as figure:
-        axes = figure.add_subplot(ylabel="share of fruit present (%)", title="From fruit present to fruit collected")
+        axes = figure.add_subplot(ylabel="share of fruit present (%)")
+        ends = {name: 100.0 * counts[stages[-1]] / max(counts[stages[0]], 1) for name, counts in funnels.items()}
+        headline(axes, f"Of the fruit {stages[0]}, {stages[-1]}: {change(ends, '%')}")
+        drawn = rgb(colours.policy_colours(list(funnels)))
         for i, (name, counts) in enumerate(funnels.items()):
             share = np.array([100.0 * counts[stage] / max(counts[stages[0]], 1) for stage in stages])
             place = np.arange(len(stages)) + width * (i - (len(funnels) - 1) / 2.0)
-            axes.bar(place, share, 0.92 * width, color=_colour(i), label=f"{name}: {share[-1]:.1f} %")
+            axes.bar(place, share, 0.92 * width, color=drawn[i], label=f"{name}: {share[-1]:.1f} %")
         axes.set_xticks(range(len(stages)), stages)
         axes.set_ylim(0.0, 101.0)
         axes.grid(axis="x", visible=False)
@@ -100,7 +105,7 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
     _something(throughput)
     with new_figure(COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel="arms (number)", ylabel="picks per hour (1/h)")
-        axes.set_title("Throughput against arms")
+        headline(axes, _throughput_words(throughput))
         for i, (label, measures) in enumerate(throughput.items()):
             arms = list(measures)
             values = np.array([measures[n].value for n in arms])
@@ -110,6 +115,13 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
         axes.set_ylim(bottom=0.0)
         figure.legend(loc="outside lower center")
     return figure
+
+
+def _throughput_words(throughput: Mapping[str, Mapping[int, Measure]]) -> str:
+    """What the last density's picks per hour grow to with the arms."""
+    label, measures = list(throughput.items())[-1]
+    ends = [f"{measures[n].value:.0f}/h with {n}" for n in dict.fromkeys((min(measures), max(measures)))]
+    return f"{label}: {', '.join(ends)} arm{'s' * (max(measures) > 1)}"
 
 
 def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]] = ()) -> Figure:
@@ -131,8 +143,9 @@ def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]]
             for box in boxes:
                 _box(axes, *box[a], *box[b], color=RED, linestyle="--", linewidth=1.2)
             axes.set(xlabel=f"{'xyz'[a]} (m)", ylabel=f"{'xyz'[b]} (m)", aspect="equal")
-        panels[0].set_title("Workspace from above")
-        panels[1].set_title("from the side")
+        wide, deep, high = np.ptp(cloud.reshape(-1, 3), axis=0)
+        headline(panels[0], f"From above: {wide:.2f} by {deep:.2f} m")
+        headline(panels[1], f"From the side: {wide:.2f} by {high:.2f} m")
         handles = _arm_marks(panels[0], cloud.shape[1])
         if boxes:
             handles += panels[0].plot([], [], color=RED, linestyle="--", label="dense region of the paper")
@@ -153,8 +166,11 @@ def joint_displacements(curves: JointCurves) -> Figure:
                 turning = name in curves.turning
                 axes, scale = (turns, np.degrees(1.0)) if turning else (slides, 1e3)
                 axes.plot(curves.time, curves.moved[name] * scale, color=shades[part], linestyle=line, label=name)
-        slides.set(xlabel="time (s)", ylabel="displacement (mm)", title="Sliding joints")
-        turns.set(xlabel="time (s)", ylabel="displacement (deg)", title="Turning joints")
+        for axes, kind, unit in ((slides, "Sliding", "mm"), (turns, "Turning", "deg")):
+            most = max((float(np.ptp(np.asarray(line.get_ydata()))) for line in axes.get_lines()), default=0.0)
+            title = f"{kind} joints: up to {most:.0f} {unit}" if axes.lines else f"No {kind.lower()} joint"
+            headline(axes, title)
+            axes.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
         figure.legend(loc="outside lower center", ncols=6, fontsize=7.0)
     return figure
 

@@ -44,7 +44,8 @@ def corner_errors(views: Sequence[ViewErrors]) -> Figure:
     with new_figure(WIDTH, WIDTH * 0.72 * size[1] / size[0] + 0.6) as figure:
         axes = figure.add_subplot(xlabel="u (px)", ylabel="v (px)")
         arrows = _draw(axes, whole, gain, top)
-        axes.set_title(f"All {len(whole.errors)} corners of {len(views)} views, errors drawn ×{gain:g}")
+        counted = f"{len(whole.errors)} corners of {len(views)} views"
+        axes.set_title(f"{whole.rms:.3g} px RMS over {counted}, errors drawn ×{gain:g}")
         figure.colorbar(arrows, ax=axes, label="error (px)").outline.set_visible(False)
     return figure
 
@@ -76,7 +77,8 @@ def view_errors(views: Sequence[ViewErrors]) -> Figure:
             last = panels.flat[max(range(k, len(worst), BESIDE))]
             last.set_xlabel("u (px)")
             last.tick_params(labelbottom=True)
-        figure.suptitle(f"Views, the worst first: RMS, and errors drawn ×{gain:g}", fontsize=9.0)
+        ends = " to ".join(dict.fromkeys(f"{view.rms:.3g}" for view in (worst[0], worst[-1])))
+        figure.suptitle(f"The worst views: {ends} px RMS; errors drawn ×{gain:g}", fontsize=9.0)
         bar = figure.colorbar(arrows, ax=panels, label="error (px)", location="bottom", shrink=0.5, aspect=40.0)
         bar.outline.set_visible(False)
     return figure

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
-from pickenv.inspect.colours import policy_colours
+from pickenv.inspect.colours import GREY, policy_colours
 from pickenv.inspect.figures import style
 
 SMALLEST_MM = 1e-3
@@ -58,7 +58,7 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
         dict.fromkeys(k for row in panels.values() for column in row.values() for line in column.values() for k in line)
     )
     colours = dict(zip(keys, style.rgb(policy_colours(keys)), strict=True))
-    with style.new_figure(style.WIDTH, 0.6 + len(panels) * (0.5 + 0.4 * len(names))) as figure:
+    with style.new_figure(style.WIDTH, 0.7 + len(panels) * (0.65 + 0.4 * len(names))) as figure:
         axes: Any = figure.subplots(len(panels), len(statistics), squeeze=False, sharex=True, sharey=True)
         for row, (scene, columns) in enumerate(panels.items()):
             for column, (title, policies) in enumerate(columns.items()):
@@ -74,9 +74,21 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
                 if row == len(panels) - 1:
                     axis.set_xlabel("final position error (mm)")
         style.plain_decades(axes[0, 0].xaxis)
+        figure.suptitle(_worth(panels), x=0.01, ha="left", fontsize=9.0, fontweight="bold")
         handles = [axes[0, 0].plot([], [], color=colours[key], linewidth=3.0, label=key)[0] for key in keys]
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
+
+
+def _worth(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> str:
+    """What the compensations do for the first policy in each scene, by the first statistic."""
+    said = []
+    for scene, statistics in panels.items():
+        name, policies = next(iter(statistics.items()))
+        policy, line = next(iter(policies.items()))
+        values = style.change({key: found[0] for key, found in line.items()}, "mm")
+        said.append(f"{' '.join(policy.split())} on {scene}: {name} {values}")
+    return "\n".join(said)
 
 
 def _whisker(axis: Any, y: float, found: Estimated, colour: Any) -> None:
@@ -104,7 +116,10 @@ def success_against_misalignment(
     colours = style.rgb(policy_colours(list(points)))
     with style.new_figure(style.WIDTH, 2.8) as figure:
         axes = figure.add_subplot(xlabel="lateral misalignment (mm)", ylabel="success (%)")
-        axes.set_title("Success against misalignment: what each gripper forgives")
+        shares = {policy: {g: 100.0 * found[1][0] for g, found in at.items()} for policy, at in points.items()}
+        grippers = list(dict.fromkeys(g for at in shares.values() for g in at))
+        taken = [f"{g} {style.change({p: at[g] for p, at in shares.items() if g in at}, '%')}" for g in grippers]
+        style.headline(axes, f"Taken by {'; by '.join(taken)}")
         marks = dict(zip(curves, style.MARKS * len(curves), strict=False))
         for (gripper, (x, y)), line in zip(curves.items(), style.LINES * len(curves), strict=False):
             axes.plot(x, 100.0 * np.asarray(y), linestyle=line, color=style.SOFT)
@@ -119,9 +134,17 @@ def success_against_misalignment(
                     [error], [100.0 * share], marks[gripper], color=colour, markersize=6, markeredgecolor=style.INK
                 )
             axes.plot([], [], "o", color=colour, markersize=6, label=f"{policy}: mean error, success")
-        axes.set(ylim=(-3.0, 103.0), xlim=(0.0, None))
+        farthest = max((error for at in points.values() for error, _ in at.values()), default=0.0)
+        axes.set(ylim=(-3.0, 103.0), xlim=(0.0, _seen_to(curves, farthest)))
         figure.legend(loc="outside lower center", ncols=3)
     return figure
+
+
+def _seen_to(curves: Mapping[str, tuple[ArrayLike, ArrayLike]], farthest: float) -> float:
+    """End of the misalignments that are shown, mm: where the first gripper loses half, and where the policies are."""
+    ends = [x[share <= 0.5 * share[0]][:1] for x, share in (map(np.asarray, curve) for curve in curves.values())]
+    half = min((float(end[0]) for end in ends if len(end)), default=0.0)
+    return 1.3 * max(half, farthest, 1.0)
 
 
 def accuracy_against_cycle_time(curves: Sequence[CycleCurve], period: float, *, title: str = "") -> Figure:
@@ -147,7 +170,6 @@ def accuracy_against_cycle_time(curves: Sequence[CycleCurve], period: float, *, 
     shortest = min(len(error) for error in shown)
     with style.new_figure(style.WIDTH, 3.2) as figure:
         axes = figure.add_subplot(xlabel="cycle time (s)", ylabel="mean position error (mm)", yscale="log")
-        axes.set_title("Accuracy against cycle time" + (f", {title}" if title else ""))
         for curve, error in zip(curves, shown, strict=True):
             axes.plot(
                 period * np.arange(1, len(error) + 1),
@@ -156,8 +178,18 @@ def accuracy_against_cycle_time(curves: Sequence[CycleCurve], period: float, *, 
                 color=colours[curve.compensation],
             )
         front = np.minimum.accumulate(np.min([error[:shortest] for error in shown], axis=0))
+        ends = {
+            c.compensation: float(e[-1]) for c, e in zip(curves, shown, strict=True) if c.policy == curves[0].policy
+        }
+        who = f"{curves[0].policy} on {title}" if title else curves[0].policy
+        style.headline(axes, f"{who} after {period * len(shown[0]):.1f} s: {style.change(ends, 'mm')}", beside=1.2)
         axes.plot(
-            period * np.arange(1, shortest + 1), front, color=style.RULE, linewidth=6, zorder=0, label="best so far"
+            period * np.arange(1, shortest + 1),
+            front,
+            color=style.rgb([GREY])[0],
+            linewidth=6,
+            zorder=0,
+            label="best so far",
         )
         for policy, pattern in patterns.items():
             axes.plot([], [], linestyle=pattern, color=style.SOFT, label=policy)
@@ -184,7 +216,8 @@ def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Map
                 axes.bar(place, values, 0.33, color=colour, label=f"{label}: worst {values.max():.3f} mm")
             axes.set(xlabel="test pose of ISO 9283 (number)", ylabel=f"{kind} (mm)")
             axes.set_xticks(range(1, len(values) + 1), [f"P{k}" for k in range(1, len(values) + 1)])
-            axes.set_title({"AP": "Pose accuracy", "RP": "Pose repeatability"}[kind])
+            worst = style.change({label: float(values.max()) for label, values in series.items()}, "mm")
+            style.headline(axes, f"Worst {kind}: {worst}")
             axes.legend(loc="upper left", bbox_to_anchor=(0.0, 1.0))
             axes.set_ylim(top=1.35 * max(float(v.max()) for v in series.values()))
             axes.grid(axis="x", visible=False)
@@ -201,7 +234,8 @@ def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Fi
     series = style.finite_series(accuracy_mm)
     with style.new_figure(style.COLUMN, 2.6) as figure:
         axes = figure.add_subplot(xlabel="time since switched on (h)", ylabel="AP at P1 (mm)")
-        axes.set_title("Drift of the pose accuracy")
+        moved = {label: float(np.abs(values - values[0]).max()) for label, values in series.items()}
+        style.headline(axes, f"Drift of AP at P1: {style.change(moved, 'mm')}")
         for label, values, colour in style.coloured(series):
             axes.plot(np.asarray(hours, dtype=float), values, color=colour, label=label)
         axes.set_ylim(0.0, 1.2 * max(float(values.max()) for values in series.values()) or 1.0)

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.inspect.colours import viridis
-from pickenv.inspect.figures.field_figure import colour_bar, round_down
-from pickenv.inspect.figures.style import SOFT, WIDTH, new_figure
+from pickenv.inspect.figures.field_figure import colour_bar, field_gain
+from pickenv.inspect.figures.style import SOFT, WIDTH, change, new_figure
 from pickenv.inspect.runs.comparison_summary import scale_end
 
 
@@ -48,7 +48,7 @@ def error_slices(
     across, up = [i for i in range(3) if i != axis]
     lengths = {label: np.linalg.norm(field, axis=1) * 1e3 for label, field in fields.items()}
     top = scale_end(np.linalg.norm(first, axis=1) * 1e3)
-    gain = round_down(1.2 * step / (top * 1e-3))
+    gain = field_gain(step, top)
     low, high = points.min(axis=0) - step, points.max(axis=0) + step
     height = (WIDTH - 0.9) / len(chosen) * (high[up] - low[up]) / (high[across] - low[across])
     with new_figure(WIDTH, 1.4 + len(fields) * (height + 0.1), **{"axes.titlelocation": "center"}) as figure:
@@ -66,8 +66,10 @@ def error_slices(
                     axes.set_xlabel(f"{'xyz'[across]} (m)")
                 if column == 0:
                     axes.set_ylabel(f"{label}\n{'xyz'[up]} (m)")
-        colour_bar(figure, panels, top)
-        figure.suptitle(f"Position error within slices, arrows ×{gain:g}", fontweight="bold", fontsize=9.0)
+        colour_bar(figure, panels, top, next(iter(fields)))
+        shown = np.isin(layer, chosen)
+        means = change({label: float(mm[shown].mean()) for label, mm in lengths.items()}, "mm")
+        figure.suptitle(f"Mean error in slices: {means}; arrows ×{gain:g}", fontweight="bold", fontsize=9.0)
     return figure
 
 

@@ -5,9 +5,11 @@ No global state of matplotlib is used, so figures can be made anywhere, also wit
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import matplotlib
@@ -20,17 +22,32 @@ from numpy.typing import ArrayLike
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.files import write_whole
-from pickenv.inspect.colours import Rgb, policy_colours
+from pickenv.inspect.colours import BLUE, GREEN, RED, Rgb, policy_colours
 
 PIXELS_PER_INCH = 220
 COLUMN, WIDTH = 3.5, 7.2
 """Inches: one column of a journal's page, and both."""
+LETTER = 0.083
+"""Inches that a letter of a title takes in the mean."""
 LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKS = "os^Dv"
 """Patterns and marks in turn, where colour has another meaning."""
 
 INK, SOFT, RULE, PAPER = "#1c2024", "#5b6470", "#dde1e6", "#ffffff"
 """Text and marks; axes and what stands back; grid lines; behind it all. Pages put their own in place of these."""
+
+THEME: dict[str, str] = {INK: "--ink", SOFT: "--soft", RULE: "--rule", PAPER: "--paper"} | {
+    "#{:02x}{:02x}{:02x}".format(*colour): variable
+    for colour, variable in ((BLUE, "--after"), (GREEN, "--best"), (RED, "--bad"))
+}
+"""Colours of figures that a page's style sheet replaces, by its variable; all others are seen on both backgrounds."""
+DARK: dict[str, str] = dict(
+    zip(THEME, ("#e8eaed", "#a4adb8", "#343a41", "#14171a", "#56b4e9", "#35c99b", "#ff7b7f"), strict=True)
+)
+"""What a dark page puts in their place."""
+
+BEFORE_SAVING: list[Callable[[Figure, str], None]] = []
+"""Told of every figure, with its name, before it is written or set into a page, such as by `figure_lint.linting`."""
 
 STYLE: dict[str, Any] = {
     "font.size": 8.0,
@@ -67,8 +84,15 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     check_format(path.suffix.lstrip("."), path)
     undated = {".png": {"Software": None}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     metadata: Any = undated.get(path.suffix.lower())
+    announce(figure, path.stem)
     with style():
         return write_whole(path, lambda temporary: figure.savefig(temporary, dpi=PIXELS_PER_INCH, metadata=metadata))
+
+
+def announce(figure: Figure, name: str) -> None:
+    """Tell `BEFORE_SAVING` that a figure is about to be written under a name."""
+    for told in BEFORE_SAVING:
+        told(figure, name)
 
 
 def check_format(suffix: str, path: str | Path) -> None:
@@ -102,6 +126,59 @@ def finite_series(curves: Mapping[str, ArrayLike]) -> dict[str, Array]:
         if not values.size or not np.isfinite(values).all():
             raise InputError(f"series '{label}' is empty or not finite; give finite numbers to draw")
     return series
+
+
+def headline(axes: Any, message: str, pad: float | None = None, beside: float = 0.0) -> None:
+    """Set a panel's title: what it shows, in lines as long as its part of the figure has room for.
+
+    Args:
+        axes: The panel.
+        message: The title.
+        pad: Room between title and panel, points.
+        beside: What a legend beside the panels takes, inches.
+    """
+    room = (axes.get_figure().get_figwidth() - beside) / axes.get_subplotspec().get_gridspec().ncols
+    bound = re.sub(r"(\d) (?=mm|deg|kg|px|%)", "\\1\u00a0", message)
+    axes.set_title("\n".join(wrap(bound, int((room - 0.75) / LETTER))), pad=pad)
+
+
+def change(series: Mapping[str, float], unit: str) -> str:
+    """The first and the last of some figures, as a title says them: raw 1.92, LS 0.5 mm."""
+    shown = list(series.items())
+    ends = shown if len(shown) < 3 else [shown[0], shown[-1]]
+    return ", ".join(f"{label} {short(value)}" for label, value in ends) + f" {unit}"
+
+
+def short(value: float) -> str:
+    """A number as titles say it: two significant digits, or all that stand before the point."""
+    return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:#.2g}" if abs(value) >= 1e-4 else f"{value:.1g}"
+
+
+def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
+    """Names of curves ``(T,)`` in groups that are nowhere ``nearest`` apart, each group to be drawn and named once."""
+    groups: list[list[str]] = []
+    values = {name: np.asarray(curve, dtype=float) for name, curve in curves.items()}
+    for name, curve in values.items():
+        for group in groups:
+            first = values[group[0]]
+            if first.shape == curve.shape and np.max(np.abs(first - curve), initial=0.0) < nearest:
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return groups
+
+
+def spaced(labels: Sequence[str], least: float, room: float) -> list[str]:
+    """Labels of evenly spaced places, as many as fit: every second, third … one where not all do; the others empty.
+
+    Args:
+        labels: One for each place.
+        least: What a label needs along the axis, inches.
+        room: Length of the axis, inches.
+    """
+    stride = max(1, -(-len(labels) * least // room)) if labels else 1
+    return [label if i % int(stride) == 0 else "" for i, label in enumerate(labels)]
 
 
 def plain_decades(axis: Any) -> None:

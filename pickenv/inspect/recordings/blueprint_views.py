@@ -19,12 +19,12 @@ MOST_ABREAST = 4
 
 
 def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
-    """A blueprint without panels but the time line, which loops and stands still at first."""
+    """A blueprint without panels but the time line, which stands still at first and then loops, if not told else."""
     return rrb.Blueprint(
         content,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=time_line, loop_mode="all", play_state="paused", **time),
+        rrb.TimePanel(state="collapsed", timeline=time_line, **{"loop_mode": "all", "play_state": "paused"} | time),
         auto_views=False,
     )
 

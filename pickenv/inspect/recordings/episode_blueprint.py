@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ EYE = np.array([0.75, -1.0, 0.55])
 """From the middle of the scene to the eye, in units of the arm's reach at mid-range."""
 SHOWN_TOLERANCES = 5.0
 """The view from the fruit shows errors up to this many tolerances, or those at the ends of episodes if larger."""
-DECADES = "log10 of mm: -1 is 0.1 mm, 0 is 1 mm, 1 is 10 mm, 2 is 100 mm"
+DECADES = "log10 of mm (-1: 0.1 mm, 0: 1 mm, 1: 10 mm)"
 """What the axis of distances says; the viewer has no logarithmic axes of its own."""
 
 
@@ -36,7 +36,23 @@ def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
     """The layout for environments whose infos are like those of ``rows``."""
     info = rows[0].info
     plots: list[Any] = [distance_plot("Distance to the fruit")] if distances_mm(rows[:1]) is not None else []
-    numbers = [
+    numbers = number_plots(info)
+    plots.append(rrb.Tabs(*numbers, active_tab=len(numbers) - 1) if plots else rrb.Vertical(*numbers))
+    if "is_success" in info:
+        plots.append(rrb.StateTimelineView(origin="/outcome", contents=["+ /outcome/**"], name="Success"))
+    views = _space_views(scene, rows)
+    columns = [rrb.Vertical(*views)] if views else []
+    return at_the_end(rrb.Horizontal(*columns, rrb.Vertical(*plots)))
+
+
+def at_the_end(content: Any) -> rrb.Blueprint:
+    """A layout on `episode_time`, whose cursor stands at the end of the episodes."""
+    return layout(content, "episode_time", play_state="following", loop_mode="off")
+
+
+def number_plots(info: Mapping[str, Any]) -> list[Any]:
+    """One plot for each unit of the numbers in `info`, and one for reward and counts."""
+    return [
         rrb.TimeSeriesView(
             origin=f"/metrics/{unit}",
             contents=[f"+ /metrics/{unit}/**"],
@@ -44,12 +60,6 @@ def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
         )
         for unit in number_groups(info)
     ]
-    plots.append(rrb.Tabs(*numbers, active_tab=len(numbers) - 1) if plots else rrb.Vertical(*numbers))
-    if "is_success" in info:
-        plots.append(rrb.StateTimelineView(origin="/outcome", contents=["+ /outcome/**"], name="Success"))
-    views = _space_views(scene, rows)
-    columns = [rrb.Vertical(*views)] if views else []
-    return layout(rrb.Horizontal(*columns, rrb.Vertical(*plots)), "episode_time")
 
 
 def distance_plot(name: str) -> Any:
@@ -58,7 +68,7 @@ def distance_plot(name: str) -> Any:
         origin="/distance",
         contents=["+ /distance/**"],
         name=f"{name}, {DECADES}; legend: mean at the end",
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True),
     )
 
 
@@ -70,7 +80,7 @@ def _space_views(scene: Scene, rows: Sequence[Row]) -> list[Any]:
         base = scene.nominal.base.position
         tool = forward(scene.nominal, (scene.nominal.lower + scene.nominal.upper) / 2.0).position
         middle = (base + tool) / 2.0
-        eye = middle + 1.6 * float(np.linalg.norm(tool - base)) * EYE
+        eye = middle + 1.3 * float(np.linalg.norm(tool - base)) * EYE
         arms = ["+ /world/arm/nominal/**", "+ /world/arm/exaggerated/**"]
         fruit = ["+ /world/fruit/**", "+ /world/miss/**"] if has_fruit(info) else []
         name = f"Believed arm (wire), true arm with its deviation ×{GAIN:g}; miss (red)"
@@ -82,12 +92,16 @@ def _space_views(scene: Scene, rows: Sequence[Row]) -> list[Any]:
     if has_fruit(info):
         ends = distances_mm(last_rows(rows))
         assert ends is not None
-        span = max(SHOWN_TOLERANCES * (scene.tolerance_mm or 0.0), 1.2 * float(ends.max()))
-        name = "True tool seen from the fruit, mm"
-        if scene.tolerance_mm is not None:
-            name += f"; capture region, {scene.tolerance_mm:g} mm (red)"
-        views.append(seen_from(span * EYE, np.zeros(3), "/target", ["+ /target/**"], name, ground=False))
+        views.append(target_view(float(ends.max()), scene.tolerance_mm))
     return views
+
+
+def target_view(largest_mm: float, tolerance_mm: float | None) -> Any:
+    """The true tool seen from the fruit, mm, wide enough for the ``largest_mm`` distance at the end of an episode."""
+    span = max(SHOWN_TOLERANCES * (tolerance_mm or 0.0), 1.2 * largest_mm)
+    region = "" if tolerance_mm is None else f"; capture region, {tolerance_mm:g} mm (red)"
+    name = f"True tool seen from the fruit, mm{region}"
+    return seen_from(span * EYE, np.zeros(3), "/target", ["+ /target/**"], name, ground=False)
 
 
 def _ball_around(rows: Sequence[Row]) -> tuple[Array, float]:

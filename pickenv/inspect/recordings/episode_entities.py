@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_colours
@@ -58,17 +59,13 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequenc
     (colour,) = policy_colours([scene.policy])
     _send_bodies_looks(scribe, scene, key, rows, colour, root)
     if distances_mm(rows[:1]) is not None:
-        parts = ["", *(f"/{order}" for order in dict.fromkeys(row.order for row in rows) if order < MOST_CURVES)]
-        for part in parts:
-            _name_curve(scribe, f"distance/{lane(key)}{part}", curve_name(scene, rows), colour)
+        _name_curves(scribe, f"distance/{lane(key)}", rows, [curve_name(scene, rows)], colour)
         if scene.tolerance_mm is not None:
-            _name_curve(scribe, "distance/tolerance", f"gripper's tolerance, {scene.tolerance_mm:g} mm", RED)
+            name = f"gripper's tolerance, {scene.tolerance_mm:g} mm"
+            scribe.still("distance/tolerance", rr.SeriesLines(names=[name], colors=[RED], widths=[WIDTHS[0]]))
     for unit, names in number_groups(info).items():
         said = [f"{scene.label}, {name.replace('_', ' ')}" for name in names]
-        widths = [WIDTHS[min(i, len(WIDTHS) - 1)] for i in range(len(names))]
-        scribe.still(
-            f"metrics/{unit}/{lane(key)}", rr.SeriesLines(names=said, colors=[colour] * len(names), widths=widths)
-        )
+        _name_curves(scribe, f"metrics/{unit}/{lane(key)}", rows, said, colour)
     if "is_success" in info:
         states = rr.StateConfiguration(
             values=["yes", "no"],
@@ -78,8 +75,12 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequenc
         scribe.still(f"outcome/{lane(key)}", states)
 
 
-def _name_curve(scribe: Scribe, entity: str, name: str, colour: Rgb) -> None:
-    scribe.still(entity, rr.SeriesLines(names=[name], colors=[colour], widths=[WIDTHS[0]]))
+def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:
+    """The look of an entity's series, and of those of its episodes, which lie over one another."""
+    widths = [WIDTHS[min(i, len(WIDTHS) - 1)] for i in range(len(names))]
+    looks = rr.SeriesLines(names=names, colors=[colour] * len(names), widths=widths)
+    for part in ("", *(f"/{order}" for order in dict.fromkeys(row.order for row in rows) if order < MOST_CURVES)):
+        scribe.still(entity + part, looks)
 
 
 def _send_bodies_looks(scribe: Scribe, scene: Scene, key: str, rows: Sequence[Row], colour: Rgb, root: str) -> None:
@@ -128,7 +129,7 @@ def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence
         scribe.along(f"outcome/{lane(key)}", rr.StateChange.columns(state=states))
     distance = distances_mm(rows)
     if distance is not None:
-        _send_curve(stream, scene, lane(key), rows, decades(distance))
+        _send_numbers(stream, scene, f"distance/{lane(key)}", rows, decades(distance)[:, None])
         if scene.tolerance_mm is not None:
             _send_level(stream, scene, rows, float(decades(np.array(scene.tolerance_mm))))
     for unit, names in number_groups(info).items():
@@ -136,36 +137,32 @@ def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence
         _send_numbers(stream, scene, f"metrics/{unit}/{lane(key)}", rows, np.array(values, dtype=float))
 
 
-def _send_curve(stream: rr.RecordingStream, scene: Scene, name: str, rows: Sequence[Row], values: Array) -> None:
-    """A policy's curve on all time lines: over one another on `episode_time`, each episode an entity of its own."""
-    _send_numbers(stream, scene, f"distance/{name}", rows, values[:, None])
+def _send_numbers(stream: rr.RecordingStream, scene: Scene, entity: str, rows: Sequence[Row], values: Array) -> None:
+    """Numbers ``(T, k)``: strung with a break before each episode, as each ended, and over one another."""
+    first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
+    moments = np.array([row.moment for row in rows])
+    seconds = scene.period * moments + GAP * np.array([row.order for row in rows])
+    lengths = np.insert(np.full(len(rows), values.shape[1]), first, 0)  # a row without numbers ends a line
+    times = [
+        rr.TimeColumn("step", sequence=np.insert(moments, first, moments[first])),
+        rr.TimeColumn("sim_time", duration=np.insert(seconds, first, seconds[first] - GAP / 2.0)),
+    ]
+    _send_scalars(Scribe(stream, times), entity, values, lengths)
+    ends = [i for i, row in enumerate(rows) if i + 1 == len(rows) or rows[i + 1].order != row.order]
+    times = [rr.TimeColumn("episode", sequence=[rows[i].episode for i in ends])]
+    _send_scalars(Scribe(stream, times), entity, values[ends])
     for order in dict.fromkeys(row.order for row in rows):
         if order >= MOST_CURVES:
             break
         of = [i for i, row in enumerate(rows) if row.order == order]
         times = [rr.TimeColumn("episode_time", duration=[scene.period * rows[i].within for i in of])]
-        Scribe(stream, times).along(f"distance/{name}/{order}", rr.Scalars.columns(scalars=values[of]))
+        _send_scalars(Scribe(stream, times), f"{entity}/{order}", values[of])
 
 
-def _send_numbers(stream: rr.RecordingStream, scene: Scene, entity: str, rows: Sequence[Row], values: Array) -> None:
-    """Numbers ``(T, k)`` strung, with a break before each episode, and as each episode ended."""
-    first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
-    moments = np.array([row.moment for row in rows])
-    seconds = scene.period * moments + GAP * np.array([row.order for row in rows])
-    whole = np.insert(values, first, np.nan, axis=0)
-    times = [
-        rr.TimeColumn("step", sequence=np.insert(moments, first, moments[first])),
-        rr.TimeColumn("sim_time", duration=np.insert(seconds, first, seconds[first] - GAP / 2.0)),
-    ]
-    _send_scalars(Scribe(stream, times), entity, whole)
-    ends = [i for i, row in enumerate(rows) if i + 1 == len(rows) or rows[i + 1].order != row.order]
-    times = [rr.TimeColumn("episode", sequence=[rows[i].episode for i in ends])]
-    _send_scalars(Scribe(stream, times), entity, values[ends])
-
-
-def _send_scalars(scribe: Scribe, entity: str, values: Array) -> None:
+def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike | None = None) -> None:
+    """Numbers ``(T, k)``, one row each, or with as many numbers a row as ``lengths`` says."""
     scalars = rr.Scalars.columns(scalars=values.ravel())
-    scribe.along(entity, scalars.partition([values.shape[1]] * len(values)))
+    scribe.along(entity, scalars.partition([values.shape[1]] * len(values) if lengths is None else lengths))
 
 
 def _send_level(stream: rr.RecordingStream, scene: Scene, rows: Sequence[Row], value: float) -> None:

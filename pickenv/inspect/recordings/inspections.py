@@ -16,11 +16,10 @@ from pickenv.calibration.pipeline.uncertainty import uncertainty_from
 from pickenv.errors import InputError
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors, stage_label
-from pickenv.inspect.runs.comparison_summary import round_step
+from pickenv.inspect.runs.comparison_summary import GAIN, round_step
 from pickenv.inspect.runs.episode_ends import Reaches
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 
-GAIN = 20.0
 CELLS = 10
 """Cells along the longest side of a field whose points lie on no grid."""
 

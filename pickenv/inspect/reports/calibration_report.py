@@ -5,7 +5,7 @@ Lengths in mm, angles in degrees, each named where it stands.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,17 +14,17 @@ import numpy as np
 
 from pickenv.calibration.assessment.quality import axis_errors, base_combinations
 from pickenv.calibration.assessment.screen import Block, figure
-from pickenv.calibration.assessment.states import MEASURED
+from pickenv.calibration.assessment.states import HELD, MEASURED
 from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.pipeline.held_out import GEOMETRIC, NOMINAL
-from pickenv.calibration.pipeline.result import Result
+from pickenv.calibration.pipeline.result import SIGMAS, Result, has_moved
 from pickenv.files import write_text
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
-from pickenv.inspect.reports.report_page import Bar, Page, PageTable, PageVerdict, Pair, Section, html_of
+from pickenv.inspect.reports.report_page import Bar, Folded, Page, PageTable, PageVerdict, Pair, Section, html_of
 from pickenv.inspect.reports.report_words import axis_table, named_values, parameter_words
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report
@@ -84,7 +84,10 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
         _reprojection(result),
         *further,
         _parameters(result),
-        Section("Parameters lost in others", [_table(lost, "code") if lost else None]),
+        Section(
+            "Parameters lost in others",
+            [Folded(f"{len(lost.rows)} parameters, and what absorbs them", [_table(lost, "code")]) if lost else None],
+        ),
         _poses(result, train),
         Section("Evidence", [{row[0]: row[1] for row in blocks["Evidence"].rows}]),
     )
@@ -201,24 +204,37 @@ def _reprojection(r: Result) -> Section:
 def _parameters(r: Result) -> Section:
     joints, links = r.arm.nominal.joint_names, r.arm.nominal.link_names
     combinations = base_combinations(r.fit.identification.identifiability)
-    measured, own = [row for row in r.parameters() if row["state"] == MEASURED], r.fit.identification.unknowns
+    every, own = r.parameters(), r.fit.identification.unknowns
+    measured = [row for row in every if row["state"] == MEASURED]
     limits: dict[str, float] = {}
     for row in measured:
         if not row["name"].startswith("base_") and row["name"] not in own:
             size = abs(row["change"]) + 2 * np.nan_to_num(row["std"])
             limits[row["unit"]] = max(limits.get(row["unit"], 1e-12), size)
-    rows = []
-    for row in measured:
+
+    def cells(row: Mapping[str, Any]) -> tuple[str | Bar, ...]:
         name, unit, change = row["name"], row["unit"], row["change"]
         limit = limits.get(unit, abs(change) or 1.0)
         drawn = "" if name in own else Bar(change, float(np.nan_to_num(row["std"])), limit)
         absorbed = combinations[name] if combinations.get(name, name) != name else ""
         said = f"{figure(change)} ± {figure(row['std'])} {unit}"
-        rows.append((name, parameter_words(name, joints, links), said, drawn, absorbed))
+        return name, parameter_words(name, joints, links), said, drawn, absorbed
+
+    def table(caption: str, rows: Sequence[Mapping[str, Any]]) -> PageTable:
+        return PageTable(caption, heads, [cells(row) for row in rows], "wide code")
+
+    moved, stayed = ([row for row in measured if has_moved(row) is yes] for yes in (True, False))
+    held = [row for row in every if row["state"] == HELD]
+    groups = [(f"{len(stayed)} measured, and within {SIGMAS:g} sigma of the nominal value", stayed)]
+    groups += [(f"{len(held)} held by their prior: the data tell little of them", held)]
     heads = ("parameter", "meaning", "change ± uncertainty", "", "stands for")
     return Section(
         "What moved",
-        (_sentence(r.quality.states.text()), PageTable("Parameters measured", heads, rows, "wide code")),
+        (
+            _sentence(r.quality.states.text()),
+            table(f"{len(moved)} parameters moved by more than {SIGMAS:g} sigma", moved) if moved else "",
+            *(Folded(caption, [table(caption, rows)]) for caption, rows in groups if rows),
+        ),
         "Calibrated minus nominal, with one standard uncertainty (±); bars show the change and a whisker of two "
         "standard uncertainties. A change within its whisker is not significant. Where the last column names a sum, "
         "only the sum is known.",

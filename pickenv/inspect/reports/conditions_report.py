@@ -66,7 +66,7 @@ def condition_tables(result: Mapping[str, Any]) -> list[tuple[str, list[str], li
         if name == HELD_OUT:
             title, heads = "Sessions drawn as those of the training, and not among them", ["mean error (mm)"]
         else:
-            title, heads = f"By {SWEEPS[name]}", [f"{level:g}" for level in sweep["levels"]]
+            title, heads = f"Mean error (mm) by {SWEEPS[name]}", [f"{level:g}" for level in sweep["levels"]]
         found.append((f"{title}; 95 % intervals over {_over(result)}", ["method", *heads], rows))
     return found
 

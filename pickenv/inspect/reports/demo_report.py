@@ -45,7 +45,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
     Args:
         run: The run.
-        picture: Where it is left out or gives None, a sentence says so.
+        picture: Takes a picture of the recording, which is then shown.
 
     Raises:
         InputError: If a file of the run is missing or damaged.
@@ -62,9 +62,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         _field(comparison, drawn),
         _poses(comparison, trace, drawn),
         _fit(trace, calibration, drawn),
-        report_page.Section(
-            "The recording", [_recording(picture(recording) if picture and recording.is_file() else None)]
-        ),
+        _recording(picture(recording) if picture and recording.is_file() else None),
     )
     return report_page.html_of(
         report_page.Page(
@@ -158,17 +156,18 @@ def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
 def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.Section:
     held = gripped(comparison)
     grippers = list(next(iter(held.values())).success)
-    heads = ["policy", "position, mean (mm)", "RMS (mm)", "p95 (mm)", "max (mm)", "attitude, mean (deg)"]
-    heads += [f"within {comparison.tolerance_mm:g} mm", *(f"taken by {name}" for name in grippers)]
+    heads = ["policy", f"within {comparison.tolerance_mm:g} mm (%)", *(f"taken by {name} (%)" for name in grippers)]
+    heads += ["position, mean (mm)", "RMS (mm)", "p95 (mm)", "max (mm)", "attitude, mean (deg)"]
     rows = []
     for policy in comparison.policies:
         position, attitude = (
             metrics.error_statistics(policy.position_error_mm),
             metrics.error_statistics(policy.attitude_error_deg),
         )
-        cells = [_mean(position), *(f"{value:.2f}" for value in (position.rms, position.p95, position.max))]
-        cells += [_mean(attitude, 3), _share(comparison, policy)]
-        cells += [_expected(held[policy.label].success[name]) for name in grippers]
+        shares = [_share(comparison, policy), *(_expected(held[policy.label].success[name]) for name in grippers)]
+        cells = [share.replace(" %", "") for share in shares]
+        cells += [_mean(position, 3), *(f"{value:.3f}" for value in (position.rms, position.p95, position.max))]
+        cells += [_mean(attitude, 3)]
         rows.append([policy.label, *cells])
     some = "in brackets 95 % intervals over fruit" if len(comparison.fruit) >= LEAST_ROWS else NO_INTERVAL
     caption = f"Final errors of the reaches; {some}. {OF_ONE}"
@@ -245,15 +244,11 @@ def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, 
     )
 
 
-def _recording(screenshot: bytes | None) -> report_page.Part:
-    if screenshot is not None:
-        return report_page.Picture(
-            screenshot, "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
-        )
-    return (
-        "No picture of the recording in its viewer: none was asked for, or this computer has no graphics adapter "
-        "for it. The error field above shows the same arrows; errors.rrd in the run folder opens with rerun."
-    )
+def _recording(screenshot: bytes | None) -> report_page.Section:
+    """The picture of the recording; nothing where there is none, for the origin names the file and what opens it."""
+    caption = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
+    parts = [] if screenshot is None else [report_page.Picture(screenshot, caption)]
+    return report_page.Section("The recording", parts)
 
 
 def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibration: Calibration) -> dict[str, str]:
@@ -266,6 +261,7 @@ def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibrati
         "Arm": f"{plant.arm.name}, nominal geometry {plant.arm.fingerprint()}. {plant.arm.source}",
         "Simulated true arm": f"{plant.name}: {effects or 'true geometry alone'}",
         "Poses": named_values(trace.fingerprints),
+        "Recording": f"{RECORDING}, which `pickenv inspect {run.folder.name}` opens",
         "Calibration": f"calibration.npz, {Path(str(calibration.record['source'])).name}",
         "Kind of numbers": "simulated throughout; nothing here was measured on a machine",
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pickenv.harvester.harvest_summary import Measure
 from pickenv.harvester.joint_motion import dense_workspace
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
@@ -14,6 +15,24 @@ from pickenv.inspect.reports.report_words import estimated, percent
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 from pickenv.intervals import LEAST
+
+MEASURES = {
+    "recovery": "of the reachable fruit collected (%)",
+    "harvested": "of the fruit present collected (%)",
+    "picks_per_hour": "picks per hour (1/h)",
+    "seconds_per_tree": "time per tree (s)",
+    "makespan": "time per stand (s)",
+    "idle_share": "arms idle while others work (%)",
+    "parallel_ratio": "two arms or more at work (%)",
+    "held_per_pick": "held back by a neighbour, per pick (s)",
+    "wait_events": "waits per pick (number)",
+    "travel_per_pick": "travel per pick (m)",
+    "repicks_per_tree": "picked again per tree (number)",
+    "misled_per_tree": "picks at no fruit per tree (number)",
+    "collisions": "rounds with arms too near each other (number)",
+    "closest": "nearest that arms came to each other (m)",
+}
+"""Measures in words, with their units."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -65,9 +84,9 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         f"{_rate(before)} picks per hour, {names[-1]} {_share(after)} at {_rate(after)}. {_intervals(trace)}",
     )
     measures = PageTable(
-        f"Measures of each strategy; times in s, distances in m. {_intervals(trace)}",
+        f"Measures of each strategy. {_intervals(trace)}",
         ("measure", *trace.measures),
-        [(key, *(str(found[key]) for found in trace.measures.values())) for key in before],
+        [(MEASURES.get(key, key), *(_said(found[key], key) for found in trace.measures.values())) for key in before],
     )
     funnel = PageTable(
         "Fruit at each stage, over all trees",
@@ -77,6 +96,13 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     arms = trace.cloud.shape[1]
     subtitle = f"Simulated; {arms} picking arms, {len(names)} strategies on the same trees"
     return plain_report(run, "Harvesting", subtitle, verdict, (measures, funnel), drawings(run))
+
+
+def _said(measure: Measure, key: str) -> str:
+    """A measure with its interval, in the unit of `MEASURES`."""
+    scale, digits = (100.0, 1) if "(%)" in MEASURES.get(key, "") else (1.0, 3)
+    low, high = (None if end is None else scale * end for end in (measure.low, measure.high))
+    return estimated(scale * measure.value, low, high, digits)
 
 
 def _intervals(trace: HarvestTrace) -> str:

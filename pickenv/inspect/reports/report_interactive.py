@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import policy_colours, viridis
-from pickenv.inspect.figures.field_figure import arrow_gain, thinned
+from pickenv.inspect.figures.field_figure import field_gain, thinned
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
 from pickenv.inspect.runs.view import eye_direction
@@ -48,10 +48,10 @@ def library() -> str:
 
 
 def field_spec(comparison: Comparison) -> dict[str, Any]:
-    """The error fields side by side in 3-D: an arrow's shaft per wanted position, and its end to hover over."""
+    """The error fields side by side in 3-D: a dot per wanted position, to hover over, and a line to the true one."""
     shown, spacing = thinned(comparison, MOST_ARROWS)
     top = colour_scale_mm(comparison)
-    gain = arrow_gain(spacing, top)
+    gain = field_gain(comparison.grid_step, top)
     points = comparison.field_points[shown]
     scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
     axes = _axes(points, spacing) | {"camera": {"eye": _xyz(EYE_DISTANCE * eye_direction(comparison))}}
@@ -70,7 +70,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
 
 
 def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Traces of the shafts and of the ends of arrows; both are coloured by the errors' true lengths in mm."""
+    """Traces of lines to the true and of dots at the wanted positions, coloured by the errors' true lengths in mm."""
     tips, length = points + gain * errors, np.linalg.norm(errors, axis=1) * 1e3
     shafts = np.stack([points, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
     shaft = _coordinates(shafts) | {
@@ -79,7 +79,7 @@ def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) ->
         "hoverinfo": "skip",
         "line": scale | {"color": _numbers(np.repeat(length, 3)), "width": 4},
     }
-    end = _coordinates(tips) | {
+    end = _coordinates(points) | {
         "type": "scatter3d",
         "mode": "markers",
         "marker": scale | {"color": _numbers(length), "size": 2.6, "colorbar": COLOUR_BAR},
@@ -103,23 +103,22 @@ def _axes(points: Array, spacing: float) -> dict[str, Any]:
 
 
 def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
-    """Position error at each test pose, one line per stage."""
+    """Position error at each test pose, marks for each stage, on a logarithmic axis."""
     data = [
         {
             "type": "scatter",
-            "mode": "lines+markers",
+            "mode": "markers",
             "name": f"{label}: mean {values.mean():.2f} mm",
             "x": list(range(1, len(values) + 1)),
             "y": _numbers(values),
-            "line": {"color": _css(colour), "width": 1.5},
-            "marker": {"size": 5},
+            "marker": {"size": 5, "color": _css(colour)},
             "hovertemplate": "pose %{x}: <b>%{y:.3f} mm</b><extra>" + escape(label) + "</extra>",
         }
         for (label, values), colour in zip(errors_mm.items(), policy_colours(list(errors_mm)), strict=True)
     ]
     layout = {
         "xaxis": {"title": {"text": "test pose (number)"}},
-        "yaxis": {"title": {"text": "position error (mm)"}, "rangemode": "tozero"},
+        "yaxis": {"title": {"text": "position error (mm)"}, "type": "log"},
         "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.02},
         "margin": {"l": 55, "r": 10, "t": 70, "b": 45},
         "height": 380,

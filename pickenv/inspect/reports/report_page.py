@@ -119,7 +119,20 @@ class Pair:
     parts: Sequence[Part]
 
 
-Part: TypeAlias = str | PageTable | Drawing | Interactive | Picture | Pair | Mapping[str, str] | None
+@dataclass(frozen=True)
+class Folded:
+    """Parts that open on demand; on paper they are open.
+
+    Attributes:
+        summary: What is inside, in a line.
+        parts: What it holds.
+    """
+
+    summary: str
+    parts: Sequence[Part]
+
+
+Part: TypeAlias = str | PageTable | Drawing | Interactive | Picture | Pair | Folded | Mapping[str, str] | None
 """What a section holds: a paragraph, a table, a figure, names with values; what is empty is left out."""
 
 

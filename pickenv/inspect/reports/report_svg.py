@@ -9,14 +9,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from pickenv.inspect.colours import BLUE, GREEN, RED
-from pickenv.inspect.figures.style import INK, PAPER, RULE, SOFT, style
-
-THEME = {INK: "--ink", SOFT: "--soft", RULE: "--rule", PAPER: "--paper"} | {
-    "#{:02x}{:02x}{:02x}".format(*colour): variable
-    for colour, variable in ((BLUE, "--after"), (GREEN, "--best"), (RED, "--bad"))
-}
-"""Colours of figures that the page's style sheet replaces; all others are legible on both backgrounds."""
+from pickenv.inspect.figures.style import THEME, announce, style
 
 PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
 """Sizes at which a figure's text is as large as the page's, and still legible: a small screen scrolls then."""
@@ -54,6 +47,7 @@ def inline_svg(figure: Figure, name: str) -> InlineSvg:
         figure: The figure, drawn in the house's style.
         name: Goes before its ids, so that several figures share a page.
     """
+    announce(figure, name)
     buffer = io.StringIO()
     undated = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     with style(**{"svg.fonttype": "none"}):

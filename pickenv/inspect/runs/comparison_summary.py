@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 
+GAIN = 20.0
+"""How much longer than true size recordings draw errors, and figures where their arrows then fit."""
 SCALE_PERCENTILE = 99.0
 """The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
 

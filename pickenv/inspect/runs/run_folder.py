@@ -62,7 +62,7 @@ class RunKind:
 KINDS: Mapping[str, RunKind] = {
     "demo": RunKind("pickenv demo --out RUN", "pickenv.inspect.reports.demo_report"),
     "calibration": RunKind("pickenv calibrate FILE --arm ARM --run RUN", "pickenv.inspect.reports.calibration_report"),
-    "comparison": RunKind("pickenv compare POLICY POLICY --out RUN", "pickenv.agents.evaluation.compare_report"),
+    "comparison": RunKind("pickenv compare POLICY POLICY --out RUN", "pickenv.inspect.reports.comparison_report"),
     "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.agents.evaluation.grid_report"),
     "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
     "conditions": RunKind("pickenv conditions PLANT --out RUN", "pickenv.inspect.reports.conditions_report"),
@@ -245,6 +245,12 @@ def save_part(
 def load_part(run: Run, kind: type[Part]) -> Part:
     """Numbers behind figures of a run, to the bit; raises `InputError` as `load_numbers`, or if they were exchanged."""
     return load_numbers(unedited(run, PARTS[kind]), kind, run.made_by)
+
+
+def load_comparison(run: Run) -> tuple[RecordedEpisodes, Comparison | None]:
+    """A comparison of policies: every episode, and their errors over the workspace where the environment has an arm."""
+    there = (run.folder / PARTS[Comparison]).is_file() or PARTS[Comparison] in (run.files or {})
+    return load_part(run, RecordedEpisodes), load_part(run, Comparison) if there else None
 
 
 def load_iso9283(run: Run) -> dict[str, Any]:

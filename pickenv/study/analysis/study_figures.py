@@ -5,17 +5,31 @@ Each takes the tables of `yields`, `quantiles` and `sensitivity` and returns a m
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
-from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours, viridis
-from pickenv.inspect.figures.style import LINES, MARKS, SOFT, WIDTH, new_figure, plain_decades, rgb
-from pickenv.study.analysis.study_verdict import method_label
+from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours
+from pickenv.inspect.figures.style import (
+    INK,
+    LINES,
+    MARKS,
+    SOFT,
+    WIDTH,
+    alike,
+    headline,
+    new_figure,
+    plain_decades,
+    rgb,
+    short,
+)
+from pickenv.study.analysis.study_verdict import FEW, method_label
 from pickenv.study.design.config import RAW
 from pickenv.study.results.held_rows import Row, held
 
@@ -30,6 +44,11 @@ WORDS = {"it_grade": "IT{}", "poses": "{} poses", "noise_mm": "noise {:g} mm", "
 ERROR, ERROR_LABEL = "error_mean_mm", "arm's mean position error (mm)"
 NOTE = 7.5
 """Size of the line below a figure that says how to read it, points."""
+NOTE_LETTER, LEGEND = 0.062, 1.8
+"""Inches: a letter of that line, and what a legend beside the panels takes."""
+NEAREST, ALIKE = 0.015, 0.015
+"""Curves that are nowhere farther apart, as a share of what is shown, or of their values on a logarithmic axis, are
+drawn once: about what a line is wide."""
 LONGEST = 16
 """Parameters in a tornado; the rest are as good as zero."""
 
@@ -65,8 +84,10 @@ def yield_curves(yields: pa.Table, along: str, specification: str) -> Figure:
         InputError: If the study did not vary ``along``.
     """
     keys = ("yield", "yield_low", "yield_high")
-    figure = _curves(yields.to_pylist(), along, keys, "arms within specification (%)", 100.0)
-    figure.supxlabel(f"yield with 95 % bands; within specification: {specification}", fontsize=NOTE)
+    rows = yields.to_pylist()
+    figure = _curves(rows, along, keys, "arms within specification (%)", 100.0, max)
+    note = f"yield of {_arms(rows)} with 95 % bands; within specification: {specification}"
+    _note(figure, note)
     for axes in figure.axes:
         axes.set_ylim(-3.0, 103.0)
     return figure
@@ -85,8 +106,9 @@ def error_curves(quantiles: pa.Table, along: str) -> Figure:
     merged: dict[int, dict[str, Any]] = {}
     for row in _quantiles(quantiles):
         merged.setdefault(row["setting"], dict(row))[f"q{row['probability']:g}"] = row["value"]
-    figure = _curves(list(merged.values()), along, ("q0.5", "q0.05", "q0.95"), ERROR_LABEL, 1.0)
-    figure.supxlabel("lines: median arm; bands: the middle 90 % of arms", fontsize=NOTE)
+    rows = list(merged.values())
+    figure = _curves(rows, along, ("q0.5", "q0.05", "q0.95"), ERROR_LABEL, 1.0, min)
+    _note(figure, f"lines: median arm; bands: the middle 90 % of {_arms(rows)}")
     for axes in figure.axes:
         axes.set_ylim(bottom=0.0)
     return figure
@@ -104,25 +126,21 @@ def distributions(quantiles: pa.Table, radius_mm: float | None = None) -> Figure
         raise InputError("no arm has a result; there is no distribution to draw")
     chosen = held(rows, ("it_grade", "method"))
     settings = {row["setting"]: row for row in chosen}
-    grades = sorted({row["it_grade"] for row in settings.values()})
-    methods = list(dict.fromkeys(row["method"] for row in settings.values()))
-    with new_figure(WIDTH * 0.75, 3.7) as figure:
+    with new_figure(WIDTH, 3.7) as figure:
         axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
-        axes.set_title("Errors over the population of arms")
-        for setting, row in settings.items():
+        look, curves, named = _looks(chosen, "it_grade"), dict[str, Array](), dict[str, Row]()
+        for setting, row in sorted(settings.items(), key=lambda item: item[1]["method"] != RAW):
+            label = f"{method_label(row['method'])}, {WORDS['it_grade'].format(row['it_grade'])}"
             points = [(r["value"], 100.0 * r["probability"]) for r in chosen if r["setting"] == setting]
-            x, y = np.array(sorted(points, key=lambda point: point[1])).T
-            line = LINES[methods.index(row["method"]) % len(LINES)]
-            axes.plot(x, y, linestyle=line, color=_ordered(grades, row["it_grade"]))
+            curves[label], named[label] = np.array(sorted(points, key=lambda point: point[1])).T, row
+        for group in alike({name: np.log(curve[0]) for name, curve in curves.items()}, ALIKE):
+            axes.plot(*curves[group[0]], label=_together(group), **look(named[group[0]]) | {"marker": ""})
+        least = min(curves, key=lambda name: float(np.median(curves[name][0])))
+        said = f"Least: {least}, half of the arms below {short(float(np.median(curves[least][0])))} mm"
+        headline(axes, said, beside=LEGEND)
         if radius_mm is not None:
-            axes.axvline(radius_mm, color=rgb([RED])[0], linewidth=1.0)
-            axes.annotate(
-                f"specified radius {radius_mm:g} mm", (radius_mm, 3.0), (3, 0), textcoords="offset points", fontsize=8
-            )
-        for grade in grades:
-            axes.plot([], [], color=_ordered(grades, grade), linewidth=3.0, label=f"IT{grade}")
-        for i, method in enumerate(methods):
-            axes.plot([], [], linestyle=LINES[i % len(LINES)], color=SOFT, label=method_label(method))
+            label = f"radius {radius_mm:g} mm, which\nsingle fruit must meet"
+            axes.axvline(radius_mm, color=rgb([RED])[0], linewidth=1.0, label=label)
         low = min(row["value"] for row in chosen)
         axes.set(xscale="log", ylim=(0.0, 100.0), xlim=(0.8 * low, None))
         plain_decades(axes.xaxis)
@@ -154,9 +172,10 @@ def tornado(sensitivities: pa.Table, setting: str) -> Figure:
             axes.set(ylim=(max(len(bars), len(single)) - 0.4, -0.6), xlim=(least, None), xlabel="share of variance (%)")
             axes.set_title(title)
             axes.grid(axis="y", visible=False)
-        figure.suptitle(f"Which tolerance matters: {setting}", x=0.01, ha="left", fontsize=9, fontweight="bold")
+        most = f"{_parameter_label(single[0]['parameter'])} makes {100.0 * single[0]['share']:.0f} % of the variance"
+        figure.suptitle(f"{setting}: {most}", x=0.01, ha="left", fontsize=9, fontweight="bold")
         note = f"squared error regressed on {rows[0]['arms']} arms, R² = {rows[0]['r2']:.2f}; lines: 95 % intervals"
-        figure.supxlabel(note, fontsize=NOTE)
+        _note(figure, note)
     return figure
 
 
@@ -188,7 +207,9 @@ def arm_among_population(
         axes.plot(value, level, color=blue, label=f"population of {rows[0]['arms']} arms")
         label = f"{name}: {error_mm:.2f} mm, better than {100.0 - share:.0f} % ({100 - most:.0f} to {100 - least:.0f})"
         axes.plot([error_mm], [share], "D", color=red, markersize=6, label=label, clip_on=False)
-        axes.set_title(setting_label(rows[0]))
+        headline(
+            axes, f"{setting_label(rows[0])}: {name} errs {error_mm:.2f} mm, better than {100.0 - share:.0f} % of arms"
+        )
         axes.set(ylim=(0.0, 100.0), xlim=(0.0, None))
         figure.legend(loc="outside lower center", fontsize=8)
     return figure
@@ -199,34 +220,82 @@ def _quantiles(table: pa.Table) -> list[dict[str, Any]]:
     return [row for row in table.to_pylist() if row["quantity"] == ERROR and row["arms"]]
 
 
-def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel: str, factor: float) -> Figure:
-    """Curves with bands: a panel per tolerance class; colour and line style for what varies beside the axis."""
+def _arms(rows: Sequence[Row]) -> str:
+    """How many arms figures rest on; few are called a trial run."""
+    arms = max((int(row["arms"]) for row in rows), default=0)
+    return f"{arms} arms" + f" (a trial run: fewer than {FEW})" * (arms < FEW)
+
+
+def _curves(
+    rows: Sequence[Row],
+    along: str,
+    keys: tuple[str, str, str],
+    ylabel: str,
+    factor: float,
+    better: Callable[..., Any],
+) -> Figure:
+    """Curves with bands: a panel per tolerance class; colour and line style for what varies beside the axis.
+
+    Curves that cannot be told apart are drawn once and named together; the title says what the axis does to the best
+    one, which ``better`` picks (max or min) by its mean.
+    """
     if along not in AXES or along not in varied(rows):
         raise InputError(f"the study does not vary '{along}'; draw one of {varied(rows) or 'none'}")
     beside = ("method", "poses") if along == "it_grade" else ("method", "it_grade")
     shown = ("tolerances", along, *beside)
     classes = list(dict.fromkeys(row["tolerances"] for row in rows))
     chosen = [r for r in held(rows, shown) if along not in ("poses", "noise_mm") or r["method"] != RAW]
-    colours, lines = _looks(chosen, along)
-    with new_figure(WIDTH * (0.75 if len(classes) == 1 else 1.0), 3.7) as figure:
+    look = _looks(chosen, beside[1])
+    told: dict[tuple[str, str], Array] = {}
+    with new_figure(WIDTH, 3.7) as figure:
         panels: Any = figure.subplots(1, len(classes), squeeze=False, sharey=True)[0]
         for axes, name in zip(panels, classes, strict=True):
-            for label, curve in _series([r for r in chosen if r["tolerances"] == name], along, beside):
+            curves = dict(_series([r for r in chosen if r["tolerances"] == name], along, beside))
+            values = {
+                label: factor * np.array([[row[key] for row in curve] for key in keys], dtype=float)
+                for label, curve in curves.items()
+            }
+            span = np.ptp(np.concatenate([np.zeros(1), *(v.ravel() for v in values.values())]))
+            for group in alike({label: v[0] for label, v in values.items()}, NEAREST * span):
+                curve, label = curves[group[0]], _together(group)
                 x = [row[along] for row in curve]
-                middle, low, high = (factor * np.array([row[key] for row in curve], dtype=float) for key in keys)
-                colour, (line, mark) = colours(curve[0]), lines(curve[0])
-                axes.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0.0)
-                axes.plot(x, middle, linestyle=line, marker=mark, color=colour, label=label, markersize=4.0)
+                middle, low, high = values[group[0]]
+                low, high = (end([values[k][i] for k in group], axis=0) for i, end in ((1, np.min), (2, np.max)))
+                told[name, label] = middle
+                drawn = look(curve[0])
+                axes.fill_between(x, low, high, color=drawn["color"], alpha=0.18, linewidth=0.0)
+                axes.plot(x, middle, label=label, markersize=4.0, **drawn)
             if along in ("it_grade", "poses"):
                 axes.set_xticks(sorted({row[along] for row in chosen}))
             else:
                 axes.set_xlim(left=0.0)
             axes.set_xlabel(AXES[along])
-            axes.set_title(f"Tolerance class {name}")
+            axes.set_title(f"Tolerance class {name}" if len(classes) > 1 else "")
         panels[0].set_ylabel(ylabel)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside right upper", fontsize=8, title=_held_words(chosen, shown))
+        (name, label), best = better(told.items(), key=lambda item: float(np.nanmean(item[1])))
+        unit, ends = "%" if factor > 1.0 else "mm", [WORDS[along].format(end) for end in (min(x), max(x))]
+        said = f"{label}: {short(best[0])} {unit} with {ends[0]}, {short(best[-1])} {unit} with {ends[1]}"
+        if len(classes) > 1:
+            figure.suptitle(f"{name}: {said}", x=0.01, ha="left", fontsize=9, fontweight="bold")
+        else:
+            headline(panels[0], said, beside=LEGEND)
+        handles: dict[str, Any] = {}
+        for axes in panels:
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                handles.setdefault(label, handle)
+        held_at = _held_words(chosen, shown)
+        figure.legend(handles.values(), handles, loc="outside right upper", fontsize=8, title=held_at)
     return figure
+
+
+def _together(labels: Sequence[str]) -> str:
+    """One label for curves that are alike: LS, IT6 to IT16 (alike)."""
+    if len(labels) == 1:
+        return labels[0]
+    last = (
+        labels[-1].rpartition(", ")[2] if labels[0].partition(", ")[0] == labels[-1].partition(", ")[0] else labels[-1]
+    )
+    return f"{labels[0]} to {last} (alike)"
 
 
 def _held_words(rows: Sequence[Row], shown: Sequence[str]) -> str | None:
@@ -245,31 +314,24 @@ def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterato
         yield method_label(key[0]) + detail, curve
 
 
-def _looks(rows: Sequence[Row], along: str) -> tuple[Any, Any]:
-    """Colour and (line, mark) of a curve: against the grade the method has the colour, else the grade has it."""
+def _looks(rows: Sequence[Row], beside: str) -> Callable[[Row], dict[str, Any]]:
+    """How a curve is drawn: in its method's colour; pattern and mark tell values of ``beside`` apart."""
     methods = list(dict.fromkeys(row["method"] for row in rows))
-    if along == "it_grade":
-        colours = dict(zip(methods, rgb(policy_colours(methods)), strict=True))
-        poses = sorted({row["poses"] for row in rows if row["method"] != RAW})
+    colours = dict(zip(methods, rgb(policy_colours(methods)), strict=True))
+    values = sorted({row[beside] for row in rows if beside != "poses" or row["method"] != RAW})
 
-        def line(row: Row) -> tuple[Any, str]:
-            place = poses.index(row["poses"]) if row["poses"] in poses else 0
-            return LINES[place % len(LINES)], MARKS[place % len(MARKS)]
+    def look(row: Row) -> dict[str, Any]:
+        place = values.index(row[beside]) if row[beside] in values else 0
+        pattern, mark = LINES[place % len(LINES)], MARKS[place % len(MARKS)]
+        return {"color": colours[row["method"]], "linestyle": pattern, "marker": mark}
 
-        return lambda row: colours[row["method"]], line
-    grades = sorted({row["it_grade"] for row in rows})
-
-    def by_method(row: Row) -> tuple[Any, str]:
-        place = methods.index(row["method"])
-        return LINES[place % len(LINES)], MARKS[place % len(MARKS)]
-
-    return lambda row: _ordered(grades, row["it_grade"]), by_method
+    return look
 
 
-def _ordered(values: Sequence[Any], value: Any) -> tuple[float, ...]:
-    """A colour of Viridis by rank, short of its ends, which a dark or a light page swallows."""
-    fraction = 0.3 + 0.55 * values.index(value) / max(len(values) - 1, 1)
-    return tuple(float(c) / 255.0 for c in viridis(fraction))
+def _note(figure: Figure, text: str) -> None:
+    """A line below a figure that says how to read it."""
+    lines = wrap(text, int(figure.get_figwidth() / NOTE_LETTER))
+    figure.supxlabel("\n".join(lines), fontsize=NOTE, color=INK)
 
 
 def _parameter_label(name: str) -> str:

@@ -8,7 +8,7 @@ _SCALED = {
     "n_envs": 16,
     "n_timesteps": 1e4,
     "policy": "MlpPolicy",
-    "learning_rate": 1e-3,
+    "learning_rate": "lin_1e-3",
     "buffer_size": 60_000,
     "learning_starts": 1_500,
     "batch_size": 256,

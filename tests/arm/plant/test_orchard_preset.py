@@ -175,8 +175,17 @@ def test_the_shares_are_of_the_size_that_the_field_reports(shares):
 def test_base_tilt_is_the_largest_effect_and_the_sum_is_plausible(shares):
     assert max(shares.alone, key=lambda name: shares.alone[name].mean) == "base_tilt"
     assert shares.root_sum_square / 1.5 < shares.all.mean < shares.sum_of_means
-    for name, share in shares.alone.items():
-        assert shares.removed[name].mean == pytest.approx(share.mean, abs=0.05 + 0.1 * share.mean)
+
+
+def test_without_an_effect_the_others_error_remains(orchard):
+    """Of two effects each is what remains without the other; without the largest of many the least remains."""
+    joints = draw_reaches(orchard, 40, np.random.default_rng(4))
+    two = effect_shares(orchard.without(set(EFFECTS) - {"base_tilt"}), joints)
+    assert set(two.alone) == {"geometry", "base_tilt"}
+    assert two.without == {"geometry": two.alone["base_tilt"], "base_tilt": two.alone["geometry"]}
+    many = effect_shares(orchard, joints)
+    least = min(many.without, key=lambda name: many.without[name].mean)
+    assert least == "base_tilt" and many.without[least].mean < 0.75 * many.all.mean
 
 
 def test_waiting_longer_leaves_less_vibration(orchard):

@@ -70,8 +70,8 @@ def test_effects_prints_and_writes_each_effects_share(tmp_path):
     orchard = load_plant("orchard")
     on = [name for name in TABLE if getattr(orchard, name) is not None]
     found = json.loads(file.read_text())
-    assert list(found["alone"]) == list(found["removed"]) == on and found["unit"] == "mm"
-    assert all(f"{share['mean']:.3f}" in said for share in (*found["alone"].values(), *found["removed"].values()))
+    assert list(found["alone"]) == list(found["without"]) == on and found["unit"] == "mm"
+    assert all(f"{share['mean']:.3f}" in said for share in (*found["alone"].values(), *found["without"].values()))
     assert f"{found['all']['mean']:.3f}" in said
 
 

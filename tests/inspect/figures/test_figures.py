@@ -45,7 +45,7 @@ TREE = PickedTree(
     held=np.array([0.0, 0.5, 0.0]),
     got=np.array([True, False, True]),
 )
-CURVES = JointCurves(X, {"master d2": X, "master theta1": X, "left d4": X}, ("master theta1",))
+CURVES = JointCurves(X, {"master d2": X, "master theta1": X, "left d4": 0.5 * X}, ("master theta1",))
 AGGREGATES = {"plant": {"mean": {"scripted": {"raw": (2.0, (1.0, None)), "LS": (0.5, (0.4, 0.6)), "GP": (0.1, None)}}}}
 CYCLES = [CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)), CycleCurve("ppo", "LS", np.geomspace(300, 0.5, 50))]
 
@@ -79,7 +79,7 @@ PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
     "slices": (lambda: error_slices(GRID, FIELDS, step=0.1), ("x (m)", "z (m)", "(mm)")),
     "gantt": (lambda: plot_harvest.gantt({"raw": TREE, "best": TREE}, 3), ("(s)",)),
     "pick map": (lambda: plot_harvest.pick_map({"raw": TREE}), ("(m)",)),
-    "funnel": (lambda: plot_harvest.funnel_bars({"raw": {"present": 10, "collected": 7}}), ("(%)",)),
+    "funnel": (lambda: plot_harvest.funnel_bars({"fixed": {"present": 10, "collected": 7}}), ("(%)",)),
     "throughput": (
         lambda: plot_harvest.throughput_by_arms({"thin": {1: Measure(500, 450, 540), 2: Measure(900, 800, 990)}}),
         ("(number)", "(1/h)"),
@@ -132,17 +132,20 @@ def test_each_method_keeps_its_colour() -> None:
     assert len(set(policy_colours(["raw", "servo", "rl", "ls"]))) == 4
 
 
-def test_joint_coverage_is_framed_by_the_joint_limits_in_degrees_and_millimetres(
+def test_joint_coverage_is_framed_by_what_was_measured_in_degrees_and_millimetres(
     comparison: Comparison, tmp_path: Path
 ) -> None:
     geometry = comparison.nominal
-    q = RNG.uniform(geometry.lower, geometry.upper, size=(40, geometry.joints))
+    low, span = geometry.lower, geometry.upper - geometry.lower
+    q = low + span * np.concatenate([[np.full(geometry.joints, 0.4)], RNG.uniform(0.4, 0.5, (38, 6)), [[0.5] * 6]])
     figure = plot_calibration.joint_coverage(geometry, {"identification": q, "training": q[:20], "test": q[:10]})
     bottom = figure.axes[-geometry.joints :]
     units = ["mm" if slides else "deg" for slides in geometry.prismatic]
     assert [axes.get_xlabel() for axes in bottom] == [f"q{i + 1} ({unit})" for i, unit in enumerate(units)]
-    np.testing.assert_allclose(bottom[0].get_xlim(), np.degrees([geometry.lower[0], geometry.upper[0]]))
-    np.testing.assert_allclose(bottom[1].get_xlim(), 1e3 * np.array([geometry.lower[1], geometry.upper[1]]))
+    assert "10 % of the joint ranges" in figure.get_suptitle()
+    rim = np.array([0.395, 0.505])  # a twentieth of what is spanned, on either side
+    np.testing.assert_allclose(bottom[0].get_xlim(), np.degrees(low[0] + span[0] * rim))
+    np.testing.assert_allclose(bottom[1].get_xlim(), 1e3 * (low[1] + span[1] * rim))
     assert save_figure(figure, tmp_path / "coverage.png").stat().st_size > 0
 
 

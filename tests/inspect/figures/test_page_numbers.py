@@ -177,12 +177,13 @@ def test_harvest(trace: HarvestTrace, tmp_path: Path) -> None:
     page = Tables(page_of(run))
     (table,) = [rows for caption, rows in page.tables.items() if caption.startswith("Measures of each strategy")]
     assert table[0] == ["measure", "raw", "middle", "best"]
-    for name, *cells in table[1:]:
+    wanted = {"harvested": (100.0, 1), "picks_per_hour": (1.0, 3), "idle_share": (100.0, 1)}
+    for (name, *cells), (key, (scale, digits)) in zip(table[1:], wanted.items(), strict=True):
+        assert name.endswith("(%)" if scale > 1.0 else "(1/h)")
         for cell, strategy in zip(cells, trace.measures, strict=True):
-            m = trace.measures[strategy][name]
-            numbers = [float(n) for n in cell.replace("[", "").replace("]", "").replace(",", "").split()]
-            assert numbers == [float(f"{v:.4g}") for v in (m.value, m.low, m.high)]
-    assert [row[0] for row in table[1:]] == ["harvested", "picks_per_hour", "idle_share"]
+            m = trace.measures[strategy][key]
+            numbers = [float(n) for n in cell.replace("(", "").replace(")", "").replace(" to", "").split()]
+            assert numbers == [float(f"{scale * v:.{digits}f}") for v in (m.value, m.low, m.high)]
     funnel = page.tables["Fruit at each stage, over all trees"]
     assert funnel[0] == ["stage", "raw", "middle", "best"]
     assert funnel[1:] == [

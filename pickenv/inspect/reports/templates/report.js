@@ -61,6 +61,26 @@
     place.on("plotly_relayout", follow);
   }
 
+  // Arrow keys turn all scenes of a figure, Home puts them back.
+  function keyboard(figure, place, spec, names) {
+    const first = structuredClone(spec.layout[names[0]].camera.eye);
+    const turns = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+    figure.addEventListener("keydown", (event) => {
+      if (event.key !== "Home" && !turns[event.key]) return;
+      event.preventDefault();
+      let { x, y, z } = spec.layout[names[0]].camera.eye;
+      if (event.key === "Home") ({ x, y, z } = first);
+      else {
+        const [around, down] = turns[event.key].map((sign) => sign * Math.PI / 24);
+        const far = Math.hypot(x, y, z), turn = Math.atan2(y, x) + around;
+        const tilt = Math.min(Math.max(Math.acos(z / far) + down, 0.05), Math.PI - 0.05);
+        [x, y, z] = [Math.sin(tilt) * Math.cos(turn), Math.sin(tilt) * Math.sin(turn), Math.cos(tilt)].map((v) => far * v);
+      }
+      names.forEach((name) => { spec.layout[name].camera = { ...spec.layout[name].camera, eye: { x, y, z } }; });
+      Plotly.relayout(place, Object.fromEntries(names.map((name) => [`${name}.camera`, spec.layout[name].camera])));
+    });
+  }
+
   for (const place of places) {
     const spec = JSON.parse(document.getElementById(place.dataset.spec).textContent);
     const names = scenes(spec.layout);
@@ -81,6 +101,7 @@
       continue;
     }
     together(place, names, (camera) => names.forEach((name) => { spec.layout[name].camera = camera; }));
+    if (names.length) keyboard(figure, place, spec, names);
     const again = () => Plotly.react(place, spec.data, layout(), config);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
     let width = place.clientWidth;

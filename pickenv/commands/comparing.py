@@ -1,0 +1,124 @@
+"""`pickenv compare`: policies for the same fruit, told apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from pickenv.commands.handing_over import deliver
+from pickenv.commands.showing import print_table, progress_bars
+from pickenv.files import separate, write_json
+
+if TYPE_CHECKING:
+    from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
+
+SEVERAL = ("--compensate", "--label")
+"""Options that may be followed by several values."""
+
+
+class SeveralValues(TyperCommand):
+    """A command whose options `SEVERAL` take all values up to the next option, or may be repeated."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Repeat such an option for each of its values."""
+        spread: list[str] = []
+        option = ""
+        for word in args:
+            if word.startswith("--"):
+                option = word
+                spread += [] if word in SEVERAL else [word]
+            else:
+                spread += [option, word] if option in SEVERAL else [word]
+        return super().parse_args(ctx, spread)
+
+
+def compare(
+    policies: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="POLICY...",
+            help="scripted, random, oracle, servo, adaptive, a shipped baseline, a policy file (.npz), a model of "
+            "Stable-Baselines3 (.zip), a Python file with make_policy(env, seed), a calibration (the scripted policy "
+            "behind it), or the folder of a training or of a comparison.",
+            show_default=False,
+        ),
+    ],
+    compensate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CAL...",
+            help="A calibration for each policy, in the same order: none, a file, or a file and #ls for its least "
+            "squares alone; one policy is taken with each of several.",
+            show_default=False,
+        ),
+    ] = None,
+    label: Annotated[
+        list[str] | None, typer.Option(metavar="NAME...", help="A name for each policy.", show_default=False)
+    ] = None,
+    env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
+    episodes: Annotated[int, typer.Option(help="Episodes of each policy.", min=1)] = 20,
+    seed: Annotated[int, typer.Option(help="Seed of fruit, and of policies that draw.", min=0)] = 0,
+    gripper: Annotated[str, typer.Option(help="Gripper that says whether a reach picks; a name or a file.")] = "li_cup",
+    plant: Annotated[
+        str | None, typer.Option(help="Plant preset or file; the environment's if left out.", show_default=False)
+    ] = None,
+    feedback: Annotated[str | None, typer.Option(help="encoders or camera.", show_default=False)] = None,
+    camera_noise: Annotated[
+        float | None, typer.Option(help="Noise of what the camera sees, mm per axis.", show_default=False)
+    ] = None,
+    grid_step: Annotated[float, typer.Option(help="Distance of the error field's goals, m.", min=0.01)] = 0.1,
+    allow: Annotated[
+        list[str] | None,
+        typer.Option(help="Use a calibration in spite of this: fitted-frames, do-not-use.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Run folder: recording, page, figures, every episode.", show_default=False)
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the numbers to this file.")] = None,
+) -> None:
+    """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter."""
+    from pickenv.agents.evaluation.compare import compare as run
+    from pickenv.agents.evaluation.compare_run import write_comparison
+    from pickenv.inspect.runs.episode_summary import content_of_comparison
+    from pickenv.inspect.runs.run_folder import RECORD
+
+    read = [word.partition("#")[0] for word in [*policies, *(compensate or [])]]
+    separate({"POLICY": read, "--plant": plant}, {"--out": None if out is None else out / RECORD, "--json": json_file})
+    given: dict[str, Any] = {"plant": plant, "feedback": feedback, "camera_noise_mm": camera_noise}
+    with progress_bars() as report:
+        found = run(
+            policies,
+            env,
+            compensate=compensate or (),
+            labels=label or (),
+            episodes=episodes,
+            seed=seed,
+            gripper=gripper,
+            grid_step=grid_step,
+            allow=allow or (),
+            progress=report,
+            **{name: value for name, value in given.items() if value is not None},
+        )
+    deliver(
+        [
+            (json_file, lambda path: write_json(path, content_of_comparison(found.episodes))),
+            (out, lambda folder: write_comparison(found, folder)),
+        ],
+        lambda: _print_comparison(found.episodes),
+    )
+
+
+def _print_comparison(episodes: RecordedEpisodes) -> None:
+    from pickenv.inspect.runs import episode_summary
+
+    rows = [episode_summary.row_cells(row) for row in episode_summary.policy_rows(episodes)]
+    lines = [episode_summary.difference_cells(line) for line in episode_summary.policy_differences(episodes)]
+    title = f"{len(episodes.seeds)} episodes of {episodes.env_id}, the same for all; gripper {episodes.gripper}"
+    print_table(title, episode_summary.HEADS, rows, words=("policy",), caption=episode_summary.INTERVALS)
+    if lines:
+        heads = episode_summary.DIFFERENCES
+        print_table("Fruit by fruit, the later policy minus the earlier one", heads, lines, words=("from", "to"))
+    print(f"{episode_summary.headline(episodes)}. {episode_summary.explanation(episodes)}")

@@ -1,0 +1,79 @@
+"""The ladder: named difficulties of Reach and Pick, the same for everybody, each with arms to learn on and to judge by.
+
+A difficulty never changes within a version of the environments' ids; what it leaves open is for the user to choose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pickenv.errors import InputError
+from pickenv.seeds import seed_words, stream
+
+_ARMS: dict[str, Any] = {"plant": "qiao2026", "arms": "per_episode"}
+_ORCHARD: dict[str, Any] = {
+    **_ARMS,
+    "plant": "orchard",
+    "tolerances": "medium",
+    "joint_noise": 0.05,
+    "latency": [0, 1],
+    "action_delay": [0, 1],
+    "start_spread": 0.5,
+}
+_DAY: dict[str, Any] = {**_ORCHARD, "hours_on": [0.0, 8.0]}
+
+LADDER: dict[str, dict[str, Any]] = {
+    "ideal": {"plant": "ideal"},
+    "fine": {**_ARMS, "tolerances": "fine"},
+    "coarse": {**_ARMS, "tolerances": "coarse"},
+    "orchard": _ORCHARD,
+    "day": _DAY,
+    "own_eyes": _DAY,
+}
+"""What each difficulty fixes, from the easiest: no error; arms made well; arms made badly; compliance, backlash, heat
+and ground, with late and noisy readings; at any hour of a working day; and seen with the machine's own cameras."""
+
+EYES: dict[str, dict[str, Any]] = {
+    "Reach": {"feedback": "camera", "camera_noise_mm": 2.0, "fruit_noise_mm": 8.0},
+    "Pick": {"vision": "measured_errors"},
+}
+"""What "own_eyes" adds: the fruit's place as a stereo pair makes it out from a metre, and a camera on the tool; or, in
+Pick, recall and errors as they were read off rendered pictures of the canopy."""
+
+SPLITS = ("train", "test")
+"""Arms to learn on, and others to be judged on."""
+
+POPULATION = {"train": 256, "test": 64}
+
+
+def on_ladder(task: str, difficulty: str | None, split: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """An environment's arguments with what a difficulty fixes.
+
+    Args:
+        task: "Reach" or "Pick".
+        difficulty: A key of `LADDER`, or None for the arguments alone.
+        split: One of `SPLITS`.
+        arguments: What else was asked for.
+
+    Raises:
+        InputError: If there is no such difficulty or split, or an argument is fixed by the difficulty.
+    """
+    if split not in SPLITS:
+        raise InputError(f"split is {split!r}; give one of {', '.join(SPLITS)}")
+    if difficulty is None:
+        if split != SPLITS[0]:
+            raise InputError(f"split '{split}' needs a difficulty; give one of {', '.join(LADDER)}")
+        return dict(arguments)
+    if difficulty not in LADDER:
+        raise InputError(f"difficulty is {difficulty!r}; give one of {', '.join(LADDER)}")
+    fixed = LADDER[difficulty] | (EYES[task] if difficulty == "own_eyes" else {})
+    if "arms" in fixed:
+        seed = seed_words(stream(0, "arms", SPLITS.index(split)), 1)[0]
+        fixed = fixed | {"population": POPULATION[split], "population_seed": seed}
+    both = sorted(set(fixed) & set(arguments))
+    if both:
+        raise InputError(
+            f"difficulty '{difficulty}' fixes {', '.join(both)}; leave {'it' if len(both) == 1 else 'them'} out"
+        )
+    return fixed | dict(arguments)

@@ -1,0 +1,207 @@
+"""When an episode's arm acts and senses, how surely, and from where it starts: numbers, or ranges drawn per episode.
+
+Written on components like `pickenv.envs.shared.simulation`, for floats, arrays and tensors. What is left at its default
+costs nothing and changes no bit. Units: s, rad, m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from numbers import Real
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pickenv.arm import Plant, PlantState
+from pickenv.arm.kinematics.backend import chosen, clipped
+from pickenv.arm.kinematics.forward import Scalar
+from pickenv.envs.shared.backends import Executor
+from pickenv.envs.shared.streams import DRAWN, JOINTS, START, normal, stream_key, uniform
+from pickenv.errors import InputError
+from pickenv.limits import shown
+
+CONTROL_PERIOD = 0.1
+"""Time between two actions where none is asked for, s: with the arm file's joint speeds it bounds one increment."""
+
+MOST_STEPS = 20
+"""Periods by which actions or readings can be late: all of them are kept."""
+
+Components = tuple[Scalar, ...]
+Given = float | Sequence[float]
+"""A number, or the least and the largest of a range."""
+
+
+class Span(NamedTuple):
+    """A number that is drawn evenly for each episode, or the same in all of them; whole where its ends are ints."""
+
+    low: float
+    high: float
+
+    @property
+    def varies(self) -> bool:
+        """Whether it is drawn."""
+        return self.low != self.high
+
+
+@dataclass(frozen=True)
+class Situation:
+    """Timing, sensing and start of an environment's episodes; SI units.
+
+    Attributes:
+        period: Time between two actions, s.
+        latency: Periods by which readings of joints and camera are late.
+        delay: Periods by which actions are late.
+        joint_noise: Standard deviation of a joint's reading, rad or m.
+        hours: Time that the arm has been on when an episode begins, h.
+        spread: Share of each joint's range from which starts are drawn, about mid-range.
+    """
+
+    period: Span
+    latency: Span
+    delay: Span
+    joint_noise: Span
+    hours: Span
+    spread: float
+
+    @cached_property
+    def drawn(self) -> tuple[str, ...]:
+        """Names of what is drawn for each episode."""
+        values = ((part.name, getattr(self, part.name)) for part in fields(self))
+        return tuple(name for name, value in values if isinstance(value, Span) and value.varies)
+
+    @property
+    def late(self) -> bool:
+        """Whether anything is remembered from one period to the next."""
+        return self.latency.high + self.delay.high > 0
+
+    @property
+    def plain(self) -> bool:
+        """Whether nothing is drawn."""
+        return not (self.drawn or self.spread or self.joint_noise.high)
+
+    def widths(self, joints: int, sensed: int) -> tuple[int, int, int]:
+        """How many numbers are remembered: drawn for the episode, of late actions, of late readings."""
+        return len(self.drawn), int(self.delay.high) * joints, int(self.latency.high) * sensed
+
+    def value(self, name: str, drawn: Components) -> Scalar:
+        """A number of the present episode."""
+        return drawn[self.drawn.index(name)] if name in self.drawn else getattr(self, name).low
+
+
+def make_situation(
+    control_period_s: Given = CONTROL_PERIOD,
+    latency: Given = 0,
+    action_delay: Given = 0,
+    joint_noise: Given = 0.0,
+    hours_on: Given = 0.0,
+    start_spread: float = 0.0,
+) -> Situation:
+    """Check what `pickenv/Reach-v0` explains.
+
+    Raises:
+        InputError: If a number or range is impossible; one sentence says which.
+    """
+    noise = _span("joint_noise", joint_noise, 0.0, 100.0)
+    if isinstance(start_spread, Sequence):
+        raise InputError(f"start_spread is {shown(start_spread)}; give one number from 0 to 1")
+    return Situation(
+        period=_span("control_period_s", control_period_s, 1e-3, 10.0),
+        latency=_span("latency", latency, 0, MOST_STEPS),
+        delay=_span("action_delay", action_delay, 0, MOST_STEPS),
+        joint_noise=Span(noise.low * 1e-3, noise.high * 1e-3),
+        hours=_span("hours_on", hours_on, 0.0, 1000.0),
+        spread=_span("start_spread", start_spread, 0.0, 1.0).low,
+    )
+
+
+def _span(name: str, given: Any, least: float, most: float) -> Span:
+    """A checked number or range; of whole numbers where its least one is an int."""
+    ends = tuple(given) if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else (given, given)
+    kind: Any = (int, np.integer) if isinstance(least, int) else Real
+    numbers = all(isinstance(end, kind) and not isinstance(end, bool) for end in ends)
+    if len(ends) != 2 or not numbers or not least <= ends[0] <= ends[1] <= most:
+        what = "whole number" if isinstance(least, int) else "number"
+        raise InputError(f"{name} is {shown(given)}; give a {what} from {least:g} to {most:g}, or [least, largest]")
+    return Span(*(type(least)(end) for end in ends))
+
+
+def drawn_values(x: Executor, given: Situation, key: Scalar) -> Components:
+    """What is drawn for the episode ``key``, in the order of `Situation.drawn`; whole numbers keep a fraction."""
+    values, stream = [], stream_key(x, key, DRAWN)
+    for name in given.drawn:
+        low, high = getattr(given, name)
+        number = [part.name for part in fields(given)].index(name)
+        values.append(low + (high - low + isinstance(low, int)) * uniform(x, stream, number))
+    return tuple(values)
+
+
+def drawn_start(
+    x: Executor, given: Situation, key: Scalar, lower: Sequence[float], upper: Sequence[float]
+) -> list[Scalar]:
+    """Joints from which the episode ``key`` starts, where starts are drawn."""
+    stream, half = stream_key(x, key, START), 0.5 * given.spread
+    limits = enumerate(zip(lower, upper, strict=True))
+    return [low + (high - low) * ((0.5 - half) + given.spread * uniform(x, stream, i)) for i, (low, high) in limits]
+
+
+def warmed_up(
+    x: Executor, given: Situation, drawn: Components, plant: Plant, state: PlantState, command: Sequence[Scalar]
+) -> PlantState:
+    """What a plant remembers that has been on for some hours, at its first command."""
+    if not given.hours.high:
+        return state
+    return plant.carried(x.m, state, command, 3600.0 * given.value("hours", drawn))
+
+
+def acted(
+    x: Executor, given: Situation, drawn: Components, sent: Components, action: Sequence[Scalar]
+) -> tuple[Sequence[Scalar], Components]:
+    """The action that takes effect, and actions under way, the latest first."""
+    if not given.delay.high:
+        return action, sent
+    return _late(x, given, "delay", drawn, sent, action)
+
+
+def in_period(x: Executor, given: Situation, drawn: Components, action: Sequence[Scalar]) -> Sequence[Scalar]:
+    """An action as shares of the increments of the longest period: a shorter one moves the arm less."""
+    if not given.period.varies:
+        return action
+    share = given.value("period", drawn) / given.period.high
+    return [clipped(x.m, value, -1.0, 1.0) * share for value in action]
+
+
+def sensed(
+    x: Executor, given: Situation, drawn: Components, past: Components, fresh: Sequence[Scalar], first: bool
+) -> tuple[Sequence[Scalar], Components]:
+    """Readings as they arrive, and those under way, the latest first; at the start all are the first ones."""
+    if not given.latency.high:
+        return fresh, past
+    return _late(x, given, "latency", drawn, tuple(fresh) * int(given.latency.high) if first else past, fresh)
+
+
+def _late(
+    x: Executor, given: Situation, name: str, drawn: Components, past: Components, fresh: Sequence[Scalar]
+) -> tuple[Sequence[Scalar], Components]:
+    """What comes out of a queue into which ``fresh`` goes, and the queue afterwards."""
+    width, queue = len(fresh), (*fresh, *past)
+    lag, rest = given.value(name, drawn), queue[: len(past)]
+    if name not in given.drawn:
+        return queue[lag * width : (lag + 1) * width], rest
+    out = list(fresh)
+    for steps in range(1, len(past) // width + 1):
+        older = queue[steps * width : (steps + 1) * width]
+        out = [chosen(x.m, lag >= steps, old, new) for old, new in zip(older, out, strict=True)]
+    return out, rest
+
+
+def with_joint_noise(
+    x: Executor, given: Situation, drawn: Components, key: Scalar, moment: Scalar, readings: list[Scalar]
+) -> list[Scalar]:
+    """Joint readings with the encoders' noise."""
+    if not given.joint_noise.high:
+        return readings
+    stream, most = stream_key(x, key, JOINTS), given.value("joint_noise", drawn)
+    first = x.times(moment, len(readings))
+    return [q + most * normal(x, stream, x.plus(first, x.word(i))) for i, q in enumerate(readings)]

@@ -1,0 +1,249 @@
+"""The numbers of a comparison of policies, once: terminal, JSON, page and recording all read them here.
+
+Millimetres and degrees, because these numbers are for people. Intervals are over fruit, of one arm with one
+calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
+from pickenv.intervals import LEAST, clustered_share_interval, mean_interval, paired_share_interval, share_interval
+
+HEADS = ("policy", "miss, mean (mm)", "median (mm)", "95th (mm)", "attitude, mean (deg)", "picked", "share picked (%)")
+DIFFERENCES = ("from", "to", "miss (mm)", "attitude (deg)", "share picked (points of %)", "nearer")
+INTERVALS = "in brackets 95 % intervals over fruit, of this one arm and calibration"
+NO_INTERVAL = f"fewer than {LEAST} episodes, so no intervals of means"
+
+
+def episode_misses(policy: RecordedPolicy) -> Array:
+    """Mean distance between tool and fruit where the gripper closed ``(E,)``, mm; nan where it never did."""
+    closed = np.isfinite(policy.miss_mm)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(closed, policy.miss_mm, 0.0).sum(axis=1) / closed.sum(axis=1))
+
+
+def episode_attitudes(policy: RecordedPolicy) -> Array:
+    """Attitude error at the end of each episode ``(E,)``, deg; nan where it is not known."""
+    return np.asarray(policy.attitude_error_deg[:, -1])
+
+
+def tries_of(policy: RecordedPolicy) -> NDArray[np.int64]:
+    """How often the gripper closed in each episode ``(E,)``."""
+    return np.asarray(np.isfinite(policy.miss_mm).sum(axis=1))
+
+
+def picks_of(policy: RecordedPolicy) -> NDArray[np.int64]:
+    """Fruit picked in each episode ``(E,)``."""
+    return np.asarray(policy.picked[:, -1])
+
+
+def policy_rows(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
+    """One row of numbers per policy; what is not known is None."""
+    return [_policy_row(policy) for policy in episodes.policies]
+
+
+def _policy_row(policy: RecordedPolicy) -> dict[str, Any]:
+    misses, attitudes = _finite(episode_misses(policy)), _finite(episode_attitudes(policy))
+    picks, tries = picks_of(policy), tries_of(policy)
+    tried, taken = int(tries.sum()), int(picks.sum())
+    ends = None
+    if tried:
+        ends = share_interval(taken, tried) if tries.max() == 1 else clustered_share_interval(picks, tries)
+    return {
+        "policy": policy.label,
+        "key": policy.key,
+        "episodes": len(policy.moments),
+        "mean_mm": _mean(misses),
+        "ci95_mm": _ends(mean_interval(misses), 0.0),
+        "median_mm": None if not len(misses) else float(np.median(misses)),
+        "p95_mm": None if not len(misses) else float(np.percentile(misses, 95)),
+        "attitude_deg": _mean(attitudes),
+        "attitude_ci95_deg": _ends(mean_interval(attitudes), 0.0),
+        "picked": taken,
+        "tried": tried,
+        "share_picked": taken / tried if tried else None,
+        "share_ci95": _ends(ends),
+        "reward": float(policy.reward.sum(axis=1).mean()),
+    }
+
+
+def policy_differences(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
+    """Each policy against each that stands before it, fruit by fruit: the later minus the earlier one."""
+    return [_difference(one, other) for one, other in combinations(episodes.policies, 2)]
+
+
+def _difference(one: RecordedPolicy, other: RecordedPolicy) -> dict[str, Any]:
+    misses = _finite(episode_misses(other) - episode_misses(one))
+    attitudes = _finite(episode_attitudes(other) - episode_attitudes(one))
+    ends = mean_interval(misses)
+    single = (
+        max(tries_of(one).max(), tries_of(other).max()) == 1 and min(tries_of(one).min(), tries_of(other).min()) == 1
+    )
+    shares = [_policy_row(policy)["share_picked"] for policy in (one, other)]
+    share_ends = paired_share_interval(picks_of(other) > 0, picks_of(one) > 0) if single else None
+    return {
+        "from": one.label,
+        "to": other.label,
+        "pairs": len(misses),
+        "difference_mm": _mean(misses),
+        "ci95_mm": _ends(ends),
+        "significant": None if ends is None else bool(ends[0] > 0.0 or ends[1] < 0.0),
+        "attitude_deg": _mean(attitudes),
+        "attitude_ci95_deg": _ends(mean_interval(attitudes)),
+        "share_picked": None if None in shares else shares[1] - shares[0],
+        "share_ci95": _ends(share_ends),
+        "nearer": int(np.sum(misses < 0.0)),
+    }
+
+
+def row_cells(row: Mapping[str, Any]) -> list[str]:
+    """What people are shown of a row, under `HEADS`."""
+    return [
+        row["policy"],
+        said(row["mean_mm"], row["ci95_mm"], 3),
+        said(row["median_mm"], None, 3),
+        said(row["p95_mm"], None, 3),
+        said(row["attitude_deg"], row["attitude_ci95_deg"], 3),
+        f"{row['picked']} of {row['tried']}",
+        said(row["share_picked"], row["share_ci95"], 0, 100.0),
+    ]
+
+
+def difference_cells(line: Mapping[str, Any]) -> list[str]:
+    """What people are shown of a difference, under `DIFFERENCES`."""
+    return [
+        line["from"],
+        line["to"],
+        said(line["difference_mm"], line["ci95_mm"], 3, sign="+"),
+        said(line["attitude_deg"], line["attitude_ci95_deg"], 3, sign="+"),
+        said(line["share_picked"], line["share_ci95"], 0, 100.0, sign="+"),
+        f"{line['nearer']} of {line['pairs']}",
+    ]
+
+
+def said(value: float | None, ends: Sequence[float] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
+    """A number with its interval: 0.49 (0.42 to 0.57); a dash where it is not known."""
+    if value is None:
+        return "–"
+    words = f"{_plain(scale * value, digits):{sign}.{digits}f}"
+    if ends is None:
+        return words
+    return f"{words} ({' to '.join(f'{_plain(scale * end, digits):{sign}.{digits}f}' for end in ends)})"
+
+
+def _plain(value: float, digits: int) -> float:
+    """The number as it is written, without a minus before a zero."""
+    return round(value, digits) + 0.0
+
+
+def headline(episodes: RecordedEpisodes) -> str:
+    """Which policy is better, in a few words."""
+    rows = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
+    if not rows:
+        return "No policy closed the gripper"
+    best = min(rows, key=lambda row: row["mean_mm"])
+    if len(rows) == 1:
+        return f"{best['policy']} ends {best['mean_mm']:.3f} mm from the fruit"
+    _, line = _against(episodes, best["policy"])
+    if line["significant"] is None:
+        return f"{best['policy']} ends nearest in these few episodes, {best['mean_mm']:.3f} mm"
+    if not line["significant"]:
+        return f"No policy is told apart from {best['policy']} with {best['mean_mm']:.3f} mm"
+    return f"{best['policy']} ends nearest to the fruit: {best['mean_mm']:.3f} mm"
+
+
+def explanation(episodes: RecordedEpisodes) -> str:
+    """By how much it is better, and whether it matters to the gripper: two sentences."""
+    rows = policy_rows(episodes)
+    known = [row for row in rows if row["mean_mm"] is not None]
+    if not known:
+        return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
+    best = min(known, key=lambda row: row["mean_mm"])
+    others = [row for row in rows if row is not best]
+    if not others:
+        return f"{_picking(episodes, [best])}."
+    other, line = _against(episodes, best["policy"])
+    by = said(abs(line["difference_mm"]), _turned(line), 3)
+    first = f"{best['policy']} misses by {by} mm less than {other} for the same {line['pairs']} fruit"
+    shares = {row["share_picked"] for row in rows}
+    matters = (
+        "so here the difference changes no pick"
+        if len(shares) == 1
+        else "so here the difference changes what is picked"
+    )
+    return f"{first}. {_picking(episodes, rows)}, {matters}."
+
+
+def _picking(episodes: RecordedEpisodes, rows: Sequence[Mapping[str, Any]]) -> str:
+    counts = ", ".join(f"{row['picked']} of {row['tried']} with {row['policy']}" for row in rows)
+    gripper = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
+    return f"{gripper} and picks {counts}"
+
+
+def _against(episodes: RecordedEpisodes, best: str) -> tuple[str, dict[str, Any]]:
+    """The difference of the best policy to the first of the others, or to the nearest where the best is the first."""
+    lines = [line for line in policy_differences(episodes) if best in (line["from"], line["to"])]
+    lines = [line for line in lines if line["difference_mm"] is not None] or lines
+    line = lines[0]
+    return (line["from"] if line["to"] == best else line["to"]), line
+
+
+def _turned(line: Mapping[str, Any]) -> list[float] | None:
+    """The interval of a difference's size, in the direction in which it is above zero."""
+    ends = line["ci95_mm"]
+    if ends is None or line["difference_mm"] >= 0.0:
+        return None if ends is None else list(ends)
+    return [-ends[1], -ends[0]]
+
+
+def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
+    """All of it, for JSON."""
+    return {
+        "environment": episodes.env_id,
+        "plant": episodes.plant,
+        "gripper": episodes.gripper,
+        "tolerance_mm": episodes.tolerance_mm,
+        "seed": episodes.seed,
+        "simulated": True,
+        "intervals": INTERVALS,
+        "headline": headline(episodes),
+        "explanation": explanation(episodes),
+        "rows": policy_rows(episodes),
+        "differences": policy_differences(episodes),
+    }
+
+
+def comparison_markdown(episodes: RecordedEpisodes) -> str:
+    """The verdict and both tables, for the recording."""
+    lines = [f"## {headline(episodes)}", "", explanation(episodes), ""]
+    lines += _table(HEADS, [row_cells(row) for row in policy_rows(episodes)])
+    differences = policy_differences(episodes)
+    if differences:
+        lines += ["", "Fruit by fruit, later minus earlier policy:", ""]
+        lines += _table(DIFFERENCES, [difference_cells(line) for line in differences])
+    return "\n".join([*lines, "", f"{len(episodes.seeds)} episodes of {episodes.env_id}, simulated; {INTERVALS}."])
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(cells)} |" for cells in (heads, [":--"] + ["--:"] * (len(heads) - 1), *rows)]
+
+
+def _finite(values: Array) -> Array:
+    return values[np.isfinite(values)]
+
+
+def _mean(values: Array) -> float | None:
+    return float(values.mean()) if len(values) else None
+
+
+def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[float] | None:
+    """An interval for JSON, cut at the least that the number can be."""
+    return None if ends is None else [max(end, least) for end in ends]

@@ -1,0 +1,64 @@
+"""The shipped parameters under RL Zoo: every file, every environment, as it lies there."""
+
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from sb3_contrib import TQC
+from stable_baselines3 import PPO, SAC, HerReplayBuffer
+from stable_baselines3.common.env_util import make_vec_env
+
+import pickenv  # noqa: F401
+from pickenv.agents.training.hyperparams import class_named, tuned
+
+ROOT = Path(__file__).parents[2]
+ALGORITHMS = {"ppo": PPO, "sac": SAC, "tqc": TQC}
+FILES = sorted(path.stem for path in (ROOT / "pickenv" / "zoo" / "hyperparams").glob("[a-z]*.py"))
+PARAMETERS = {name: importlib.import_module(f"pickenv.zoo.hyperparams.{name}").hyperparams for name in FILES}
+ENTRIES = [(name, env_id) for name in FILES for env_id in PARAMETERS[name]]
+SHORT = {"ppo": {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1}}
+EARLY = {"n_envs": 2, "learning_starts": 130, "batch_size": 16, "gradient_steps": 1}
+
+
+def test_every_file_has_parameters_for_every_environment_that_it_can_learn() -> None:
+    flat = {"pickenv/Reach-v0", "pickenv/ReachIdeal-v0", "pickenv/ReachScaled-v0"}
+    found = {name: {env_id for each, env_id in ENTRIES if each == name} for name in FILES}
+    assert found == {"ppo": flat, "sac": {*flat, "pickenv/ReachGoal-v0"}, "tqc": {*flat, "pickenv/ReachGoal-v0"}}
+
+
+@pytest.mark.parametrize(("name", "env_id"), ENTRIES)
+def test_parameters_start_a_training_in_single_environments(name: str, env_id: str) -> None:
+    """As RL Zoo makes it: wrapper and policy by name, environments one by one, plain classes of the algorithms."""
+    given = tuned(name, env_id) | SHORT.get(name, EARLY)
+    wrapper, arguments = given.pop("env_wrapper", None), given.pop("env_kwargs", {})
+    given.pop("n_timesteps")
+    envs = make_vec_env(
+        env_id, given.pop("n_envs"), wrapper_class=wrapper and class_named(wrapper), env_kwargs=arguments, seed=0
+    )
+    if "replay_buffer_class" in given:
+        assert given["replay_buffer_class"] == "HerReplayBuffer"
+        given["replay_buffer_class"] = HerReplayBuffer
+    model = ALGORITHMS[name](class_named(given.pop("policy")), envs, seed=0, device="cpu", **given)
+    before = [value.clone() for value in model.policy.parameters()]
+    model.learn(140)
+    after = [value.detach() for value in model.policy.parameters()]
+    assert any(not np.array_equal(one.detach(), other) for one, other in zip(before, after, strict=True))
+    joints = gym.spec(env_id).make().action_space.shape
+    action, _ = model.predict(envs.reset(), deterministic=True)
+    assert action.shape == (envs.num_envs, *joints) and np.isfinite(action).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "env_id"), [("ppo", "pickenv/Reach-v0"), ("sac", "pickenv/ReachGoal-v0")])
+def test_rl_zoo_itself_reads_them(name: str, env_id: str, tmp_path: Path) -> None:
+    pytest.importorskip("rl_zoo3")
+    command = [sys.executable, "-W", "ignore", "-m", "rl_zoo3.cli", "train", "--algo", name, "--env", env_id]
+    options = ["--gym-packages", "pickenv", "--conf-file", f"pickenv.zoo.hyperparams.{name}", "-f", str(tmp_path)]
+    short = ["--n-timesteps", "4000", "--eval-freq", "-1", "--device", "cpu", "--seed", "0"]
+    done = subprocess.run([*command, *options, *short], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert list(tmp_path.rglob(f"{env_id.partition('/')[2]}.zip"))

@@ -1,0 +1,36 @@
+"""docs/extending.md in an empty folder: arm, plant, instrument, environment and exporter work as printed."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PAGE = (Path(__file__).parents[2] / "docs/extending.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w+)(?: +(\S+))?\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+
+
+def test_every_block_is_a_named_file_or_python() -> None:
+    assert {(kind, bool(name)) for kind, name, _ in BLOCKS} == {("toml", True), ("python", False)}
+    assert len(re.findall(r"^In pickenv: ", PAGE, re.MULTILINE)) == len(re.findall(r"^## ", PAGE, re.MULTILINE)) == 5
+
+
+@pytest.mark.slow
+def test_what_is_added_works(tmp_path: Path) -> None:
+    said = []
+    for kind, name, text in BLOCKS:
+        if kind == "toml":
+            (tmp_path / name).write_text(text, encoding="utf-8")
+            continue
+        done = subprocess.run([sys.executable, "-c", text], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        said.append(done.stdout)
+    _, missed, calibrated, _, table = said
+    assert float(missed.split()[0]) > 10.0
+    before, after = (float(number) for number in re.findall(r"([\d.]+) to ([\d.]+) mm", calibrated)[0])
+    assert after < 0.25 * before  # the plant's springs are among the terms that are sought
+    designed, identified = (float(cell) for cell in table.splitlines()[0].strip("|").split("|")[1:])
+    assert 0.0 < abs(designed - identified) < 1.0

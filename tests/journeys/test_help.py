@@ -1,0 +1,49 @@
+"""`pickenv COMMAND --help` ends with commands that its own parser takes, and with a page that is there."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+from pickenv.cli import app
+from pickenv.commands.examples import EXAMPLES
+
+PAGES = Path(__file__).parents[2] / "docs"
+COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+LINES = [(name, line) for name, (_, lines) in EXAMPLES.items() for line in lines]
+
+
+def parsed(line: str) -> None:
+    """Raise unless options are known, have values, and no argument is missing or too many."""
+    _, name, *words = shlex.split(line)
+    command = COMMANDS[name]
+    with command.context_class(command, info_name=name) as context:
+        left = command.make_parser(context).parse_args(words)[1]
+    assert left == [], left
+
+
+def test_every_command_has_examples_and_a_page() -> None:
+    assert set(EXAMPLES) == set(COMMANDS) - {"bench"}  # whose own commands have theirs
+    assert [page for page, _ in EXAMPLES.values() if not (PAGES / page).is_file()] == []
+
+
+@pytest.mark.parametrize(("name", "line"), LINES, ids=[line for _, line in LINES])
+def test_an_example_is_what_its_command_takes(name: str, line: str) -> None:
+    assert name in {shlex.split(line)[1], "demo"}  # the demonstration is looked at with another command
+    parsed(line)
+
+
+def test_an_example_with_a_wrong_option_would_be_seen() -> None:
+    for wrong in ("pickenv verify a.npz b.csv --refitt base", "pickenv report a b", "pickenv demo --out"):
+        with pytest.raises(Exception):  # noqa: B017 - typer's copy of click is not public
+            parsed(wrong)
+
+
+@pytest.mark.parametrize("name", ["calibrate", "demo"])
+def test_the_help_shows_them(name: str) -> None:
+    command = COMMANDS[name]
+    with command.context_class(command, info_name=name):
+        assert all(line in command.epilog for line in EXAMPLES[name][1])
