@@ -363,6 +363,11 @@ def test_iso9283_bars_and_drift() -> None:
             assert [bar.get_height() for bar in group] == given[label]
             assert same(to_rgb(group[0].get_facecolor()), COLOURS[label])
             assert group.get_label() == f"{label}: worst {max(given[label]):.3f} mm"
+        ends = np.array([[(bar.get_x(), bar.get_x() + bar.get_width()) for bar in group] for group in bars])
+        np.testing.assert_allclose(ends.mean(axis=(0, 2)), np.arange(1, 6))  # around their pose's number
+        assert (ends[0, :, 1] <= ends[1, :, 0]).all() and (ends[1, :-1, 1] < ends[0, 1:, 0]).all()  # side by side
+        assert [t.get_text() for t in axes.get_xticklabels()] == ["P1", "P2", "P3", "P4", "P5"]
+        assert axes.get_xticks().tolist() == [1, 2, 3, 4, 5]
     hours, drift = [0.0, 1.0, 2.5], {"raw": [1.0, 2.0, 2.5], "LS": [0.1, 0.4, 0.3]}
     (axes,) = plot_policies.accuracy_drift(hours, drift).axes
     for label, values in drift.items():
