@@ -2,7 +2,8 @@
 
     python scripts/docs_screenshots.py runs/browser/screenshots
 
-Writes docs/images/inspection-*.png for every tab of the recording and for both reports, light and dark.
+Writes docs/images/inspection-*.png for every tab of the recording and for both reports, light and dark, and
+docs/images/comparing-policies-*.png.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ def shrink(source: Path, target: Path) -> None:
 def name_of(source: Path) -> str | None:
     """The picture's name in the documentation, theme last; None for what stays out of it."""
     kind, _, rest = source.stem.partition("-")
+    if kind == "compared":
+        return f"comparing-policies-{rest}.png"
     if kind not in ("web", "report", "calibration") or rest.endswith(LEFT_OUT):
         return None
     theme, _, tab = rest.partition("-")

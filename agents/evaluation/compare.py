@@ -102,13 +102,9 @@ def compare(
     """
     report = progress or (lambda stage, done, total: None)
     check_limit("episodes", episodes, "episodes")
-    if episodes < 1:
-        raise InputError(f"there are {episodes} episodes; give at least one")
-    recorded = [
-        Path(str(each)) for each in policies if isinstance(each, str | Path) and (Path(each) / RECORD).is_file()
-    ]
-    runs = [_recorded(folder) for folder in recorded]
-    others = [each for each in policies if not (isinstance(each, str | Path) and Path(each) in recorded)]
+    folders = [isinstance(each, str | Path) and (Path(each) / RECORD).is_file() for each in policies]
+    runs = [_recorded(Path(str(each))) for each, recorded in zip(policies, folders, strict=True) if recorded]
+    others = [each for each, recorded in zip(policies, folders, strict=True) if not recorded]
     given: dict[str, Any] = {"env": env, "episodes": episodes, "seed": seed, "gripper": gripper}
     given |= {"compensate": compensate, "grid_step": None if grid_step == GRID_STEP else grid_step}
     command = _command(policies, given, labels, arguments)

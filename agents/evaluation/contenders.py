@@ -153,6 +153,8 @@ def _name(policy: Given) -> str:
 
 def _labels(policies: Sequence[str], stages: Sequence[str]) -> list[str]:
     """Names that say what differs: the stage, the policy, or both."""
+    if len(policies) == 1:
+        return [policies[0] if stages[0] == "raw" else stages[0]]
     if len(set(policies)) == 1:
         return list(stages)
     if len(set(stages)) == 1:

@@ -29,7 +29,7 @@ TELLING: Mapping[str, tuple[str, str]] = {
     "target_policy_noise": ("stable_baselines3", "TD3"),
     "target_entropy": ("stable_baselines3", "SAC"),
     "clip_range": ("stable_baselines3", "PPO"),
-    "use_rms_prop": ("stable_baselines3", "A2C"),
+    "gae_lambda": ("stable_baselines3", "A2C"),
 }
 """A setting that only this algorithm, or it first in this order, keeps in its zip; and where the algorithm is."""
 

@@ -246,7 +246,7 @@ ROOMS = {
         "pickenv/inspect/figures",
         "field_figure plot_harvest plot_pixels plot_policies plot_conditions plot_slices",
         "tests/inspect/figures",
-        "figure_numbers pixel_errors figures",
+        "figure_numbers pixel_errors",
         most=SECOND,
     ),
     "reports": room(
@@ -254,6 +254,6 @@ ROOMS = {
         "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
         "reports/calibration_report reports/report_words",
         "tests/inspect",
-        "runs/summary_numbers figures/figure_numbers figures/figures figures/page_numbers calibration_report report",
+        "runs/summary_numbers figures/figure_numbers figures/page_numbers calibration_report report",
     ),
 }

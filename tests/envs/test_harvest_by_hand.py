@@ -10,6 +10,7 @@ import pytest
 
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_env import HarvestEnv
+from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
 from pickenv.errors import InputError
 from pickenv.harvester.picking import Luck
 
@@ -45,6 +46,7 @@ def begin(monkeypatch):
             "reachable": np.ones((1, len(offsets)), dtype=bool),
         }
         env.state = replace(env.state, **(usual | {key: np.array([value]) for key, value in changes.items()}))
+        env.state.left = batch.work_left(env.task, env.state)
         return env
 
     return build
@@ -125,6 +127,7 @@ def test_an_empty_cup_has_tried_and_looks_again(begin, luck):
     """The fruit hangs 7 mm off, where the gatherer takes 1 - (7 - 5)/5 = 0.6 of them; it was believed at 30 mm."""
     env = begin([[0.007, 0.0, 0.0], FAR], luck=luck, reachable=[True, False])
     env.state.believed[0, 0, 0] += 0.023
+    env.state.left = batch.work_left(env.task, env.state)
     _, reward, over, _, info = env.step(action())
     assert reward == pytest.approx((0.030 - 0.007) / 2 - 0.005)
     assert counters(info) == (0, 0, 1, 0, False) and not over
@@ -356,3 +359,34 @@ def test_a_zone_has_one_to_forty_fruit():
     for fruit in (0, 41, 2.0, True):
         with pytest.raises(InputError, match="whole number from 1 to 40"):
             HarvestEnv(fruit=fruit)
+
+
+def test_fruit_and_joints_are_as_asked_for_alone_and_among_many():
+    env, several = HarvestEnv(fruit=3), HarvestVectorEnv(2, fruit=3)
+    env.reset(seed=0)
+    fruit, start = env.state.fruit[0] + [0.02, 0.0, 0.01], env.state.joints[0].copy()
+    start[0] += 0.05
+    options = {"fruit": fruit, "start_joints": start}
+    seen, _ = env.reset(seed=7, options=options)
+    many, _ = several.reset(seed=7, options=options)
+    np.testing.assert_array_equal(many[0], seen)
+    np.testing.assert_array_equal(several.state.fruit, np.stack([fruit, fruit]))
+    np.testing.assert_array_equal(several.state.joints, np.stack([start, start]))
+    each = np.stack([fruit, fruit + 0.01])
+    several.reset(options={"fruit": each, "reset_mask": np.array([False, True])})
+    np.testing.assert_array_equal(several.state.fruit, each)
+    still = np.zeros((2, env.task.machine.joints))
+    np.testing.assert_array_equal(several.step(still)[0][0], env.step(still[0])[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"fruit": np.zeros((2, 3))}, r"fruit has shape \(2, 3\); give finite numbers of shape \(3, 3\)"),
+        ({"start_joints": "home"}, "start_joints is 'home'; give numbers"),
+        ({"start_joints": [99.0] * 12}, "outside the joint limits"),
+    ],
+)
+def test_zones_that_cannot_be_are_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        HarvestEnv(fruit=3).reset(seed=0, options=options)

@@ -16,7 +16,7 @@ from pickenv.envs.picking.pick_scene import PickScene, draw_scene, upright_turn
 from pickenv.envs.picking.pick_task import make_pick
 from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS
-from pickenv.envs.shared.ladder import on_ladder
+from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.simulation import move, nominal_frames, nominal_readings, scaled
 from pickenv.envs.shared.situation import (
     Components,

@@ -13,9 +13,9 @@ from pickenv.arm import Array, Frame, plant_at, plants_on
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
+from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.exact import exact_plant
 from pickenv.envs.shared.given_goals import given_goals
-from pickenv.envs.shared.ladder import on_ladder
 from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import action_space, flat_space, given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
@@ -163,7 +163,7 @@ class ReachEnv(ArmEnv):
     Period, latency, delay, noise and hours may be ranges, [least, largest], from which every episode draws its own.
 
     - `difficulty` (None, "ideal", "fine", "coarse", "orchard", "day" or "own_eyes"): a rung of the ladder
-      (`pickenv.envs.shared.ladder`), which fixes plant, arms, eyes and situation; and `split` ("train" or "test"),
+      (`pickenv.envs.shared.difficulty`), which fixes plant, arms, eyes and situation; and `split` ("train" or "test"),
       which of its two populations of arms, that have none in common.
     - `executor` ("floats" or "numpy"): floats are fast; with "numpy" an environment gives the same bits as the native
       vector environment on NumPy.

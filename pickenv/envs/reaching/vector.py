@@ -16,9 +16,9 @@ from pickenv.envs.reaching.batch import Batch, Flags, Start, Views
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared import spaces
+from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
 from pickenv.envs.shared.given_goals import given_goals
-from pickenv.envs.shared.ladder import on_ladder
 from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import Compensate, Task, check_choice, check_count, make_task

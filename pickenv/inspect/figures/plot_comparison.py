@@ -13,7 +13,7 @@ from pickenv.inspect.colours import RED, policy_colours
 from pickenv.inspect.figures import style
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, cell_means, field_mm
-from pickenv.inspect.runs.episode_summary import episode_misses, headline
+from pickenv.inspect.runs.episode_summary import episode_misses, outcome_sentence
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 
 SMALLEST = 1e-3
@@ -33,7 +33,7 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
                 axes.plot(episodes.period * np.arange(moments), shown, color=colour, linewidth=0.7, alpha=0.7)
             axes.plot([], [], color=colour, linewidth=3.0, label=policy.label)
         _forgiven(axes, episodes)
-        axes.set_title(headline(episodes))
+        axes.set_title(outcome_sentence(episodes))
         style.plain_decades(axes.yaxis)
         figure.legend(loc="outside lower center", ncols=len(keys) + 1)
     return figure

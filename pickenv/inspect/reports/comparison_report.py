@@ -75,7 +75,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
                 [episode_summary.difference_cells(line) for line in lines],
             )
         )
-    verdict = PageVerdict("note", episode_summary.headline(episodes), episode_summary.explanation(episodes))
+    verdict = PageVerdict("note", episode_summary.outcome_sentence(episodes), episode_summary.explanation(episodes))
     plant = f" on the plant {episodes.plant}" if episodes.plant else ""
     subtitle = f"Simulated; {len(episodes.seeds)} episodes of {episodes.env_id}{plant}, the same for all policies"
     return plain_report(run, "Comparison of policies", subtitle, verdict, tables, policy_drawings(episodes, comparison))

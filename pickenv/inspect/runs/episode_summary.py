@@ -144,7 +144,7 @@ def _plain(value: float, digits: int) -> float:
     return round(value, digits) + 0.0
 
 
-def headline(episodes: RecordedEpisodes) -> str:
+def outcome_sentence(episodes: RecordedEpisodes) -> str:
     """Which policy is better, in a few words."""
     rows = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
     if not rows:
@@ -214,7 +214,7 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
         "seed": episodes.seed,
         "simulated": True,
         "intervals": INTERVALS,
-        "headline": headline(episodes),
+        "headline": outcome_sentence(episodes),
         "explanation": explanation(episodes),
         "rows": policy_rows(episodes),
         "differences": policy_differences(episodes),
@@ -223,7 +223,7 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
 
 def comparison_markdown(episodes: RecordedEpisodes) -> str:
     """The verdict and both tables, for the recording."""
-    lines = [f"## {headline(episodes)}", "", explanation(episodes), ""]
+    lines = [f"## {outcome_sentence(episodes)}", "", explanation(episodes), ""]
     lines += _table(HEADS, [row_cells(row) for row in policy_rows(episodes)])
     differences = policy_differences(episodes)
     if differences:
