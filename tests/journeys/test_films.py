@@ -1,4 +1,4 @@
-"""Two policies → `pickenv compare` → `pickenv film`, as docs/films.md prints it: the film counts what the run counts."""
+"""Two policies → `pickenv compare` → `pickenv film`, as docs/films.md prints it: both count the same."""
 
 from __future__ import annotations
 
