@@ -289,6 +289,7 @@ def main(
             verdicts = [kept[mutant.key]["verdict"] for mutant in drawn]
             if not again and not any((one.seed, one.room) == (seed, name) for one in samples):
                 samples.append(score_of(name, len(mutants[name]), verdicts, seed))
+                write_text(json_file, as_lines(samples, kept))
             print(f"{name}: {len(verdicts)} tried, {verdicts.count('passed')} survive", flush=True)
     tried = {name: {m.key: kept[m.key]["verdict"] for m in found if m.key in kept} for name, found in mutants.items()}
     now = [score_of(name, len(mutants[name]), list(verdicts.values())) for name, verdicts in tried.items() if verdicts]
