@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import re
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType
 from typing import Any, get_origin
@@ -24,8 +26,15 @@ import pickenv  # noqa: E402
 
 project, author, release = "pickenv", "pickenv developers", pickenv.__version__
 copyright = "pickenv developers"
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 exclude_patterns = ["_build"]
+nb_execution_mode = "cache"  # executed anew when a block changes; make clean forgets
+nb_execution_cache_path = str(HERE / "_build/.notebooks")
+nb_execution_in_temp = True
+os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"  # figures stand under their blocks
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_merge_streams = True
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 html_theme = "furo"
@@ -111,6 +120,38 @@ def environment_page(name: str) -> str:
     )
 
 
+def cards_of_files() -> dict[str, str]:
+    """Cards of shipped policies, which stand beside them, and tables of arms and plants with their sources."""
+    baselines = HERE.parent / "agents/policies/baselines"
+    pages = {f"cards/policies/{path.stem}.md": path.read_text(encoding="utf-8") for path in baselines.glob("*.md")}
+    for kind, folder, shipped in (
+        ("arms", "pickenv/arm/files/arms", pickenv.arm.shipped_arms()),
+        ("plants", "pickenv/arm/plant/plants", pickenv.arm.shipped_plants()),
+    ):
+        lines = [f"# Shipped {kind}", ""]
+        for name in sorted(shipped):
+            table = tomllib.loads((HERE.parent / folder / f"{name}.toml").read_text(encoding="utf-8"))
+            tables = sorted(key for key, value in table.items() if isinstance(value, dict))
+            what = f"{table['joint_count']} joints" if kind == "arms" else f"of arm `{table['arm']}`"
+            lines += [f"## `{name}`", "", f"{what}. {table['source']}", ""]
+            lines += [f"What acts: {', '.join(tables).replace('_', ' ') or 'geometry alone'}.", ""] * (kind == "plants")
+        pages[f"cards/{kind}.md"] = "\n".join(lines)
+    return pages
+
+
+RECORDING = HERE / "_generated/recordings/episodes-scripted.rrd"
+
+
+def write_recording() -> None:
+    """Three reaches of the scripted policy, to be downloaded and looked at; kept until `make clean`."""
+    if not RECORDING.exists():
+        env = pickenv.inspect.LogRerun(
+            gymnasium.make("pickenv/Reach-v0", plant="qiao2026"), RECORDING.parent, policy="scripted"
+        )
+        pickenv.run_reaches(env, pickenv.agents.ScriptedReach(env), seeds=range(3))
+        env.close()
+
+
 def write_generated() -> None:
     """Write reference and cards; what is there unchanged keeps its time, so that a second build is quick."""
     first: dict[int, str] = {}
@@ -123,6 +164,7 @@ def write_generated() -> None:
         pages[f"environments/{card}.md"] = environment_page(f"pickenv/{card}")
     cards = "\n".join(CARDS.values())
     pages["environments/index.md"] = f"# Environments\n\n```{{toctree}}\n:maxdepth: 1\n\n{cards}\n```\n"
+    pages |= cards_of_files()
     for name, text in pages.items():
         path = HERE / "_generated" / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -130,9 +172,9 @@ def write_generated() -> None:
             path.write_text(text, encoding="utf-8")
 
 
-def plain(_app: Any, what: str, _name: str, thing: Any, _options: Any, lines: list[str]) -> None:
+def plain(_app: Any, _what: str, _name: str, thing: Any, _options: Any, lines: list[str]) -> None:
     """Docstrings are written to be read as they are; what Sphinx would take for its own marks is quoted."""
-    if what == "class" and _is_environment(thing):
+    if _is_environment(thing) or getattr(thing, "__name__", None) in CARDS:
         card = CARDS.get(thing.__name__)
         lines[1:] = ["", f"Its card: :doc:`/_generated/environments/{card}`."] if card else []
     for i, line in enumerate(lines):
@@ -163,6 +205,7 @@ def short(
 def setup(app: Any) -> None:
     """Generate pages before Sphinx looks for them."""
     write_generated()
+    write_recording()
     app.add_lexer("csv", TextLexer)
     app.connect("autodoc-process-docstring", plain)
     app.connect("autodoc-process-signature", short)

@@ -20,11 +20,12 @@ from pickenv.commands.conditions import conditions
 from pickenv.commands.examples import examples, pages_address
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
-from pickenv.commands.showing import print_table, progress_bars
+from pickenv.commands.showing import WIDTH, print_table, progress_bars
 from pickenv.commands.studies import study
 from pickenv.commands.twins import twin
 from pickenv.commands.verify import verify
 from pickenv.locks import locked
+from pickenv.texts import folded, screen_width
 
 app = typer.Typer(
     name="pickenv",
@@ -89,12 +90,15 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
         cells = [f"{position['mean']:.3f}", said, *(f"{number:.3f}" for number in numbers)]
         rows.append([LABELS[key], *cells, percent(row["success_rate"], *row["success_ci95"]).replace(" %", "")])
     title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
+    title += "; a quick run, worse than the paper's protocol" if summary["quick"] else ""
     caption = (
         f"success: within {summary['tolerance_mm']:g} mm and {summary['attitude_tolerance_deg']:g} deg; floor: attitude"
         " error that no joint motion removes; all of this one calibration: intervals are over fruit"
         + ("" if summary["reaches"] >= LEAST_ROWS else f", and means have none with fewer than {LEAST_ROWS}")
     )
     print_table(title, heads, rows, words=("policy",), caption=caption)
+    for sentence in summary["matters"]:
+        print(*folded(sentence, screen_width(WIDTH)), sep="\n")
     _print_gains(summary["blocked"])
     dropped = ", ".join(found["dropped"])
     print(f"identifiable: {found['rank']} of {found['parameters']} parameters; dropped as redundant: {dropped}")

@@ -35,6 +35,7 @@ from pickenv.calibration import (
     Result,
     calibrate,
     error_statistics,
+    fit,
     held_out_r2,
     random_joints,
     simulated_tracker,
@@ -43,9 +44,15 @@ from pickenv.files import write_json, write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors
 from pickenv.inspect.runs.field_grid import field_grid
+from pickenv.inspect.runs.gripping import gripped
+from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
+from pickenv.inspect.runs.run_folder import MATTERS_FILE
 from pickenv.intervals import share_interval
+from pickenv.orchard.gripper import misalignment
 from pickenv.wrappers import CompensationWrapper
 
+OTHER = "orchard"
+"""The plant with every effect, on which the demonstration shows what the same calibration is worth for picks."""
 LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN"}
 
 Progress = Callable[[str, int, int], None]
@@ -110,6 +117,7 @@ class DemoResult:
         reaches: Per policy, the reaches.
         comparison: For recording and figures.
         gains: What a network gains on blocks held out, on arms drawn from this plant and from the plant `field`.
+        cases: What calibration does to picks, on this plant and on `OTHER`.
     """
 
     settings: DemoSettings
@@ -123,6 +131,7 @@ class DemoResult:
     reaches: dict[str, Reaches]
     comparison: Comparison
     gains: tuple[BlockedGain, ...]
+    cases: dict[str, list[PickChange]]
 
 
 def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoResult:
@@ -134,8 +143,8 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     """
     report = progress or (lambda stage, done, total: None)
     plant = load_plant(settings.plant)
-    poses_rng, network_rng, *gain_rngs = (
-        np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(5)
+    poses_rng, network_rng, *gain_rngs, case_rng = (
+        np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(6)
     )
     nominal = plant.arm.nominal
     counts = (settings.identification_poses, settings.network_poses, settings.test_poses)
@@ -185,6 +194,9 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         for each, rng in zip((plant, load_plant(FIELD)), gain_rngs[1:], strict=True):
             gains.append(blocked_gain(each, joints, rng))
             report("gains on blocks held out", len(gains), 2)
+    comparison = _comparison(settings, plant, result, compensators, reaches)
+    lateral = [held.lateral_mm for held in gripped(comparison).values()]
+    cases = {plant.name: pick_changes(lateral[0], lateral[-1]), OTHER: _other_case(settings, case_rng)}
     test_errors = {key: _errors(plant, test.joints, compensator) for key, compensator in compensators.items()}
     return DemoResult(
         settings=settings,
@@ -196,8 +208,9 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         predicted_r2=r2,
         test_errors=test_errors,
         reaches=reaches,
-        comparison=_comparison(settings, plant, result, compensators, reaches),
+        comparison=comparison,
         gains=tuple(gains),
+        cases=cases,
     )
 
 
@@ -205,6 +218,21 @@ def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Arr
     """True pose against nominal pose ``(N, 6)`` when the drives get the compensated joints."""
     command = joints if compensator is None else compensator(joints)
     return pose_error(forward(plant.arm.nominal, joints), plant.tool_pose(command))
+
+
+def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[PickChange]:
+    """What least squares do to picks on the plant `OTHER`, over a field of upright tool poses at rest."""
+    plant = load_plant(OTHER)
+    nominal = plant.arm.nominal
+    poses = simulated_tracker(plant, random_joints(nominal, settings.identification_poses, rng), rng)
+    compensator = fit(plant.arm, poses, known_frames=True).calibration.compensator(with_residual=False)
+    joints = field_grid(nominal, settings.grid_step, settings.seed).joints
+    wanted, lateral = forward(nominal, joints), []
+    for command in (joints, compensator(joints)):
+        true = plant.tool_pose(command)
+        axis = true.rotation[..., 2]
+        lateral.append(1e3 * misalignment(wanted.position - true.position, axis, wanted.rotation[..., 2]).lateral)
+    return pick_changes(lateral[0], lateral[1])
 
 
 def _comparison(
@@ -246,6 +274,7 @@ def summarise(result: DemoResult) -> dict[str, Any]:
     axes = ("x", "y", "z", "rx", "ry", "rz")
     return {
         "seed": result.settings.seed,
+        "quick": result.settings == DemoSettings.quick(result.settings.seed),
         "pickenv": pickenv.__version__,
         "plant": result.settings.plant,
         "simulated": True,
@@ -258,6 +287,7 @@ def summarise(result: DemoResult) -> dict[str, Any]:
             "test": len(result.test),
         },
         "reaches": result.settings.reaches,
+        "matters": [matters(name, changes) for name, changes in result.cases.items()],
         "policies": policies,
         "test_poses": test,
         "identifiability": {
@@ -301,6 +331,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
             result.calibrated.calibration.save(out / "calibration"),
             save_part(out, result.comparison, result.comparison.seed),
             save_part(out, found, result.settings.seed),
+            write_json(out / MATTERS_FILE, {name: [asdict(c) for c in case] for name, case in result.cases.items()}),
         ]
         drawings = [*comparison_drawings(result.comparison), *trace_drawings(found)]
         written += write_drawings(drawings, out / "figures", ("png",), report)

@@ -11,6 +11,7 @@ import shutil
 import stat
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, TypeVar
 
 from pickenv.errors import InputError
@@ -138,6 +139,11 @@ def shortened(value: object, length: int = 60) -> str:
 def screen_width(otherwise: int) -> int:
     """Characters of a line of the terminal, or of what COLUMNS says; ``otherwise`` where neither is known."""
     return shutil.get_terminal_size((otherwise, 24)).columns
+
+
+def folded(text: str, width: int) -> list[str]:
+    """A sentence in lines of a terminal; the second and later ones are set in."""
+    return wrap(text, width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[int]]:

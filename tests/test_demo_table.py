@@ -53,6 +53,8 @@ def summary(reaches):
         "seed": 0,
         "tolerance_mm": 1.0,
         "attitude_tolerance_deg": 10.0,
+        "quick": False,
+        "matters": ["On qiao2026 this changes no pick.", "On orchard it does."],
     }
 
 

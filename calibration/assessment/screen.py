@@ -11,7 +11,7 @@ import numpy as np
 
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.model.lens import LENS_NAMES
-from pickenv.texts import screen_width, side_by_side
+from pickenv.texts import folded, screen_width, side_by_side
 
 UNBOUNDED = 100_000
 """Characters of a line that goes elsewhere than to a terminal."""
@@ -81,11 +81,6 @@ class Block:
 def over(sizes: Sequence[int], width: int) -> int:
     """By how many characters columns of these sizes, each with two before it, are wider than a line."""
     return sum(sizes) + 2 * len(sizes) - width
-
-
-def folded(text: str, width: int) -> list[str]:
-    """A sentence in lines of a terminal; the second and later ones are set in."""
-    return wrap(text, width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def main_parts(absorbed: Mapping[str, float]) -> dict[str, float]:

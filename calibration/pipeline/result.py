@@ -25,7 +25,6 @@ from pickenv.calibration.assessment.screen import (
     UNBOUNDED,
     Block,
     figure,
-    folded,
     main_parts,
     unit_of,
     unknowns_in,
@@ -56,7 +55,7 @@ from pickenv.calibration.reading.read import NoiseFloor
 from pickenv.calibration.residuals.gate import GateReport
 from pickenv.extras import require
 from pickenv.intervals import Ends
-from pickenv.texts import screen_width
+from pickenv.texts import folded, screen_width
 
 SIGMAS = 2.0
 """A parameter has moved where its change is more than so many of its standard deviations."""

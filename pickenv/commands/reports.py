@@ -21,7 +21,7 @@ def figures(
     out: Annotated[Path | None, typer.Option(help="Folder for the figures; RUN/figures if left out.")] = None,
     formats: Annotated[str, typer.Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
 ) -> None:
-    """Draw every figure that a run's numbers allow, for papers and reports; what is left out, and what looks wrong."""
+    """Draw every figure that a run's numbers allow, for papers and reports; say what is left out or looks wrong."""
     from pickenv.inspect.figures.figure_lint import linting
     from pickenv.inspect.figures.run_drawings import NotDrawn, write_drawings
     from pickenv.inspect.reports.run_pages import drawings_of

@@ -84,8 +84,11 @@ def print_table(
             title=escape(title) if number == 0 else None,
             caption=escape(caption) or None if number == len(parts) - 1 else None,
         )
+        spare = room - 1 - sum(least[i] + 3 for i in part)
         for i in part:
-            table.add_column(escape(names[i]), justify="left" if names[i] in words else "right", min_width=least[i])
+            size = least[i] + max(0, min(spare, whole[i] - least[i]))
+            spare -= size - least[i]
+            table.add_column(escape(names[i]), justify="left" if names[i] in words else "right", width=size)
         for row in lines:
             table.add_row(*(escape(row[i]) for i in part))
         console.print(table)

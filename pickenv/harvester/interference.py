@@ -7,6 +7,8 @@ alone it moves up and down. So only excursions, from rest out to a fruit and bac
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,20 +20,18 @@ Flags = NDArray[np.bool_]
 
 def segment_distance(p: ArrayLike, q: ArrayLike, r: ArrayLike, s: ArrayLike) -> Array:
     """Distance between the segments p-q and r-s in the plane; all (..., 2), broadcast."""
-    p, q, r, s = (np.asarray(point, dtype=float) for point in (p, q, r, s))
-    ends = np.minimum(
-        np.minimum(_point_segment(p, r, s), _point_segment(q, r, s)),
-        np.minimum(_point_segment(r, p, q), _point_segment(s, p, q)),
-    )
-    crossing = (_side(p, q, r) * _side(p, q, s) < 0) & (_side(r, s, p) * _side(r, s, q) < 0)
-    return np.asarray(np.where(crossing, 0.0, ends))
+    ends = np.stack(np.broadcast_arrays(p, q, r, s)).astype(float)
+    start, end = ends[[2, 2, 0, 0]], ends[[3, 3, 1, 1]]  # of the other segment
+    gaps, sides = _point_segment(ends, start, end).min(axis=0), _side(start, end, ends)
+    crossing = (sides[0] * sides[1] < 0) & (sides[2] * sides[3] < 0)
+    return np.asarray(np.where(crossing, 0.0, gaps))
 
 
 def _point_segment(point: Array, a: Array, b: Array) -> Array:
     along = b - a
     square = (along * along).sum(axis=-1)
     share = ((point - a) * along).sum(axis=-1) / np.maximum(square, 1e-18)
-    gap = point - a - np.clip(share, 0.0, 1.0)[..., None] * along
+    gap = point - a - np.minimum(np.maximum(share, 0.0), 1.0)[..., None] * along
     return np.asarray(np.hypot(gap[..., 0], gap[..., 1]))
 
 
@@ -44,8 +44,17 @@ def _side(a: Array, b: Array, c: Array) -> Array:
 def plan(machine: Machine, slaves: ArrayLike) -> tuple[Array, Array]:
     """Pivot and cup of every slave in plan, seen in the master's frame: x right, y ahead; (..., arms, 2) each."""
     swing, d6 = np.asarray(slaves, dtype=float)[..., 1], np.asarray(slaves, dtype=float)[..., 2]
-    pivot = np.stack(np.broadcast_arrays(machine.offsets, np.zeros_like(swing)), axis=-1)
-    return pivot, pivot + np.stack([-d6 * np.sin(swing), d6 * np.cos(swing)], axis=-1)
+    pivot, cup = np.zeros((2, *swing.shape, 2))
+    pivot[..., 0] = machine.offsets
+    cup[..., 0], cup[..., 1] = machine.offsets - d6 * np.sin(swing), d6 * np.cos(swing)
+    return pivot, cup
+
+
+@lru_cache(maxsize=8)
+def pairs_of(arms: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and second arm of each pair."""
+    first, second = np.triu_indices(arms, 1)
+    return first, second
 
 
 def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
@@ -55,7 +64,7 @@ def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
     """
     slaves = np.asarray(slaves, dtype=float)
     pivot, cup = plan(machine, slaves)
-    i, j = np.triu_indices(machine.arms, 1)
+    i, j = pairs_of(machine.arms)
     level = segment_distance(pivot[..., i, :], cup[..., i, :], pivot[..., j, :], cup[..., j, :])
     return np.asarray(np.hypot(level, slaves[..., i, 0] - slaves[..., j, 0]))
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Geometry, Plant, Pose, forward, load_plant
+from pickenv.arm.kinematics.backend import ONE
+from pickenv.arm.kinematics.forward import Frame, Scalar, attach, split_joints
 from pickenv.arm.plant.plant import EFFECTS
 from pickenv.errors import InputError
 from pickenv.harvester.machine import SHIPPED, Machine, MachineFile, composed, shifted
@@ -72,10 +74,19 @@ class TrueMachine:
 
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
         """True cups (..., arms, 3) for commands (..., 3) and (..., arms, 3), without the spread of repeated stops."""
-        slaves = np.asarray(slaves, dtype=float)
-        base = self.frame3(master)
-        found = [composed(base, plant.tool_pose(slaves[..., i, :])).position for i, plant in enumerate(self.slaves)]
-        return np.stack(found, axis=-2)
+        master, slaves = np.asarray(master, dtype=float), np.asarray(slaves, dtype=float)
+        if master.size == 3:
+            cups = self._cups(ONE, master.ravel().tolist(), slaves.reshape(-1, 3).tolist())
+            return np.array(cups).reshape(slaves.shape)
+        arms = [split_joints(3, slaves[..., i, :]) for i in range(len(self.slaves))]
+        cups = self._cups(np, split_joints(3, master), arms)
+        return np.stack([np.stack(np.broadcast_arrays(*cup), axis=-1) for cup in cups], axis=-2)
+
+    def _cups(self, m: Any, master: Sequence[Scalar], slaves: Sequence[Sequence[Scalar]]) -> list[Frame]:
+        """True cups, component by component."""
+        base = self.master.tool_frame(m, master)
+        plants = zip(self.slaves, slaves, strict=True)
+        return [attach(base, plant.tool_frame(m, joints))[9:] for plant, joints in plants]
 
     def picking_tips(self, master: Array, arm: Array, joints: Array) -> Array:
         """True cups of picks (picks, 3), without the spread of repeated stops.

@@ -223,7 +223,7 @@ class GapScalingVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructor
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin episodes."""
-        self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]  # as gymnasium's own vectors take it
+        self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         return self.scaling.shown(self.raw), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -307,10 +307,9 @@ def scaled_reach_vector(**arguments: Any) -> GapScalingVector:
 def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> tuple[Scaling, float]:
     """The scaling that suits an environment, and the largest size of an action's numbers that it takes."""
     task = getattr(env.unwrapped, "task", None)
-    found = None if task is None else Scaling(task.joints, task.camera, actions=actions)
-    if task is None or found is None or space.shape != (found.inputs,):
+    if task is None or space.shape != (Scaling(task.joints, task.camera).inputs,):
         raise InputError("GapScaling reads flat observations; wrap a pickenv/Reach-v0 environment")
-    return found, task.most_action
+    return Scaling(task.joints, task.camera, actions=actions), task.most_action
 
 
 def _scaled_space(scaling: Scaling) -> spaces.Box:

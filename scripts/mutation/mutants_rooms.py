@@ -96,7 +96,7 @@ ROOMS = {
         "autoreset streams compensation_vector vector",
     ),
     "wrappers": room(
-        "pickenv/wrappers", "compensation sb3", "tests/envs", "compensation_wrapper compensation_vector sb3"
+        "pickenv/wrappers", "compensation sb3 gap", "tests/envs", "compensation_wrapper compensation_vector sb3"
     ),
     "orchard": room(
         "pickenv/orchard",
@@ -111,7 +111,7 @@ ROOMS = {
         "plans_by_hand clock_by_hand pick_point true_machine assignment",
     ),
     "policies": room(
-        "agents/policies", "servo adaptive scripted gap", "tests/agents", "policies_by_hand scripted policies learned"
+        "agents/policies", "servo adaptive scripted", "tests/agents", "policies_by_hand scripted policies learned"
     ),
     "rollouts": room("agents/evaluation", "rollout reaches", "tests/agents", "policies_by_hand evaluation"),
     "yields": room(
@@ -246,7 +246,7 @@ ROOMS = {
         "pickenv/inspect/figures",
         "field_figure plot_harvest plot_pixels plot_policies plot_conditions plot_slices",
         "tests/inspect/figures",
-        "figure_numbers pixel_errors figures",
+        "figure_numbers pixel_errors",
         most=SECOND,
     ),
     "reports": room(
@@ -254,6 +254,6 @@ ROOMS = {
         "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
         "reports/calibration_report reports/report_words",
         "tests/inspect",
-        "runs/summary_numbers figures/figure_numbers figures/figures figures/page_numbers calibration_report report",
+        "runs/summary_numbers figures/figure_numbers figures/page_numbers calibration_report report",
     ),
 }

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Box
 from scipy.spatial.transform import Rotation
 
 from pickenv.agents.evaluation.rollout import MOST_ROWS, Rollout, roll_out
@@ -192,7 +193,7 @@ def test_each_arm_of_a_batch_notes_its_own_pictures_and_goes_to_its_own_joints(m
 
 
 def test_random_actions_are_even_from_minus_one_to_one():
-    env = SimpleNamespace(unwrapped=SimpleNamespace(increment=np.zeros(4)))
+    env = SimpleNamespace(action_space=Box(-1.0, 1.0, (4,)))
     actions = RandomReach(env, np.random.default_rng(0)).act(np.zeros((5000, 16)))
     assert actions.shape == (5000, 4) and actions.dtype == np.float32
     assert np.abs(actions).max() <= 1.0 and actions.min() < -0.999 and actions.max() > 0.999

@@ -13,7 +13,10 @@ from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 
 import pickenv  # noqa: F401
+from pickenv.agents.policies.foreign import foreign_policy
 from pickenv.agents.training.hyperparams import class_named, tuned
+from pickenv.envs.reaching.vector import ReachVectorEnv
+from pickenv.wrappers import make_sb3_vec
 
 ROOT = Path(__file__).parents[2]
 ALGORITHMS = {"ppo": PPO, "sac": SAC, "tqc": TQC}
@@ -56,9 +59,24 @@ def test_parameters_start_a_training_in_single_environments(name: str, env_id: s
 @pytest.mark.parametrize(("name", "env_id"), [("ppo", "pickenv/Reach-v0"), ("sac", "pickenv/ReachGoal-v0")])
 def test_rl_zoo_itself_reads_them(name: str, env_id: str, tmp_path: Path) -> None:
     pytest.importorskip("rl_zoo3")
-    command = [sys.executable, "-W", "ignore", "-m", "rl_zoo3.cli", "train", "--algo", name, "--env", env_id]
+    command = [sys.executable, "-W", "ignore", "-m", "rl_zoo3.train", "--algo", name, "--env", env_id]
     options = ["--gym-packages", "pickenv", "--conf-file", f"pickenv.zoo.hyperparams.{name}", "-f", str(tmp_path)]
     short = ["--n-timesteps", "4000", "--eval-freq", "-1", "--device", "cpu", "--seed", "0"]
     done = subprocess.run([*command, *options, *short], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert list(tmp_path.rglob(f"{env_id.partition('/')[2]}.zip"))
+
+
+def test_a_saved_model_of_the_scaled_task_acts_outside_as_it_does_inside(tmp_path: Path) -> None:
+    """To the bit, from the zip alone, on the environments that policies are compared in."""
+    scaled = make_sb3_vec("pickenv/ReachScaled-v0", 3)
+    model = PPO("MlpPolicy", scaled, n_steps=8, batch_size=24, n_epochs=1, seed=0, device="cpu")
+    model.save(tmp_path / "mine.zip")
+    bare = ReachVectorEnv(3)
+    policy = foreign_policy(tmp_path / "mine.zip", bare, 0)
+    seen, raw = scaled.envs.reset(seed=5)[0], bare.reset(seed=5)[0]
+    for _ in range(10):
+        action, _ = model.predict(seen, deterministic=True)
+        seen, _, _, _, inside = scaled.envs.step(action)
+        raw, _, _, _, outside = bare.step(policy.act(raw))
+        np.testing.assert_array_equal(inside["position_error_mm"], outside["position_error_mm"])

@@ -10,6 +10,8 @@ import pytest
 
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_env import HarvestEnv
+from pickenv.envs.harvesting.harvest_task import harvest_spaces, make_harvest_task
+from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
 from pickenv.errors import InputError
 from pickenv.harvester.picking import Luck
 
@@ -45,6 +47,7 @@ def begin(monkeypatch):
             "reachable": np.ones((1, len(offsets)), dtype=bool),
         }
         env.state = replace(env.state, **(usual | {key: np.array([value]) for key, value in changes.items()}))
+        env.state.left = batch.work_left(env.task, env.state)
         return env
 
     return build
@@ -125,6 +128,7 @@ def test_an_empty_cup_has_tried_and_looks_again(begin, luck):
     """The fruit hangs 7 mm off, where the gatherer takes 1 - (7 - 5)/5 = 0.6 of them; it was believed at 30 mm."""
     env = begin([[0.007, 0.0, 0.0], FAR], luck=luck, reachable=[True, False])
     env.state.believed[0, 0, 0] += 0.023
+    env.state.left = batch.work_left(env.task, env.state)
     _, reward, over, _, info = env.step(action())
     assert reward == pytest.approx((0.030 - 0.007) / 2 - 0.005)
     assert counters(info) == (0, 0, 1, 0, False) and not over
@@ -291,7 +295,7 @@ def test_the_observation_is_right_of_ahead_of_and_above_frame_3(begin):
 
 def test_a_zone_is_drawn_where_the_class_says():
     """0.7 x 0.4 x 0.55 m on the tree's side, 1.0 to 1.4 m away; the master at its pick point, the slaves at rest."""
-    task = batch.make_harvest_task(fruit=40)
+    task = make_harvest_task(fruit=40)
     state = batch.begin_zones(task, [np.random.default_rng(seed) for seed in range(60)])
     size = state.fruit.max(axis=1) - state.fruit.min(axis=1)
     assert (size <= [0.7, 0.4, 0.55]).all() and (size.mean(axis=0) > 0.9 * np.array([0.7, 0.4, 0.55])).all()
@@ -310,11 +314,11 @@ def test_a_zone_is_drawn_where_the_class_says():
 
 
 def test_what_is_made_of_nothing_said_is_li_s_machine_as_built_before_eight_fruit():
-    task = batch.make_harvest_task()
+    task = make_harvest_task()
     machine = task.machine
     assert (machine.arms, task.fruit, task.lead) == (3, 8, 10) and machine.spacing == pytest.approx(0.35)
     slaves = JOINTS[3:].reshape(1, 3, 3)
-    ideal = batch.make_harvest_task(ideal=True)
+    ideal = make_harvest_task(ideal=True)
     for made, off in ((task, True), (HarvestEnv().task, True), (ideal, False), (HarvestEnv(ideal=True).task, False)):
         error = made.true.tips(JOINTS[None, :3], slaves)[0] - machine.tips(JOINTS[:3], slaves[0])
         assert (np.linalg.norm(error, axis=1) > 1e-3).all() == off and (np.abs(error).max() > 1e-9) == off
@@ -338,7 +342,7 @@ def test_the_guard_watches_every_pair_of_neighbours(slaves):
 
 
 def test_the_spaces_have_room_for_joints_blades_fruit_and_what_else_is_asked():
-    seen, acted = batch.spaces(batch.make_harvest_task(slaves=2, fruit=2), extra=3)
+    seen, acted = harvest_spaces(make_harvest_task(slaves=2, fruit=2), extra=3)
     assert seen.high.tolist() == [1.0] * 11 + [2.0, 2.0, 2.0, 1.0] * 2 + [1.0] * 3
     assert seen.low.tolist() == [-1.0] * 9 + [0.0] * 2 + [-2.0, -2.0, -2.0, 0.0] * 2 + [0.0] * 3
     assert acted.high.tolist() == [1.0] * 9 and acted.low.tolist() == [-1.0] * 9
@@ -356,3 +360,34 @@ def test_a_zone_has_one_to_forty_fruit():
     for fruit in (0, 41, 2.0, True):
         with pytest.raises(InputError, match="whole number from 1 to 40"):
             HarvestEnv(fruit=fruit)
+
+
+def test_fruit_and_joints_are_as_asked_for_alone_and_among_many():
+    env, several = HarvestEnv(fruit=3), HarvestVectorEnv(2, fruit=3)
+    env.reset(seed=0)
+    fruit, start = env.state.fruit[0] + [0.02, 0.0, 0.01], env.state.joints[0].copy()
+    start[0] += 0.05
+    options = {"fruit": fruit, "start_joints": start}
+    seen, _ = env.reset(seed=7, options=options)
+    many, _ = several.reset(seed=7, options=options)
+    np.testing.assert_array_equal(many[0], seen)
+    np.testing.assert_array_equal(several.state.fruit, np.stack([fruit, fruit]))
+    np.testing.assert_array_equal(several.state.joints, np.stack([start, start]))
+    each = np.stack([fruit, fruit + 0.01])
+    several.reset(options={"fruit": each, "reset_mask": np.array([False, True])})
+    np.testing.assert_array_equal(several.state.fruit, each)
+    still = np.zeros((2, env.task.machine.joints))
+    np.testing.assert_array_equal(several.step(still)[0][0], env.step(still[0])[0])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"fruit": np.zeros((2, 3))}, r"fruit has shape \(2, 3\); give finite numbers of shape \(3, 3\)"),
+        ({"start_joints": "home"}, "start_joints is 'home'; give numbers"),
+        ({"start_joints": [99.0] * 12}, "outside the joint limits"),
+    ],
+)
+def test_zones_that_cannot_be_are_refused(options, said):
+    with pytest.raises(InputError, match=said):
+        HarvestEnv(fruit=3).reset(seed=0, options=options)

@@ -20,6 +20,7 @@ from pickenv.harvester.trees import load_orchard
 from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine
 from pickenv.harvester.zones import load_grid
 from pickenv.inspect.recordings.harvest_recording import FATES, inspect_harvest
+from pickenv.inspect.runs.harvest_trace import picked_tree
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +92,32 @@ def test_cups_reach_their_fruit_and_distances_are_theirs(reading: Any, harvest: 
     home = np.broadcast_to(true.machine.slave_home, (1, true.machine.arms, 3))
     first = [reading.values(f"/distance/{pair}", "Scalars:scalars")[0] for pair in ("1_2", "1_3", "2_3")]
     np.testing.assert_allclose(first, 1e3 * arm_distances(true.machine, home)[0])
+
+
+def test_what_a_run_keeps_of_a_tree_is_its_rounds_one_after_another(harvest: Harvest) -> None:
+    kept, pick = picked_tree(harvest), 0
+    assert (kept.seconds, len(kept.zones)) == (harvest.seconds, len(harvest.rounds))
+    for name in ("collected", "by_arm"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(harvest, name))
+    np.testing.assert_array_equal(kept.fruit, harvest.tree.fruit)
+    for k, one in enumerate(harvest.rounds):
+        zone = one.zone
+        assert kept.zones[k].tolist() == [zone.left, zone.right, zone.bottom, zone.top]
+        assert kept.stands[k].tolist() == [one.begin, one.begin + one.times.makespan]
+        for i in range(len(one.fruit)):
+            told = [getattr(kept, name)[pick] for name in ("arm", "start", "end", "held", "got")]
+            times = one.times
+            assert told == [
+                times.arm[i],
+                one.begin + times.start[i],
+                one.begin + times.end[i],
+                times.held[i],
+                one.outcome.collected[i],
+            ]
+            pick += 1
+    assert pick == len(kept.arm) == len(kept.got) > 5 and 0 < kept.got.sum() < pick
+    none = picked_tree(replace(harvest, rounds=[]))
+    assert (none.zones.shape, none.stands.shape, none.arm.shape) == ((0, 4), (0, 2), (0,))
 
 
 def test_a_harvest_of_nothing_is_refused(true: TrueMachine, harvest: Harvest, tmp_path: Path) -> None:

@@ -149,8 +149,19 @@ def test_without_a_screen_there_is_one_sentence(recording: Path, monkeypatch: py
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(InputError, match="no screen to open a viewer on"):
+    with pytest.raises(InputError, match=r"no screen to open a viewer on .* `pickenv inspect RUN --web`"):
         inspect(recording)
+
+
+def test_the_viewer_is_this_pythons_and_keeps_to_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package that is seen from another folder has no program beside this Python; and telemetry is off."""
+    monkeypatch.delenv("CI", raising=False)
+    monkeypatch.delenv("FORCE_RERUN_ANALYTICS", raising=False)
+    said = subprocess.run([*live.rerun_program(), "--version"], capture_output=True, text=True, check=True).stdout
+    assert "0.41" in said and live.rerun_program()[:2] == [sys.executable, "-m"]
+    assert live.viewer_environment() == {**os.environ, "CI": "1"}
+    monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
+    assert live.viewer_environment() == dict(os.environ)
 
 
 def test_one_way_of_showing_at_a_time(recording: Path) -> None:
@@ -174,7 +185,7 @@ def pickenv_inspect(*arguments: str) -> Iterator[subprocess.Popen[str]]:
         yield process
     finally:
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=600)
+        assert process.communicate(timeout=600)[1] == "ended: the recording is no longer served\n"
 
 
 def taken_elsewhere(port: int) -> bool:
@@ -223,6 +234,12 @@ def test_web_serves_a_page_on_this_machine_alone_and_ends_with_ctrl_c(recording:
         for port in ports:
             listening(port)
             assert not taken_elsewhere(port)
+        foreign = urllib.request.Request(f"http://127.0.0.1:{ports[0]}/", headers={"Host": "pickenv.example"})
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(foreign, timeout=60.0)
+        with urllib.request.urlopen(address.partition("?")[0], timeout=60.0) as reply:
+            policy = reply.headers["Content-Security-Policy"]
+        assert re.findall(r"https?://\S+", policy) == [f"http://127.0.0.1:{ports[1]}"]  # and nobody else is asked
     assert process.returncode == 130
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(address.partition("?")[0], timeout=60.0)
@@ -235,7 +252,19 @@ def test_a_recording_is_served_to_this_machine_alone(recording: Path) -> None:
         assert f"rerun+http://127.0.0.1:{port}/proxy" in process.stdout.readline()
         listening(port)
         assert not taken_elsewhere(port)
+        allowed = {origin: allows(port, origin) for origin in ("https://pickenv.example", "http://127.0.0.1:8000")}
+        assert allowed == {"https://pickenv.example": None, "http://127.0.0.1:8000": "http://127.0.0.1:8000"}
     assert process.returncode == 130
+
+
+def allows(port: int, origin: str) -> str | None:
+    """Which site a browser may let read the recording, when a page of ``origin`` asks for it."""
+    address = f"http://127.0.0.1:{port}/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
+    headers = {"Origin": origin, "Access-Control-Request-Method": "POST"}
+    with urllib.request.urlopen(
+        urllib.request.Request(address, method="OPTIONS", headers=headers), timeout=60.0
+    ) as reply:
+        return reply.headers["Access-Control-Allow-Origin"]
 
 
 def test_what_is_served_while_it_grows_is_served_to_this_machine_alone() -> None:

@@ -48,6 +48,8 @@ def test_every_public_name_has_an_entry(site: Path) -> None:
             missing += [f"{module.__name__}.{name}"] if not entries.intersection(homes) else []
     assert missing == []
     assert len(entries) > 200
+    faces = {path.parent.name for path in (ROOT / "pickenv").glob("*/__init__.py") if "__all__" in path.read_text()}
+    assert faces == set(ROOMS)
 
 
 def test_every_environment_has_its_card(site: Path) -> None:
@@ -73,6 +75,31 @@ def test_every_link_between_pages_has_a_target_and_no_page_is_heavy(site: Path) 
                 assert anchor in anchors[target] or page.name in ("search.html", "genindex.html"), (
                     f"{page.name}: {link}"
                 )
+
+
+NOTEBOOKS = sorted(
+    str(page.relative_to(ROOT / "docs").with_suffix(""))
+    for page in (ROOT / "docs").rglob("*.md")
+    if "_build" not in page.parts and "```{code-cell}" in page.read_text(encoding="utf-8")
+)
+
+
+def test_every_notebook_was_executed(site: Path) -> None:
+    assert len(NOTEBOOKS) >= 6
+    for name in NOTEBOOKS:
+        source = (ROOT / f"docs/{name}.md").read_text(encoding="utf-8")
+        text = (site / f"{name}.html").read_text(encoding="utf-8")
+        assert text.count("cell_input") >= source.count("```{code-cell}"), name
+        assert "cell_output" in text and "Traceback" not in text, name
+        assert text.count("<img") >= source.count("plt.show()") + source.count("%matplotlib inline") > 0, name
+
+
+def test_everything_shipped_has_a_card(site: Path) -> None:
+    cards = site / "_generated/cards"
+    assert {page.stem for page in (cards / "policies").glob("*.html")} == set(pickenv.agents.shipped_baselines())
+    for kind, shipped in (("arms", pickenv.arm.shipped_arms()), ("plants", pickenv.arm.shipped_plants())):
+        text = (cards / f"{kind}.html").read_text(encoding="utf-8")
+        assert [name for name in shipped if f">{name}<" not in text] == [], kind
 
 
 def test_the_version_is_shown(site: Path) -> None:

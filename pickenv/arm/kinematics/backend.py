@@ -6,11 +6,20 @@ Numbers of a plant may be plain floats while the joints are arrays; functions of
 from __future__ import annotations
 
 import math
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from pickenv.arm.kinematics.forward import Scalar
+
+ONE: Any = SimpleNamespace(
+    sin=lambda angle: float(np.sin(angle)),
+    cos=lambda angle: float(np.cos(angle)),
+    sqrt=math.sqrt,
+    clip=lambda value, low, high: min(max(value, low), high),
+)
+"""Floats with NumPy's sine and cosine: one pose gets the bits that it has among many in arrays, without their cost."""
 
 
 def namespace_of(m: ModuleType, value: Scalar) -> ModuleType:

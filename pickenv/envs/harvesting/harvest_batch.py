@@ -7,129 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Annotated
 
 import numpy as np
-from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
+from pickenv.envs.harvesting.harvest_task import HarvestTask
+from pickenv.envs.harvesting.harvest_zone import AS_DRAWN, GivenZones, drawn_zone
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.envs.shared.task import MOST_ACTION, Compensate, check_choice, check_number
+from pickenv.envs.shared.task import Compensate
 from pickenv.errors import InputError
-from pickenv.harvester.interference import arm_distances
-from pickenv.harvester.machine import Machine, load_machine
+from pickenv.harvester.interference import arm_distances, pairs_of
 from pickenv.harvester.pick_point import pick_point
-from pickenv.harvester.picking import Picking, attempt, draw_luck, load_picking, pushes
-from pickenv.harvester.trees import SHIPPED, Orchard, lab_zone, load_orchard, tree_leaves
-from pickenv.harvester.true_machine import TrueMachine, load_true_machine
-from pickenv.harvester.zones import AHEAD
-from pickenv.orchard import Eyes, Sight, Viewpoint, fruit_masses, load_eyes, sample_diameters, see, swing
-from pickenv.toml_tables import MM, NUMBER, read, toml_table
+from pickenv.harvester.picking import attempt, draw_luck, pushes
+from pickenv.orchard import fruit_masses, swing
 
 HANGING, COLLECTED, LOST = 0, 1, 2
 
 Flags = NDArray[np.bool_]
-
-
-@toml_table
-class Rules:
-    """When a cup tries a fruit, what is shown, and what costs; see [task] of picking.toml.
-
-    Attributes:
-        sensor: Height within which the position sensor finds a fruit in the cup, m.
-        rearm: A cup that tried a fruit tries again only after going this far away from it, m.
-        shown: Largest offset that an observation shows, m.
-        guard_cost: Reward lost for each arm that the guard holds.
-        period_cost: Reward lost in each period.
-        motion_cost: Reward lost in a period in which all joints move as fast as they can.
-    """
-
-    sensor: Annotated[float, MM.positive]
-    rearm: Annotated[float, MM.positive]
-    shown: Annotated[float, MM.positive]
-    guard_cost: Annotated[float, NUMBER.not_negative]
-    period_cost: Annotated[float, NUMBER.not_negative]
-    motion_cost: Annotated[float, NUMBER.not_negative]
-
-
-@lru_cache(maxsize=1)
-def load_rules() -> Rules:
-    """Read the rules of the task."""
-    return read(Rules, SHIPPED, section="task")
-
-
-@dataclass(frozen=True, eq=False)
-class HarvestTask:
-    """What stays the same over episodes.
-
-    Attributes:
-        machine: The machine as drawn.
-        true: The machine as built.
-        model: What becomes of attempts.
-        rules: When a cup tries a fruit, what is shown, and what costs.
-        orchard: Where fruit hangs and how big it is.
-        eyes: How it is seen.
-        fruit: Fruit in a zone.
-        most_action: Largest size of an action's numbers that is taken.
-    """
-
-    machine: Machine
-    true: TrueMachine
-    model: Picking
-    rules: Rules
-    orchard: Orchard
-    eyes: Eyes
-    fruit: int
-    most_action: float
-
-    @cached_property
-    def increment(self) -> Array:
-        """Largest increment of each joint in one period."""
-        return self.machine.speed * CONTROL_PERIOD
-
-    @cached_property
-    def lead(self) -> int:
-        """Periods that sensing and cutting take."""
-        return int(np.ceil((self.machine.cycle.sense + self.machine.cycle.cut) / CONTROL_PERIOD - 1e-9))
-
-    @cached_property
-    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Smallest and largest observation."""
-        box = spaces(self)[0]
-        return box.low, box.high
-
-
-def make_harvest_task(
-    slaves: int | None = None,
-    spacing_mm: float | None = None,
-    fruit: int = 8,
-    ideal: bool = False,
-    vision: str = "measured_errors",
-    detector: str = "li2016",
-    canopy: str | None = None,
-    out_of_range: str = "clip",
-) -> HarvestTask:
-    """Check the arguments of an environment and read its files.
-
-    Raises:
-        InputError: If one of them is impossible.
-    """
-    check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
-    if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
-        raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
-    if spacing_mm is not None:
-        check_number("spacing_mm", spacing_mm, positive=True)
-    machine = load_machine(slaves=slaves, spacing=None if spacing_mm is None else spacing_mm * 1e-3)
-    true = load_true_machine(machine)
-    if ideal:
-        true = true.ideal()
-    orchard = load_orchard(canopy=canopy)
-    eyes = load_eyes(vision, orchard.canopy, detector)
-    most = MOST_ACTION[out_of_range]
-    return HarvestTask(machine, true, load_picking(), load_rules(), orchard, eyes, fruit, most)
 
 
 @dataclass(eq=False)
@@ -155,6 +51,7 @@ class HarvestState:
         held: Arms that the guard held in the last period.
         closest: Least distance between two arms' centre lines so far, m.
         attempts: Attempts so far.
+        left: `work_left` as it stands, m.
     """
 
     joints: Array
@@ -175,6 +72,7 @@ class HarvestState:
     held: NDArray[np.int64]
     closest: Array
     attempts: NDArray[np.int64]
+    left: Array
 
     @property
     def moved(self) -> Array:
@@ -187,27 +85,29 @@ class HarvestState:
             mine[rows] = theirs
 
 
-ATTEMPTS = 100
-"""Draws of a zone until some of its fruit is located."""
-
-
-def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> HarvestState:
-    """Draw a zone for each generator; the master stands at its pick point, the slaves rest.
+def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator], given: GivenZones = AS_DRAWN) -> HarvestState:
+    """Draw a zone for each generator; the master stands at its pick point, the slaves rest, or as is asked for.
 
     Raises:
-        InputError: If the cameras find no fruit in many zones.
+        InputError: If the cameras find no fruit in many zones, or arms stand too near each other.
     """
     machine, n, wanted = task.machine, len(rngs), task.fruit
     fruit, believed, still = np.zeros((3, n, wanted, 3))
     located = np.zeros((n, wanted), dtype=bool)
     diameters, joints = np.empty((n, wanted)), np.empty((n, machine.joints))
     for i, rng in enumerate(rngs):
-        fruit[i], diameters[i], sight = _drawn_zone(task, rng)
+        asked = None if given.fruit is None else given.fruit[i]
+        fruit[i], diameters[i], sight = drawn_zone(task, rng, asked)
         believed[i], located[i] = sight.believed, sight.located
+        if given.joints is not None:
+            joints[i] = given.joints[i]
+            continue
         master = pick_point(machine, sight.believed[sight.located]).master
         joints[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
+    if given.joints is not None and (distances(task, joints) < machine.body.clearance).any():
+        raise InputError("option start_joints brings two arms nearer than the guard lets them; move them apart")
     reachable = np.asarray(machine.reach(joints[:, :3], believed).any(axis=1)) & located
-    return HarvestState(
+    begun = HarvestState(
         joints=joints,
         fruit=fruit,
         shift=still,
@@ -226,24 +126,10 @@ def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator]) -> Harve
         held=np.zeros(n, dtype=np.int64),
         closest=distances(task, joints),
         attempts=np.zeros(n, dtype=np.int64),
+        left=np.zeros(n),
     )
-
-
-def _drawn_zone(task: HarvestTask, rng: np.random.Generator) -> tuple[Array, Array, Sight]:
-    """Fruit (fruit, 3) and diameters of a zone in which some of it is located, and how it is seen."""
-    machine, canopy = task.machine, task.orchard.canopy
-    zone = lab_zone(canopy)
-    low, high = canopy.bottom - machine.base_height, canopy.top - machine.base_height - zone[2]
-    for _ in range(ATTEMPTS):
-        x = rng.uniform(-0.5, 0.5) * (canopy.width - zone[0])
-        corner = np.array([x - zone[0] / 2, -canopy.standoff - canopy.depth, rng.uniform(low, high)])
-        fruit = corner + zone * rng.random((task.fruit, 3))
-        diameters = sample_diameters(task.orchard.size, task.fruit, rng)
-        view = Viewpoint(np.array([x, 0.0, corner[2] + zone[2] / 2]), AHEAD)
-        sight = see(task.eyes, view, fruit, diameters, rng, leaves=tree_leaves(machine, task.eyes, rng))
-        if sight.located.any():
-            return fruit, diameters, sight
-    raise InputError(f"the cameras found no fruit in {ATTEMPTS} zones; give more fruit, or vision='ideal'")
+    begun.left = work_left(task, begun)
+    return begun
 
 
 def distances(task: HarvestTask, joints: Array) -> Array:
@@ -271,41 +157,47 @@ def step(
         compensator: Maps nominal joints of whole machines to commands.
     """
     machine = task.machine
-    before = work_left(task, state)
+    before = state.left
     wanted = actions * task.increment
-    arms_free = (state.busy == 0).repeat(3, axis=1)
-    wanted[:, 3:] *= arms_free
-    wanted[:, :3] *= (state.busy == 0).all(axis=1)[:, None]  # the master stands while a blade cuts
-    target = np.clip(state.joints + wanted, machine.lower, machine.upper)
-    state.held = _guard(machine, state.joints, target)
+    if state.busy.any():
+        wanted[:, 3:] *= (state.busy == 0).repeat(3, axis=1)
+        wanted[:, :3] *= (state.busy == 0).all(axis=1)[:, None]  # the master stands while a blade cuts
+    target = np.minimum(np.maximum(state.joints + wanted, machine.lower), machine.upper)
+    state.held, apart = _guard(task, state.joints, target)
     state.joints = target
     state.busy = np.maximum(state.busy - 1, 0)
-    state.closest = np.minimum(state.closest, distances(task, target))
+    state.closest = np.minimum(state.closest, apart)
     state.periods = state.periods + 1
     commands = target if compensator is None else compensator(target)
     tips = task.true.tips(commands[:, :3], commands[:, 3:].reshape(len(target), machine.arms, 3))
     branch, rules = task.model.branch, task.rules
-    state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
+    if state.swing.any() or state.velocity.any():
+        state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
     collected, lost = attempts(task, state, tips, rngs)
-    progress = before - work_left(task, state)
+    state.left = work_left(task, state)
+    progress = before - state.left
     effort = np.abs(actions).mean(axis=1)
     cost = rules.guard_cost * state.held + rules.period_cost + rules.motion_cost * effort
     return np.asarray(collected - lost + progress - cost)
 
 
-def _guard(machine: Machine, start: Array, target: Array) -> NDArray[np.int64]:
-    """Hold every arm whose move would bring it too near another; changes ``target``, counts held arms."""
-    n, arms = len(start), machine.arms
+def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.int64], Array]:
+    """Hold every arm whose move would bring it too near another; changes ``target``.
+
+    Returns:
+        Arms held, and the least distance between two arms' centre lines afterwards, (machines,) each.
+    """
+    machine, n = task.machine, len(start)
+    arms = machine.arms
     held = np.zeros((n, arms), dtype=bool)
     if arms < 2:
-        return np.asarray(held.sum(axis=1))
-    i, j = np.triu_indices(arms, 1)
+        return np.asarray(held.sum(axis=1)), distances(task, target)
+    i, j = pairs_of(arms)
     old, new = start[:, 3:].reshape(n, arms, 3), target[:, 3:].reshape(n, arms, 3).copy()
-    for _ in range(arms):
-        near = np.full((n, len(i)), np.inf)
-        for share in (0.5, 1.0):
-            near = np.minimum(near, arm_distances(machine, old + share * (new - old)))
-        bad = near < machine.body.clearance
+    for _ in range(arms + 1):
+        between, after = arm_distances(machine, np.stack([old + share * (new - old) for share in (0.5, 1.0)]))
+        bad = np.minimum(between, after) < machine.body.clearance
+        bad &= ~(held[:, i] & held[:, j])
         if not bad.any():
             break
         for pair, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
@@ -313,7 +205,7 @@ def _guard(machine: Machine, start: Array, target: Array) -> NDArray[np.int64]:
             held[:, b] |= bad[:, pair]
         new = np.where(held[..., None], old, new)
     target[:, 3:] = new.reshape(n, -1)
-    return np.asarray(held.sum(axis=1))
+    return np.asarray(held.sum(axis=1)), np.asarray(after.min(axis=-1))
 
 
 def attempts(
@@ -330,13 +222,16 @@ def attempts(
     model, rules = task.model, task.rules
     offset = (state.fruit + state.moved)[:, None] - tips[:, :, None]  # (machines, arms, fruit, 3)
     lateral = np.hypot(offset[..., 0], offset[..., 1])
-    last = np.maximum(state.tried, 0)
-    away = np.linalg.norm(np.take_along_axis(offset, last[:, :, None, None], axis=2)[:, :, 0], axis=-1)
-    state.tried = np.where(away > rules.rearm, -1, state.tried)
+    if (state.tried >= 0).any():
+        last = np.maximum(state.tried, 0)
+        away = np.linalg.norm(np.take_along_axis(offset, last[:, :, None, None], axis=2)[:, :, 0], axis=-1)
+        state.tried = np.where(away > rules.rearm, -1, state.tried)
     free = (state.busy == 0) & (state.tried < 0)
     inside = (lateral < model.outer) & (np.abs(offset[..., 2]) < rules.sensor)
-    inside &= (state.status == HANGING)[:, None, :] & free[:, :, None]
     collected, lost = np.zeros((2, len(tips)))
+    if not inside.any():
+        return collected, lost
+    inside &= (state.status == HANGING)[:, None, :] & free[:, :, None]
     for machine in np.flatnonzero(inside.any(axis=(1, 2))).tolist():
         arms, some = _nearest(np.where(inside[machine], lateral[machine], np.inf))
         fruit, moved, diameters = state.fruit[machine], state.moved[machine, some], state.diameters[machine, some]
@@ -398,16 +293,8 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
     shown = pickable(state)[..., None]
     local = np.stack([right, ahead, away[..., 2]], axis=-1) * shown
     parts = [scaled, state.busy / task.lead, np.concatenate([local, shown], axis=-1).reshape(len(scaled), -1)]
-    return np.asarray(np.clip(np.concatenate(parts, axis=1), *task.bounds), dtype=np.float32)
-
-
-def spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
-    """Observation space, with room for some numbers from 0 to 1 at its end, and action space."""
-    joints, arms, most = task.machine.joints, task.machine.arms, task.rules.shown
-    high = [1.0] * (joints + arms) + [most, most, most, 1.0] * task.fruit + [1.0] * extra
-    low = [-1.0] * joints + [0.0] * arms + [-most, -most, -most, 0.0] * task.fruit + [0.0] * extra
-    observations = Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
-    return observations, Box(-1.0, 1.0, (joints,), np.float32)
+    low, high = task.bounds
+    return np.asarray(np.minimum(np.maximum(np.concatenate(parts, axis=1), low), high), dtype=np.float32)
 
 
 def information(state: HarvestState) -> dict[str, NDArray[np.generic]]:

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState
+from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
+from pickenv.envs.harvesting.harvest_zone import OPTIONS, given_zones
 from pickenv.envs.shared.drawn_env import DrawnEnv
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import Compensate, checked_action
@@ -68,6 +70,8 @@ class HarvestEnv(DrawnEnv):
     Fruit evenly in 0.7 x 0.4 x 0.55 m somewhere on the tree's side, some of it found by the cameras 1 m before the
     tree; the master at the pick point that reaches most of what was found, the slaves at rest. A cup that comes back
     empty looks again: at where the fruit hangs by then, past the same leaves, so with the same error.
+    `reset(options=...)` takes `"fruit"`, positions (fruit, 3) in m in the base frame, where the cameras look at their
+    middle, and `"start_joints"` of the whole machine (rad and m).
 
     ## Episode End
 
@@ -127,20 +131,20 @@ class HarvestEnv(DrawnEnv):
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         super().__init__(render_mode)
-        self.task: HarvestTask = batch.make_harvest_task(
+        self.task: HarvestTask = make_harvest_task(
             slaves, spacing_mm, fruit, ideal, vision, detector, canopy, out_of_range
         )
         self.compensator: Compensate | None = None
-        self.observation_space, self.action_space = batch.spaces(self.task)
+        self.observation_space, self.action_space = harvest_spaces(self.task)
         self.state: HarvestState | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Information]:
-        """Start with another zone; there are no options."""
+        """Start with another zone; see the class for `options`."""
         super().reset(seed=seed)
-        given_options(options, ())
-        self.state = batch.begin_zones(self.task, [self.np_random])
+        given = given_zones(self.task, given_options(options, OPTIONS), 1)
+        self.state = batch.begin_zones(self.task, [self.np_random], given)
         if self.render_mode == "human":
             self.render()
         return batch.observe(self.task, self.state)[0], self._information()

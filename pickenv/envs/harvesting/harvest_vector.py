@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState
 from pickenv.envs.harvesting.harvest_env import LONGEST
+from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
+from pickenv.envs.harvesting.harvest_zone import AS_DRAWN, OPTIONS, GivenZones, given_zones
 from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
 from pickenv.envs.shared.spaces import final_rows, given_mask, given_options, given_seeds
 from pickenv.envs.shared.task import Compensate, checked_action
@@ -47,12 +49,12 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """See the class."""
         if num_envs < 1:
             raise InputError(f"{num_envs} environments are impossible; give 1 or more")
-        self.task: HarvestTask = batch.make_harvest_task(**arguments)
+        self.task: HarvestTask = make_harvest_task(**arguments)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
         self.render_mode = checked_render_mode(render_mode, ("rgb_array",))
-        self.single_observation_space, self.single_action_space = batch.spaces(self.task)
+        self.single_observation_space, self.single_action_space = harvest_spaces(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.compensator: Compensate | None = None
@@ -63,11 +65,12 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Information]:
-        """Start all episodes anew, or those in ``options["reset_mask"]``."""
-        options = given_options(options, ("reset_mask",))
+        """Start all episodes anew, or those in ``options["reset_mask"]``; other options are given once, or for each."""
+        options = given_options(options, (*OPTIONS, "reset_mask"))
         mask = given_mask(options.get("reset_mask"), self.num_envs)
         self._seed(seed)
-        self._restart(np.arange(self.num_envs) if self.state is None else np.flatnonzero(mask))
+        rows = np.arange(self.num_envs) if self.state is None else np.flatnonzero(mask)
+        self._restart(rows, given_zones(self.task, options, self.num_envs, rows))
         return self._observation(), self._information()
 
     def step(
@@ -119,8 +122,8 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         given, old = given_seeds(seed, self.num_envs), self._rngs
         self._rngs = [old[i] if old and value is None else seeding.np_random(value)[0] for i, value in enumerate(given)]
 
-    def _restart(self, rows: Rows) -> None:
-        fresh = batch.begin_zones(self.task, [self._rngs[i] for i in rows])
+    def _restart(self, rows: Rows, given: GivenZones = AS_DRAWN) -> None:
+        fresh = batch.begin_zones(self.task, [self._rngs[i] for i in rows], given)
         if self.state is None:
             self.state = fresh
         else:

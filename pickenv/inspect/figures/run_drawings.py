@@ -39,7 +39,7 @@ CAPTIONS = {
     "error_against_payload": "Position error against payload.",
     "error_against_temperature": "Position error against temperature.",
     "least_squares_convergence": "What the identified arm leaves unexplained after each iteration of the least "
-    "squares.",
+    "squares; where further terms were fitted, those begin at the calibrated geometry.",
     "network_convergence": "Training loss of the network that learns what the identified arm leaves.",
     "parameter_spectrum": "What the poses tell about each parameter; those below the threshold cannot be told from "
     "others.",

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from urllib.parse import urlsplit
 
 import rerun as rr
@@ -77,10 +76,14 @@ def _start_viewer() -> None:
     if _listens(LOCAL, VIEWER_PORT):
         return
     check_screen()
-    command = [str(rerun_program()), "--bind", LOCAL, "--port", str(VIEWER_PORT), "--memory-limit", VIEWER_MEMORY]
+    command = [*rerun_program(), "--bind", LOCAL, "--port", str(VIEWER_PORT), "--memory-limit", VIEWER_MEMORY]
     quiet = subprocess.DEVNULL
     subprocess.Popen(
-        [*command, "--hide-welcome-screen", "--expect-data-soon"], stdout=quiet, stderr=quiet, start_new_session=True
+        [*command, "--hide-welcome-screen", "--expect-data-soon"],
+        env=viewer_environment(),
+        stdout=quiet,
+        stderr=quiet,
+        start_new_session=True,
     )
     deadline = time.monotonic() + START_PATIENCE
     while not _listens(LOCAL, VIEWER_PORT):
@@ -97,9 +100,22 @@ def _listens(host: str, port: int) -> bool:
     return True
 
 
-def rerun_program() -> Path:
-    """The program `rerun` of the same installation, whose version fits the recordings."""
-    return Path(sys.executable).with_name("rerun.exe" if sys.platform == "win32" else "rerun")
+def rerun_program() -> list[str]:
+    """The command that starts the installed rerun, whose version fits the recordings.
+
+    This Python's module, and not a program beside it: packages may lie elsewhere (pip --user, system site packages).
+    """
+    return [sys.executable, "-m", "rerun_cli"]
+
+
+def telemetry_wanted() -> bool:
+    """Whether the viewer may tell its makers how it is used: only where FORCE_RERUN_ANALYTICS is set."""
+    return bool(os.environ.get("FORCE_RERUN_ANALYTICS"))
+
+
+def viewer_environment() -> dict[str, str]:
+    """Environment of a viewer, which keeps to itself how it is used unless that is wanted: it sends nothing on CI."""
+    return dict(os.environ) if telemetry_wanted() else {**os.environ, "CI": "1"}
 
 
 def check_screen() -> None:
@@ -110,7 +126,8 @@ def check_screen() -> None:
     """
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError(
-            "there is no screen to open a viewer on (DISPLAY and WAYLAND_DISPLAY are not set); use a web viewer"
+            "there is no screen to open a viewer on (DISPLAY and WAYLAND_DISPLAY are not set); show it in a browser "
+            "with `pickenv inspect RUN --web`"
         )
 
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from urllib.parse import quote
 
@@ -18,7 +19,10 @@ from rerun.chunk import RrdReader
 
 from pickenv.errors import InputError
 from pickenv.inspect.recordings import live
+from pickenv.inspect.recordings.quiet_page import quiet_page
 
+BY_CTRL_C = 130
+"""Exit code of what Ctrl-C has ended, as shells have it."""
 HEADER = b"RRF"
 """First bytes of every recording; a digit and the writer's version follow."""
 
@@ -71,15 +75,16 @@ def open_web(paths: Sequence[Path]) -> None:
     """Serve recordings to a browser on this machine until interrupted, and print the address to open."""
     web, data = _free_port(), _free_port()
     source = quote(f"rerun+http://{live.LOCAL}:{data}/proxy", safe="")
-    print(f"open http://{live.LOCAL}:{web}/?url={source} in a browser; Ctrl-C ends", flush=True)
     ports = ["--port", str(data), "--web-viewer-port", str(web)]
-    _run([*map(str, paths), "--serve-web", "--bind", live.LOCAL, *ports])
+    with nullcontext(web) if live.telemetry_wanted() else quiet_page(live.LOCAL, web, data) as page:
+        print(f"open http://{live.LOCAL}:{page}/?url={source} in a browser; Ctrl-C ends", flush=True)
+        _serve([*map(str, paths), "--serve-web", "--bind", live.LOCAL, *ports])
 
 
 def serve(paths: Sequence[Path], port: int) -> None:
     """Serve recordings to viewers that connect to ``port`` of this machine, until interrupted."""
     print(f"connect with: rerun --connect rerun+http://{live.LOCAL}:{port}/proxy; Ctrl-C ends", flush=True)
-    _run([*map(str, paths), "--serve-grpc", "--bind", live.LOCAL, "--port", str(port)])
+    _serve([*map(str, paths), "--serve-grpc", "--bind", live.LOCAL, "--port", str(port)])
 
 
 def send(paths: Sequence[Path], url: str) -> None:
@@ -106,20 +111,29 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def _serve(arguments: list[str]) -> None:
+    """Run the installed rerun until it is interrupted, which is how serving ends."""
+    try:
+        _run(arguments)
+    except KeyboardInterrupt:
+        print("ended: the recording is no longer served", file=sys.stderr)
+        raise SystemExit(BY_CTRL_C) from None
+
+
 def _run(arguments: list[str]) -> None:
     """Run the installed rerun and end it, with what it started, when we end."""
     # Its log goes nowhere: on a healthy day it is a screenful that hides the one line that says where to look.
     quiet = subprocess.DEVNULL
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
-    process = subprocess.Popen([live.rerun_program(), *arguments], stdout=quiet, stderr=quiet, start_new_session=True)
+    command, environment = [*live.rerun_program(), *arguments], live.viewer_environment()
+    process = subprocess.Popen(command, env=environment, stdout=quiet, stderr=quiet, start_new_session=True)
     try:
         code = process.wait()
     except BaseException:
         _end(process)
         raise
     if code != 0:
-        command = shlex.join(["rerun", *arguments])
-        raise InputError(f"rerun ended with code {code}; what it says is shown by: {command}")
+        raise InputError(f"rerun ended with code {code}; what it says is shown by: {shlex.join(['rerun', *arguments])}")
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

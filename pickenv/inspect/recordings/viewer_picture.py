@@ -15,6 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from pickenv.inspect.recordings.live import viewer_environment
+
 WINDOW = "1600x900"
 STARTING, PATIENCE = 20.0, 60.0
 """Longest times to wait for the viewer's first answer, and until its picture stands still, s."""
@@ -58,7 +60,8 @@ def headless_viewer() -> Iterator[Any]:
     with tempfile.TemporaryDirectory() as folder:
         process = subprocess.Popen(
             [sys.executable, "-m", "rerun_cli", *options, "--port", str(port)],
-            env=os.environ | {"RERUN_APP_ONLY": "true", "XDG_RUNTIME_DIR": folder},  # it neither asks nor leaves files
+            env=viewer_environment()
+            | {"RERUN_APP_ONLY": "true", "XDG_RUNTIME_DIR": folder},  # it neither asks nor leaves files
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,

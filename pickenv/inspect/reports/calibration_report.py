@@ -27,6 +27,7 @@ from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, n
 from pickenv.inspect.reports.report_page import Bar, Folded, Page, PageTable, PageVerdict, Pair, Section, html_of
 from pickenv.inspect.reports.report_words import axis_table, named_values, parameter_words
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
+from pickenv.inspect.runs.matters import matters, pick_changes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report
 from pickenv.inspect.runs.view_errors import views_of
 
@@ -137,9 +138,17 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
     if attitudes and r.has_nominal:
         was, now = attitudes[0].mean, attitudes[-1].mean
         sentence += f" The attitude error falls from {figure(was)} to {figure(now)} deg."
-    text = "\n".join((_sentence(quality.reason), sentence, _sentence(r.frames_text)))
+    text = "\n".join((f"{_sentence(quality.reason)} {_worth(r)}".strip(), sentence, _sentence(r.frames_text)))
     findings = [(finding.weight, _sentence(finding.text)) for finding in quality.others]
     return PageVerdict(TONES[quality.grade], VERDICTS[quality.grade], text, findings)
+
+
+def _worth(r: Result) -> str:
+    """Whether the calibration changes picks, the whole error being taken for one across the tool."""
+    if r.miss_unit != "mm" or not r.has_nominal or r.pixels is not None:
+        return ""
+    mm = norms_mm(r.errors)
+    return matters(f"an arm with these errors ({r.arm.name})", pick_changes(mm[NOMINAL], list(mm.values())[-1]))
 
 
 def _tiles(r: Result) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,8 @@ from pickenv.inspect.reports.report_words import axis_table, between, estimated,
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.gripping import gripped
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
+from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
+from pickenv.inspect.runs.run_folder import Run, TakePicture, load_cases, load_part
 from pickenv.intervals import mean_interval, share_interval
 
 RECORDING = "errors.rrd"
@@ -51,6 +52,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         InputError: If a file of the run is missing or damaged.
     """
     comparison, trace = load_part(run, Comparison), load_part(run, CalibrationTrace)
+    cases = {name: [PickChange(**each) for each in case] for name, case in load_cases(run).items()}
     if not len(comparison.fruit):
         raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
@@ -59,6 +61,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     recording = run.folder / RECORDING
     sections = (
         _reaches(comparison, drawn),
+        _cases(cases),
         _field(comparison, drawn),
         _poses(comparison, trace, drawn),
         _fit(trace, calibration, drawn),
@@ -68,8 +71,8 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         report_page.Page(
             f"Calibration and picking: {comparison.plant.name}",
             f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
-            f"seed {comparison.seed}",
-            demo_verdict(comparison),
+            f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("--quick" in run.command),
+            demo_verdict(comparison, cases),
             sections,
             _origin(run, comparison, trace, calibration),
             _tiles(comparison, trace),
@@ -78,8 +81,15 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     )
 
 
-def demo_verdict(comparison: Comparison) -> report_page.PageVerdict:
-    """What the last policy's calibration is worth against the first."""
+def demo_verdict(
+    comparison: Comparison, cases: Mapping[str, Sequence[PickChange]] | None = None
+) -> report_page.PageVerdict:
+    """What the last policy's calibration is worth against the first, and whether that changes picks.
+
+    Args:
+        comparison: The reaches.
+        cases: What calibration does to picks on each plant; on the comparison's own where left out.
+    """
     first, last = comparison.policies[0], comparison.policies[-1]
     before, after = metrics.error_statistics(first.position_error_mm), metrics.error_statistics(last.position_error_mm)
     gain = first.position_error_mm - last.position_error_mm
@@ -105,18 +115,38 @@ def demo_verdict(comparison: Comparison) -> report_page.PageVerdict:
             f"This one calibration does not lower the mean position error of {before.mean:.2f} mm: it changes by "
             f"{-gain.mean():+.2f} mm ({said})."
         )
-    held = gripped(comparison)
-    grippers = "; ".join(
-        f"{name} {_expected(held[first.label].success[name])} {first.label}, {_expected(chance)} calibrated"
-        for name, chance in held[last.label].success.items()
-    )
+    lateral = [held.lateral_mm for held in gripped(comparison).values()]
+    changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
+    worth = " ".join(matters(name, changes) for name, changes in changed.items())
     return report_page.PageVerdict(
         tone,
         headline,
-        f"{removed} What remains is {_mean(after)} mm in the mean and at most {after.max:.2f} mm. {picked} of "
+        f"{removed} {worth}\nWhat remains is {_mean(after)} mm in the mean and at most {after.max:.2f} mm. {picked} of "
         f"{total} simulated reaches end within {comparison.tolerance_mm:g} mm of the fruit (95 % interval "
         f"{100 * least:.0f} to {100 * most:.0f} %, required are {100 * REQUIRED_SHARE:.0f} %), "
-        f"{within(comparison, first)} without calibration. {OF_ONE} Fruit that each gripper would take: {grippers}.",
+        f"{within(comparison, first)} without calibration. {OF_ONE}",
+    )
+
+
+def _cases(cases: Mapping[str, Sequence[PickChange]]) -> report_page.Section:
+    """Picks without and with calibration, by plant, gripper and perception error."""
+    rows = [
+        (
+            f"{plant}, {c.gripper}",
+            f"{c.perception_mm:g}",
+            *(f"{100.0 * share:.1f}" for share in (c.before, c.after)),
+            f"{100.0 * c.gain:+.1f}",
+        )
+        for plant, changes in cases.items()
+        for c in changes
+    ]
+    heads = ("arm, gripper", "fruit seen to, per axis (mm)", "taken, raw (%)", "calibrated (%)", "change (points)")
+    caption = "Share of fruit that a gripper takes, by how well the fruit is seen (standard deviation)"
+    return report_page.Section(
+        "Does it matter?",
+        [report_page.Folded(caption, [report_page.PageTable(caption, heads, rows)])] if rows else (),
+        "Each arm's own error across the tool, with an error of perception beside it; the gripper's curve says what is "
+        "taken.",
     )
 
 

@@ -39,6 +39,7 @@ PARTS: Mapping[type, str] = {
 Part = TypeVar("Part", Comparison, CalibrationTrace, HarvestTrace, RecordedEpisodes)
 ISO9283 = "iso9283.json"
 CONDITIONS = "conditions.json"
+MATTERS_FILE = "matters.json"
 REPORT = "report.html"
 STUDY = "study.toml"
 """The configuration in a study's folder, which has no `run.json`."""
@@ -263,6 +264,13 @@ def load_iso9283(run: Run) -> dict[str, Any]:
     with refusing_damage(run.folder / ISO9283, "an ISO 9283 result", f"`{run.made_by}` makes it anew"):
         found["raw"]["poses"]
     return found
+
+
+def load_cases(run: Run) -> dict[str, list[dict[str, Any]]]:
+    """What calibration does to picks on each plant of a demonstration; empty for a run that says nothing of it."""
+    if not (run.folder / MATTERS_FILE).is_file():
+        return {}
+    return _load_result(run, MATTERS_FILE, "what calibration does to picks", ())
 
 
 def load_conditions(run: Run) -> dict[str, Any]:

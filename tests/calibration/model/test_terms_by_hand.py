@@ -116,6 +116,11 @@ def test_a_recorded_payload_is_a_load_of_its_own_where_it_varies(qiao, exact, pa
     assert plain_term("gravity", qiao, data).payload == counts
 
 
+def test_up_is_the_worlds_in_the_base_of_an_arm_that_stands_tilted(qiao, exact):
+    arm = replace(qiao, nominal=turned("qiao2026"))
+    np.testing.assert_allclose(plain_term("gravity", arm, exact(qiao.true, 3)).up, arm.nominal.base.rotation[2])
+
+
 def test_without_a_recorded_payload_the_loads_own_counts():
     plant = load_plant("qiao2026")
     nominal, joints = plant.arm.nominal, random_joints(plant.arm.nominal, 5, np.random.default_rng(0))

@@ -150,6 +150,12 @@ def test_the_expansion_coefficient_is_found(dynamic: Plant) -> None:
     model = found[TERMS].model
     coefficients = dict(zip(model.parameter_names[-len(model.coefficients) :], model.coefficients, strict=True))
     assert coefficients["thermal"] == pytest.approx(EXPANSION, rel=0.12)
+    for name, each in found.items():  # the instrument stands in the base frame: base and tool stay
+        assert each.told == (name in (TOLD, BOTH)) and (each.learnt is None) == (name in ("raw", TERMS))
+        for part in ("base", "tool"):
+            own, nominal = getattr(each.model.geometry, part), getattr(dynamic.arm.nominal, part)
+            np.testing.assert_array_equal(own.position, nominal.position)
+            np.testing.assert_array_equal(own.rotation, nominal.rotation)
 
 
 def test_intervals_are_over_arms_and_there_are_none_of_few() -> None:

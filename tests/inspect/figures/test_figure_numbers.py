@@ -22,12 +22,14 @@ from matplotlib.quiver import Quiver
 from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.colours import arm_colour, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
-from pickenv.inspect.figures.field_figure import error_fields
+from pickenv.inspect.figures.field_figure import error_fields, field_gain, round_down, thinned
 from pickenv.inspect.figures.plot_policies import CycleCurve
 from pickenv.inspect.figures.plot_slices import error_slices
 from pickenv.inspect.figures.run_drawings import comparison_drawings
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
+from pickenv.inspect.runs.links import nominal_points
+from pickenv.inspect.runs.view import eye_direction, shown_box
 
 RNG = np.random.default_rng(17)
 ERRORS = {"raw": RNG.gamma(4, 1.5, 37), "LS": RNG.gamma(4, 0.15, 50), "LS + BPNN": RNG.gamma(2, 0.1, 44)}
@@ -250,6 +252,67 @@ def test_error_fields(comparison: Comparison) -> None:
         known = {tuple(c) for c in np.asarray(viridis(lengths / top) / 255.0)}
         assert {tuple(c[:3]) for c in arrows.get_facecolor()} <= known
     assert "×40" in figure.get_suptitle()
+    assert f"×{field_gain(comparison.grid_step, top):g}" in error_fields(comparison).get_suptitle()
+
+
+def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison: Comparison) -> None:
+    """Tail, tip and colour of each arrow, the box with its ranges, and the arm, by an orthographic view of our own."""
+    eye, (centre, radius) = eye_direction(comparison), shown_box(comparison)
+    right = np.array([-eye[1], eye[0], 0.0]) / np.hypot(eye[0], eye[1])
+    plane = np.stack([right, np.cross(eye, right)], axis=-1)
+    figure = error_fields(comparison, gain=40.0)
+    top = np.percentile(1e3 * np.linalg.norm(comparison.policies[0].field_errors, axis=1), 99)
+    shown, _ = thinned(comparison)
+    shown = shown[np.argsort((comparison.field_points[shown] - centre) @ eye)]
+    low = comparison.grid_origin - comparison.grid_step / 2
+    ends = np.stack([low, low + np.array(comparison.grid_shape) * comparison.grid_step])
+    corners = {(x, y, z): (ends[[x, y, z], [0, 1, 2]] - centre) @ plane for x in (0, 1) for y in (0, 1) for z in (0, 1)}
+    for axes, policy in zip(figure.axes, comparison.policies, strict=False):
+        (arrows,) = [c for c in axes.collections if isinstance(c, PolyCollection)]
+        outlines = np.array([path.vertices[:7] for path in arrows.get_paths()])
+        start, error = comparison.field_points[shown], policy.field_errors[shown]
+        np.testing.assert_allclose(outlines[:, [0, 6]].mean(axis=1), (start - centre) @ plane, atol=1e-9)
+        np.testing.assert_allclose(outlines[:, 3], (start + 40.0 * error - centre) @ plane, atol=1e-9)
+        colours = viridis(1e3 * np.linalg.norm(error, axis=1) / top) / 255.0
+        np.testing.assert_allclose(arrows.get_facecolor()[:, :3], colours)
+        drawn = {tuple(np.round(line.get_xydata().ravel(), 9)) for line in axes.lines[:12]}
+        edges = [(a, b) for a in corners for b in corners if sum(abs(i - j) for i, j in zip(a, b, strict=True)) == 1]
+        assert drawn <= {tuple(np.round(np.r_[corners[a], corners[b]], 9)) for a, b in edges} and len(drawn) == 12
+        assert sum(line.get_linestyle() == ":" for line in axes.lines[:12]) == 3
+        said = [text.get_text() for text in axes.texts]
+        wanted = [f"{value:.2f}".replace("-", "−") for value in ends.T.ravel()]
+        assert sorted(wanted) == sorted(text for text in said if re.fullmatch(r"−?\d+\.\d\d", text))
+        for axis, name in enumerate("xyz"):  # beside the middle of one of its edges
+            (place,) = [text.get_position() for text in axes.texts if text.get_text() == f"{name} (m)"]
+            middles = [(corners[a] + corners[b]) / 2 for a, b in edges if a[axis] != b[axis]]
+            assert min(np.linalg.norm(place - middle) for middle in middles) < 0.2 * radius
+        nearest = np.argmin(np.linalg.norm(comparison.fruit - centre, axis=1))
+        points = nominal_points(comparison.nominal, comparison.policies[0].reach_joints[nearest])
+        arm = [line.get_xydata()[0] for line in axes.lines[12:]] + [axes.lines[-1].get_xydata()[1]]
+        np.testing.assert_allclose(arm, (points - centre) @ plane, atol=1e-9)
+
+
+def test_a_gain_is_a_round_number_that_lets_arrows_nearly_touch() -> None:
+    steps = np.array([m * 10.0**power for power in range(-7, 8) for m in (1, 2, 3, 4, 5, 8)])
+    for value in [*np.exp(np.random.default_rng(0).uniform(-12, 12, 60)), 1.0, 3.0, 80.0, 0.2]:
+        assert round_down(value) == pytest.approx(steps[steps <= value * (1 + 1e-9)].max(), rel=1e-12)
+    for step, top, gain in (
+        *((0.08, 1.0, 20.0), (0.04, 3.0, 20.0)),  # 20 times the longest is 0.25 and 1.5 cells
+        *((0.08, 0.99, 80.0), (0.04, 3.01, 10.0)),  # beyond that, so that 1.1 cells hold it
+    ):
+        assert field_gain(step, top) == gain
+
+
+@pytest.mark.parametrize(("most", "stride"), [(400, 1), (60, 2), (20, 3)])
+def test_every_second_or_third_cell_is_drawn_where_there_are_too_many(
+    comparison: Comparison, most: int, stride: int
+) -> None:
+    index = np.argwhere(np.ones((6, 6, 8), dtype=bool)) if stride > 1 else np.argwhere(np.ones((5, 8, 10), dtype=bool))
+    made = replace(comparison, field_index=index, field_points=0.1 * index, grid_step=0.1)
+    shown, apart = thinned(made, most)
+    assert apart == pytest.approx(0.1 * stride)
+    expected = np.flatnonzero(np.all(index % stride == {1: 0, 2: 0, 3: 1}[stride], axis=1))
+    np.testing.assert_array_equal(shown, expected)
 
 
 def test_success_points_are_the_policies_own(comparison: Comparison) -> None:
@@ -304,6 +367,11 @@ def test_iso9283_bars_and_drift() -> None:
             assert [bar.get_height() for bar in group] == given[label]
             assert same(to_rgb(group[0].get_facecolor()), COLOURS[label])
             assert group.get_label() == f"{label}: worst {max(given[label]):.3f} mm"
+        ends = np.array([[(bar.get_x(), bar.get_x() + bar.get_width()) for bar in group] for group in bars])
+        np.testing.assert_allclose(ends.mean(axis=(0, 2)), np.arange(1, 6))  # around their pose's number
+        assert (ends[0, :, 1] <= ends[1, :, 0]).all() and (ends[1, :-1, 1] < ends[0, 1:, 0]).all()  # side by side
+        assert [t.get_text() for t in axes.get_xticklabels()] == ["P1", "P2", "P3", "P4", "P5"]
+        assert axes.get_xticks().tolist() == [1, 2, 3, 4, 5]
     hours, drift = [0.0, 1.0, 2.5], {"raw": [1.0, 2.0, 2.5], "LS": [0.1, 0.4, 0.3]}
     (axes,) = plot_policies.accuracy_drift(hours, drift).axes
     for label, values in drift.items():

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pickenv.arm import forward
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.assess import assess
@@ -22,6 +23,8 @@ from pickenv.inspect.runs.comparison_summary import (
     ticks,
     uncertainty_scale_mm,
 )
+from pickenv.inspect.runs.gripping import gripped, gripper_curves
+from pickenv.orchard import capture_probability, load_gripper
 
 
 def numbers(values):
@@ -145,6 +148,26 @@ def test_scales_end_at_the_99th_percentile_and_at_one_where_there_is_nothing():
 def test_cells_hold_the_means_of_their_points():
     cells, means = cell_means(np.array([[1, 0, 0], [0, 0, 2], [1, 0, 0]]), np.array([1.0, 5.0, 4.0]))
     assert cells.tolist() == [[0, 0, 2], [1, 0, 0]] and means.tolist() == [5.0, 2.5]
+
+
+def test_how_a_fruit_lies_in_the_true_tool_and_whether_grippers_take_it(comparison):
+    """Across and along the tool's axis, and its angle to the nominal arm's at the first policy's command."""
+    found = gripped(comparison)
+    assert list(found) == [policy.label for policy in comparison.policies]
+    for policy in comparison.policies:
+        tool = comparison.plant.tool_pose(policy.reach_joints)
+        wanted = forward(comparison.nominal, comparison.policies[0].reach_joints)
+        for i, fruit in enumerate(comparison.fruit):
+            x, y, along = tool.rotation[i].T @ (fruit - policy.reach_positions[i])
+            told = found[policy.label]
+            assert told.lateral_mm[i] == pytest.approx(1e3 * np.hypot(x, y), rel=1e-9)
+            angle = np.arccos(min(1.0, tool.rotation[i, :, 2] @ wanted.rotation[i, :, 2]))
+            for name in ("li_cup", "compliant_hand"):
+                taken = capture_probability(load_gripper(name), np.hypot(x, y), along, angle)
+                assert told.success[name][i] == pytest.approx(taken, abs=1e-6)
+    for name, (lateral, curve) in gripper_curves().items():
+        assert (lateral[0], lateral[-1], len(lateral)) == (0.0, 40.0, 401)
+        np.testing.assert_allclose(curve, capture_probability(load_gripper(name), 1e-3 * lateral, 0.0, 0.0))
 
 
 @pytest.fixture(scope="module")

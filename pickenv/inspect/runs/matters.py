@@ -1,0 +1,114 @@
+"""Does a calibration change picks? For which gripper, and how well the fruit must be seen for it to show.
+
+The tool ends beside the fruit by its own error and by the perception's: a normal error of so many mm per axis across
+the tool, independent of the arm's. Whether the gripper then takes the fruit is its curve's to say. Millimetres, shares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.inspect.runs.gripping import GRIPPERS
+from pickenv.orchard.gripper import Gripper, capture_probability, load_gripper
+
+PERCEPTION_MM = (0.0, 1.0, 2.0, 3.0, 5.0)
+"""Standard deviations per axis at which fruit may be seen."""
+MATTERS = 0.05
+"""Share of picks below which a calibration is said to change none: five of a hundred."""
+RINGS, SPOKES = 24, 24
+"""Of the perception's errors: distances of equal probability, and directions."""
+
+
+@dataclass(frozen=True)
+class PickChange:
+    """What a calibration does to the picks of one gripper.
+
+    Attributes:
+        gripper: Its name.
+        perception_mm: Standard deviation of the fruit's seen position per axis, mm.
+        before: Share of fruit taken without calibration.
+        after: Share taken with it.
+    """
+
+    gripper: str
+    perception_mm: float
+    before: float
+    after: float
+
+    @property
+    def gain(self) -> float:
+        """What calibration adds, as a share of fruit."""
+        return self.after - self.before
+
+
+def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) -> float:
+    """Share of fruit that a gripper takes.
+
+    Args:
+        gripper: The gripper; the tool points as it should.
+        lateral_mm: Distance of the fruit across the tool's axis that the arm's own error leaves ``(N,)``, mm.
+        perception_mm: Standard deviation per axis of where the fruit is seen, mm.
+    """
+    own = np.asarray(lateral_mm, dtype=float)[:, None, None]
+    ring = perception_mm * np.sqrt(-2.0 * np.log1p(-(np.arange(RINGS) + 0.5) / RINGS))[:, None]
+    spoke = 2.0 * np.pi * (np.arange(SPOKES) + 0.5) / SPOKES
+    lateral: Array = np.sqrt(np.maximum(own**2 + ring**2 + 2.0 * own * ring * np.cos(spoke), 0.0))
+    return float(capture_probability(gripper, lateral * 1e-3, 0.0, 0.0).mean())
+
+
+def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike, grippers: Sequence[str] = GRIPPERS) -> list[PickChange]:
+    """What a calibration does to picks, for each gripper and each of `PERCEPTION_MM`.
+
+    Args:
+        before_mm: Lateral errors without calibration ``(N,)``, mm.
+        after_mm: The same with it.
+        grippers: Names of grippers.
+    """
+    return [
+        PickChange(name, seen, *(pick_share(gripper, errors, seen) for errors in (before_mm, after_mm)))
+        for name, gripper in ((name, load_gripper(name)) for name in grippers)
+        for seen in PERCEPTION_MM
+    ]
+
+
+def matters(plant: str, changes: Sequence[PickChange]) -> str:
+    """In a few sentences: on which arm, for which gripper and perception error picks change.
+
+    Args:
+        plant: The arm's name.
+        changes: From `pick_changes`.
+    """
+    best = sorted(
+        (
+            max((c for c in changes if c.gripper == name), key=lambda c: abs(c.gain))
+            for name in dict.fromkeys(c.gripper for c in changes)
+        ),
+        key=lambda c: -abs(c.gain),
+    )
+    if abs(best[0].gain) < MATTERS:
+        most = np.ceil(100.0 * abs(best[0].gain) - 1e-9)
+        return (
+            f"On {plant} this changes no more than {most:.0f} of 100 picks, with any gripper "
+            f"and however well the fruit is seen; most {_where(best[0])}: {_both(best[0])}."
+        )
+    yes = [f"{_where(c)}: {_both(c)}" for c in best if abs(c.gain) >= MATTERS]
+    no = [f"{c.gripper} ({_both(c)})" for c in best if abs(c.gain) < MATTERS]
+    first = f"On {plant} this changes picks {'; '.join(yes)}."
+    sharp = next(c for c in changes if c.gripper == best[0].gripper and c.perception_mm == PERCEPTION_MM[0])
+    if abs(sharp.gain) < MATTERS:
+        first += f" Were the fruit seen without error, it would change none ({_both(sharp)})."
+    return first + (f" Hardly a pick changes with {' and '.join(no)}." if no else "")
+
+
+def _where(change: PickChange) -> str:
+    seen = f"seen to {change.perception_mm:g} mm per axis" if change.perception_mm else "seen without error"
+    return f"with {change.gripper} and the fruit {seen}"
+
+
+def _both(change: PickChange) -> str:
+    return f"{100.0 * change.before:.0f} % taken without, {100.0 * change.after:.0f} % with calibration"
