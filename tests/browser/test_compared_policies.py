@@ -59,9 +59,10 @@ def test_the_first_screen_says_who_is_better_in_the_tables_names_and_numbers(
     viewer: WebViewer, content: Any, screenshots: Path
 ) -> None:
     end = time.monotonic() + PATIENCE_MS / 1e3
-    while content["headline"] not in (said := {widget.text for widget in viewer.widgets()}):
+    while content["headline"] not in {widget.text for widget in viewer.widgets()}:
         assert time.monotonic() < end, "the verdict did not come"
     picture = viewer.settle()
+    said = {widget.text for widget in viewer.widgets()}
     for row in content["rows"]:
         assert set(episode_summary.row_cells(row)) <= said
     names = sorted((w.box[1], w.text) for w in viewer.widgets() if w.role == "label" and w.text in LABELS)
