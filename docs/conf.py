@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import re
 import sys
 import tomllib
@@ -30,6 +31,7 @@ exclude_patterns = ["_build"]
 nb_execution_mode = "cache"  # executed anew when a block changes; make clean forgets
 nb_execution_cache_path = str(HERE / "_build/.notebooks")
 nb_execution_in_temp = True
+os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"  # figures stand under their blocks
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_merge_streams = True
@@ -170,9 +172,9 @@ def write_generated() -> None:
             path.write_text(text, encoding="utf-8")
 
 
-def plain(_app: Any, what: str, _name: str, thing: Any, _options: Any, lines: list[str]) -> None:
+def plain(_app: Any, _what: str, _name: str, thing: Any, _options: Any, lines: list[str]) -> None:
     """Docstrings are written to be read as they are; what Sphinx would take for its own marks is quoted."""
-    if what == "class" and _is_environment(thing):
+    if _is_environment(thing) or getattr(thing, "__name__", None) in CARDS:
         card = CARDS.get(thing.__name__)
         lines[1:] = ["", f"Its card: :doc:`/_generated/environments/{card}`."] if card else []
     for i, line in enumerate(lines):

@@ -88,7 +88,7 @@ def film(
     episodes = load_part(record, RecordedEpisodes)
     plan = plan_film(episodes, policies, seconds, frames_per_second)
     path.parent.mkdir(parents=True, exist_ok=True)
-    _encode(film_pictures(episodes, plan, dark=dark, progress=progress), path, frames_per_second)
+    write_film(film_pictures(episodes, plan, dark=dark, progress=progress), path, frames_per_second)
     return Film(path, plan)
 
 
@@ -112,7 +112,7 @@ def film_pictures(
             progress("frames", number, len(plan.frames))
 
 
-def _encode(pictures: Iterator[Pixels], path: Path, frames_per_second: int) -> None:
+def write_film(pictures: Iterator[Pixels], path: Path, frames_per_second: int) -> None:
     """Let ffmpeg write the pictures into a file.
 
     Raises:

@@ -1,0 +1,188 @@
+"""A film states what the run's arrays say, frame by frame, and its pictures change where that changes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from pickenv.arm import forward, load_arm
+from pickenv.errors import InputError
+from pickenv.inspect.films.film_plan import MOST_MOMENTS, attempts_of, plan_film
+from pickenv.inspect.films.film_stage import FilmSet, film_stage
+from pickenv.inspect.films.make_film import GAP, HALF, STRIP, film_pictures
+from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
+from pickenv.pictures.arm_shapes import GAIN
+
+ARM = load_arm("qiao2026").nominal
+
+
+def policy(label, rng, off_mm, taken, episodes, moments, many):
+    """Episodes in which the tool comes to one fruit, or to three one after the other, and is ``off_mm`` off there."""
+    n = ARM.joints
+    shape = (episodes, moments)
+    command = np.broadcast_to((ARM.lower + ARM.upper) / 2, (*shape, n)).copy()
+    command[..., 1] += np.linspace(0.0, 0.1, moments)
+    pose = forward(ARM, command)
+    tool = pose.position + np.array([0.0, 0.0, 1e-3 * off_mm])
+    fruit = np.repeat(tool[:, -1:] + [0.05, -0.1, 0.0], moments, axis=1)
+    miss, picked = np.full(shape, np.nan), np.zeros(shape, dtype=np.int64)
+    count = np.full(episodes, moments) - np.arange(episodes)
+    for e in range(episodes):
+        last = count[e] - 1
+        closes = [last] if not many else [last // 3, 2 * last // 3, last]
+        for k, t in enumerate(closes):
+            miss[e, t] = off_mm + rng.uniform(0, 1)
+            if (e + k) % 2 or taken:
+                picked[e, t:] += 1
+            if many:
+                fruit[e, t + 1 :] += [0.0, 0.0, 0.15]
+    distance = 1e3 * np.linalg.norm(tool - fruit, axis=-1)
+    return RecordedPolicy(
+        label=label, key=label.lower(), moments=count, joint_target=command, joint_command=command, tool_position=tool,
+        tool_rotation=pose.rotation, fruit_position=fruit, position_error_mm=distance,
+        attitude_error_deg=np.zeros(shape), success=np.zeros(shape, bool), picked=picked, miss_mm=miss,
+        reward=np.zeros(shape),
+    )  # fmt: skip
+
+
+def run(many, episodes=3, moments=40):
+    rng = np.random.default_rng(7)
+    policies = (
+        policy("raw", rng, 6.0, False, episodes, moments, many),
+        policy("LS", rng, 1.0, True, episodes, moments, many),
+    )
+    return RecordedEpisodes(
+        env_id="pickenv/Pick-v0" if many else "pickenv/Reach-v0", plant="orchard", gripper="li_cup", tolerance_mm=5.0,
+        seed=0, seeds=tuple(range(episodes)), period=0.1, nominal=ARM, true_geometry=ARM, policies=policies,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("many", [False, True])
+@pytest.mark.parametrize(("seconds", "fps"), [(12.0, 10), (3.0, 8)])
+def test_every_frame_states_what_the_run_holds(many, seconds, fps):
+    episodes = run(many)
+    plan = plan_film(episodes, seconds=seconds, frames_per_second=fps)
+    assert len(plan.frames) == round(seconds * fps) and plan.reaching is not many
+    order = [(frame.episode, frame.moment) for frame in plan.frames]
+    assert order == sorted(order) and order[0] == (0, 0)
+    for frame in plan.frames:
+        for held, stated in zip(episodes.policies, frame.stated, strict=True):
+            now = min(frame.moment, held.moments[frame.episode] - 1)
+            assert stated.label == held.label
+            assert stated.distance_mm == held.position_error_mm[frame.episode, now]
+            earlier = [m for e in range(frame.episode) for m in held.miss_mm[e] if np.isfinite(m)]
+            closed = earlier + [m for m in held.miss_mm[frame.episode, : now + 1] if np.isfinite(m)]
+            assert stated.tried == len(closed)
+            assert stated.miss_mm == (closed[-1] if closed else None)
+            ends = sum(held.picked[e, held.moments[e] - 1] for e in range(frame.episode))
+            assert stated.picked == ends + held.picked[frame.episode, now]
+            assert 0 <= stated.picked <= stated.tried
+    for held, stated in zip(episodes.policies, plan.frames[-1].stated, strict=True):
+        whole = [held.picked[e, held.moments[e] - 1] for e in range(plan.frames[-1].episode + 1)]
+        assert stated.picked == sum(whole)
+
+
+def test_a_film_goes_no_faster_than_can_be_followed_and_says_how_fast():
+    episodes = run(many=True, episodes=12)
+    plan = plan_film(episodes, seconds=6.0)
+    steps = np.diff([frame.moment for frame in plan.frames if frame.episode == 0])
+    assert steps.max() <= MOST_MOMENTS + 1
+    shown = {frame.episode for frame in plan.frames}
+    assert shown == set(range(len(shown))) and 1 < len(shown) < 12
+    assert 1.0 < plan.speed <= MOST_MOMENTS
+    assert plan.speed == pytest.approx(np.mean([s for s in steps if s > 0]), rel=0.35)
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_each_grasp_is_an_attempt_that_is_taken_or_not(many):
+    for held in run(many).policies:
+        for e in range(3):
+            found = attempts_of(held, e)
+            assert [a.close for a in found] == np.flatnonzero(np.isfinite(held.miss_mm[e])).tolist()
+            gains = np.diff(held.picked[e], prepend=0)
+            assert [a.taken for a in found] == [bool(gains[a.close]) for a in found]
+
+
+def test_the_stage_shows_arm_ghost_and_misses_of_the_run():
+    episodes = run(many=True)
+    plan = plan_film(episodes)
+    film_set = FilmSet(episodes, plan, HALF, dark=False)
+    frame = plan.frames[-1]
+    for side, held in enumerate(episodes.policies):
+        stage = film_stage(film_set, frame, side)
+        texts = [words.text for words in stage.words]
+        stated = frame.stated[side]
+        assert texts[0] == held.label and f"picked {stated.picked} of {stated.tried}" in texts
+        assert stage.dial.label == f"miss {stated.miss_mm:.1f} mm" and stage.dial.tolerance_mm == 5.0
+        assert len(stage.dial.marks_mm) == stated.tried
+        missed = [words for words in stage.words if words.text.startswith("missed by")]
+        gains = np.diff(held.picked[frame.episode], prepend=0)
+        closes = np.flatnonzero(np.isfinite(held.miss_mm[frame.episode]))
+        assert [w.text for w in missed] == [
+            f"missed by {held.miss_mm[frame.episode, t]:.1f} mm" for t in closes if not gains[t]
+        ]
+        ghost = next(rods for rods in stage.rods if len(rods.colour) and rods.colour[0, 3] < 255)
+        now = held.moments[frame.episode] - 1
+        tool = held.tool_position[frame.episode, now]
+        believed = forward(ARM, held.joint_target[frame.episode, now]).position
+        np.testing.assert_allclose(ghost.end[-1], tool + GAIN * (believed - tool), atol=1e-9)
+        assert any(f"deviation × {GAIN}" in text for text in texts)
+
+
+def test_the_inset_changes_when_the_gripper_closes_and_not_before():
+    episodes = run(many=True)
+    plan = plan_film(episodes)
+    tried = [frame.stated[0].tried for frame in plan.frames]
+    first = tried.index(1)
+    around = dataclasses.replace(plan, frames=plan.frames[first - 2 : first + 1])
+    pictures = list(film_pictures(episodes, around))
+    assert {picture.shape for picture in pictures} == {(HALF[1] + STRIP, 2 * HALF[0] + GAP, 3)}
+    inset = np.s_[HALF[1] - 105 : HALF[1] - 8, HALF[0] - 105 : HALF[0] - 8]
+    green = [((p[inset].astype(int) - [46, 139, 87]) ** 2).sum(axis=-1) < 300 for p in pictures]
+    assert all(ring.sum() > 100 for ring in green)
+    orange = [((p[inset].astype(int) - [230, 159, 0]) ** 2).sum(axis=-1) < 60 for p in pictures]
+    assert orange[0].sum() == orange[1].sum() == 0
+    assert orange[2].sum() > 30
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_pictures_put_the_policies_side_by_side_in_their_colours(dark):
+    episodes = run(many=False)
+    plan = plan_film(episodes, ["LS", "raw"], seconds=1.0, frames_per_second=2)
+    assert [stated.label for stated in plan.frames[0].stated] == ["LS", "raw"]
+    left, right = (next(film_pictures(episodes, plan, dark=dark))[: HALF[1], columns].astype(int)
+                   for columns in (np.s_[: HALF[0]], np.s_[-HALF[0] :]))  # fmt: skip
+    blue, orange = (lambda p: p[..., 2] > 2 * p[..., 0] + 40), (lambda p: p[..., 0] > 3 * p[..., 2] + 60)
+    assert orange(right).sum() > orange(left).sum() + 1000
+    assert blue(left).sum() > blue(right).sum() + 1000
+    assert bool(left[0].mean() < 80) is dark
+
+
+def test_one_policy_alone_can_be_filmed_and_unknown_ones_are_named():
+    episodes = run(many=False)
+    assert len(plan_film(episodes, ["LS"]).frames[0].stated) == 1
+    with pytest.raises(InputError, match="no policy 'BPNN' in this run; give one of raw, LS"):
+        plan_film(episodes, ["BPNN"])
+    with pytest.raises(InputError, match="impossible"):
+        plan_film(episodes, seconds=0.0)
+
+
+def test_files_hold_every_frame(tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    from PIL import Image
+
+    from pickenv.inspect.films.make_film import write_film
+
+    episodes = run(many=True)
+    plan = plan_film(episodes, seconds=1.0)
+    pictures = list(film_pictures(episodes, plan))
+    for name in ("film.gif", "film.mp4"):
+        write_film(iter(pictures), tmp_path / name, 10)
+        frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / name))
+        assert frames == 10 and seconds == pytest.approx(1.0, abs=0.15)
+    with Image.open(tmp_path / "film.gif") as picture:
+        assert picture.n_frames == 10 and picture.info["loop"] == 0
+        shown = np.asarray(picture.convert("RGB"), dtype=int)
+    assert np.abs(shown - pictures[0]).mean() < 8
