@@ -29,7 +29,7 @@ from pickenv.pictures.arm_shapes import (
     frustum_solids,
     joined_solids,
 )
-from pickenv.pictures.stage import Balls, Eye, Mesh, Rods, Stage, Words, rgba
+from pickenv.pictures.stage import SIZE, Balls, Eye, Mesh, Rods, Stage, Words, rgba
 from pickenv.pictures.tree_shapes import (
     GREEN,
     MISSED_FRUIT,
@@ -70,7 +70,7 @@ def draw_harvest(
         _ghosts(pivots, tips + GAIN * (believed - tips), machine.body.radius / 2),
         *(cup_solids(tip, UP, CUP_RADIUS) for tip in tips),
         zone_fruit(state),
-        crate(np.array([0.25, -0.2, 0.0]), picked, float(state.diameters[0].mean()), -machine.base_height),
+        crate(_eye(state), SIZE, picked, float(state.diameters[0].mean()), -machine.base_height),
         _cameras(task, command[0]),
     )
     seconds = float(state.periods[0]) * CONTROL_PERIOD
