@@ -227,7 +227,8 @@ def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[PickCh
     poses = simulated_tracker(plant, random_joints(nominal, settings.identification_poses, rng), rng)
     compensator = fit(plant.arm, poses, known_frames=True).calibration.compensator(with_residual=False)
     joints = field_grid(nominal, settings.grid_step, settings.seed).joints
-    wanted, lateral = forward(nominal, joints), []
+    wanted = forward(nominal, joints)
+    lateral: list[Array] = []
     for command in (joints, compensator(joints)):
         true = plant.tool_pose(command)
         axis = true.rotation[..., 2]

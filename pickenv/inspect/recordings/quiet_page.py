@@ -58,7 +58,7 @@ def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
             self.end_headers()
             self.wfile.write(content)
 
-        def log_message(self, *_: object) -> None:
+        def log_message(self, format: str, *args: object) -> None:
             """Nothing is said of what is asked for."""
 
     with ThreadingHTTPServer((host, 0), Page) as server:
