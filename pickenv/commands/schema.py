@@ -29,7 +29,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.arm.plant.tolerances import Tolerances
     from pickenv.calibration.camera.boards import Board
     from pickenv.calibration.reading.description_file import DescriptionFile
-    from pickenv.envs.harvesting.harvest_batch import Rules
+    from pickenv.envs.harvesting.harvest_task import Rules
     from pickenv.harvester.machine import MachineFile
     from pickenv.harvester.optimiser import Effort
     from pickenv.harvester.pick_point import Search

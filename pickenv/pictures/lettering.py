@@ -30,17 +30,16 @@ def lettered(pixels: Pixels, stage: Stage) -> Pixels:
     width, height = stage.size
     if stage.dial is not None:
         _draw_dial(pen, stage.dial, stage)
-    below = {corner: float(MARGIN) for corner in ("top left", "top right", "bottom left", "bottom right")}
+    below = dict.fromkeys(("top left", "top right", "bottom left", "bottom right"), MARGIN - 2.0)
     lines = [words for words in stage.words if isinstance(words.place, str)]
     for words in lines:
         assert isinstance(words.place, str)
         font = _font(round(height * (LARGE if words.large else SMALL)))
-        left, top, right, bottom = font.getbbox(words.text, anchor="lt")
-        wide, high = right - left, bottom - top
+        wide, high = font.getlength(words.text), sum(font.getmetrics())
         x = MARGIN if "left" in words.place else width - MARGIN - wide
         y = below[words.place] if "top" in words.place else height - below[words.place] - high
         _write(pen, (x, y), words.text, font, words.colour or ink(stage.dark), stage.dark)
-        below[words.place] += high + 9
+        below[words.place] += high + 3
     for words in stage.words:
         if not isinstance(words.place, str):
             x, y, depth = stage.eye.project(words.place, stage.size).tolist()
@@ -64,10 +63,9 @@ def strip(text: str, size: tuple[int, int], dark: bool) -> Pixels:
 def _write(
     pen: ImageDraw.ImageDraw, at: tuple[float, float], text: str, font: ImageFont.FreeTypeFont, colour: Rgb, dark: bool
 ) -> None:
-    left, top, right, bottom = font.getbbox(text, anchor="lt")
-    box = (at[0] + left - 4, at[1] + top - 3, at[0] + right + 4, at[1] + bottom + 3)
+    box = (at[0] - 4, at[1] - 1, at[0] + font.getlength(text) + 4, at[1] + sum(font.getmetrics()))
     pen.rounded_rectangle(box, radius=4, fill=_plate(dark))
-    pen.text(at, text, fill=colour, font=font, anchor="lt")
+    pen.text(at, text, fill=colour, font=font, anchor="la")
 
 
 def _plate(dark: bool) -> tuple[int, int, int, int]:
@@ -93,7 +91,7 @@ def _draw_dial(pen: ImageDraw.ImageDraw, dial: Dial, stage: Stage) -> None:
     if dial.label:
         font = _font(round(height * SMALL))
         wide = font.getlength(dial.label)
-        at = (min(x - wide / 2, width - MARGIN - wide), y - half - height * SMALL - 8)
+        at = (min(x - wide / 2, width - MARGIN - wide), y - half - sum(font.getmetrics()) - 3)
         _write(pen, at, dial.label, font, lines, stage.dark)
 
 

@@ -15,12 +15,14 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.orchard.render import load_look, sample_leaves
 from pickenv.pictures.arm_shapes import JOINT, Solids
 from pickenv.pictures.solids import chequered, leaf_mesh, rod_triangles, turned
-from pickenv.pictures.stage import Balls, Mesh, Rgb, Rods, rgba
+from pickenv.pictures.stage import Balls, Eye, Mesh, Rgb, Rods, rgba
 
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
 BARK, STEM = (122, 92, 66), (104, 84, 52)
 GROUND = {False: ((226, 230, 220), (214, 220, 208)), True: ((52, 58, 64), (46, 52, 58))}
 """Colours of the ground on light and on dark pages."""
+CRATE = (0.28, 0.8)
+"""Where the crate's corner is seen, as shares of the picture's width and height."""
 SQUARE, SPREAD = 0.5, 6.0
 TWIG = 0.09
 BRIGHTER = 1.35
@@ -98,8 +100,10 @@ def pedestal(x: float, y: float, ground: float, top: float, radius: float) -> Me
     return turned(outline, np.array([x, y, ground]), np.array([0.0, 0.0, 1.0]), JOINT)
 
 
-def crate(corner: Array, count: int, diameter: float, ground: float) -> Solids:
-    """``count`` fruit in rows of a crate on legs whose lowest corner is ``corner``: what was picked so far."""
+def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: float) -> Solids:
+    """What was picked so far: ``count`` fruit in a crate on legs, in the lower left of what the eye sees."""
+    distance = float(np.linalg.norm(eye.target - eye.position))
+    corner = eye.point_at((CRATE[0] * size[0], CRATE[1] * size[1]), distance, size)
     wide, along = 5, diameter * 1.05
     number = np.arange(count)
     place = np.stack([number % wide, (number // wide) % wide, number // wide**2], axis=-1) + 0.5

@@ -26,7 +26,9 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
     """Correct the joint target on its way to the drives, invisibly to the policy.
 
     Spaces, seeds, episode flow and observations stay as they are: joint readings are mapped back to nominal joints, so
-    a policy that servoes on its believed tool position does not cancel the compensation. The compensator sits at the
+    a policy that servoes on its believed tool position does not cancel the compensation. Where a plant's motors have
+    whole counts and follow late (`plant="orchard"`), readings differ by what counts and lag are of other commands: less
+    than a count, and a few thousandths of the difference in step. The compensator sits at the
     environment's one seam, so the wrapper's place in a stack of wrappers does not matter; closing removes it.
 
     Example:

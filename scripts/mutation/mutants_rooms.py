@@ -96,7 +96,7 @@ ROOMS = {
         "autoreset streams compensation_vector vector",
     ),
     "wrappers": room(
-        "pickenv/wrappers", "compensation sb3", "tests/envs", "compensation_wrapper compensation_vector sb3"
+        "pickenv/wrappers", "compensation sb3 gap", "tests/envs", "compensation_wrapper compensation_vector sb3"
     ),
     "orchard": room(
         "pickenv/orchard",
@@ -111,7 +111,7 @@ ROOMS = {
         "plans_by_hand clock_by_hand pick_point true_machine assignment",
     ),
     "policies": room(
-        "agents/policies", "servo adaptive scripted gap", "tests/agents", "policies_by_hand scripted policies learned"
+        "agents/policies", "servo adaptive scripted", "tests/agents", "policies_by_hand scripted policies learned"
     ),
     "rollouts": room("agents/evaluation", "rollout reaches", "tests/agents", "policies_by_hand evaluation"),
     "yields": room(

@@ -59,7 +59,7 @@ def test_parameters_start_a_training_in_single_environments(name: str, env_id: s
 @pytest.mark.parametrize(("name", "env_id"), [("ppo", "pickenv/Reach-v0"), ("sac", "pickenv/ReachGoal-v0")])
 def test_rl_zoo_itself_reads_them(name: str, env_id: str, tmp_path: Path) -> None:
     pytest.importorskip("rl_zoo3")
-    command = [sys.executable, "-W", "ignore", "-m", "rl_zoo3.cli", "train", "--algo", name, "--env", env_id]
+    command = [sys.executable, "-W", "ignore", "-m", "rl_zoo3.train", "--algo", name, "--env", env_id]
     options = ["--gym-packages", "pickenv", "--conf-file", f"pickenv.zoo.hyperparams.{name}", "-f", str(tmp_path)]
     short = ["--n-timesteps", "4000", "--eval-freq", "-1", "--device", "cpu", "--seed", "0"]
     done = subprocess.run([*command, *options, *short], cwd=ROOT, capture_output=True, text=True)

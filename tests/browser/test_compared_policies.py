@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.runs import episode_summary
 from tests.browser.chromium import SIZE
 from tests.browser.pictures import crop, save
-from tests.browser.web_viewer import WebViewer, serve
+from tests.browser.web_viewer import PATIENCE_MS, WebViewer, serve
 
 LABELS = ("raw", "calibrated")
 STEPS = {"raw": 36_000, "calibrated": 60_000}
@@ -57,9 +58,10 @@ def viewer(request: pytest.FixtureRequest, browser: Any, compared: Path) -> Iter
 def test_the_first_screen_says_who_is_better_in_the_tables_names_and_numbers(
     viewer: WebViewer, content: Any, screenshots: Path
 ) -> None:
+    end = time.monotonic() + PATIENCE_MS / 1e3
+    while content["headline"] not in (said := {widget.text for widget in viewer.widgets()}):
+        assert time.monotonic() < end, "the verdict did not come"
     picture = viewer.settle()
-    said = {widget.text for widget in viewer.widgets()}
-    assert content["headline"] in said
     for row in content["rows"]:
         assert set(episode_summary.row_cells(row)) <= said
     names = sorted((w.box[1], w.text) for w in viewer.widgets() if w.role == "label" and w.text in LABELS)

@@ -10,6 +10,7 @@ import pytest
 
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_env import HarvestEnv
+from pickenv.envs.harvesting.harvest_task import harvest_spaces, make_harvest_task
 from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
 from pickenv.errors import InputError
 from pickenv.harvester.picking import Luck
@@ -294,7 +295,7 @@ def test_the_observation_is_right_of_ahead_of_and_above_frame_3(begin):
 
 def test_a_zone_is_drawn_where_the_class_says():
     """0.7 x 0.4 x 0.55 m on the tree's side, 1.0 to 1.4 m away; the master at its pick point, the slaves at rest."""
-    task = batch.make_harvest_task(fruit=40)
+    task = make_harvest_task(fruit=40)
     state = batch.begin_zones(task, [np.random.default_rng(seed) for seed in range(60)])
     size = state.fruit.max(axis=1) - state.fruit.min(axis=1)
     assert (size <= [0.7, 0.4, 0.55]).all() and (size.mean(axis=0) > 0.9 * np.array([0.7, 0.4, 0.55])).all()
@@ -313,11 +314,11 @@ def test_a_zone_is_drawn_where_the_class_says():
 
 
 def test_what_is_made_of_nothing_said_is_li_s_machine_as_built_before_eight_fruit():
-    task = batch.make_harvest_task()
+    task = make_harvest_task()
     machine = task.machine
     assert (machine.arms, task.fruit, task.lead) == (3, 8, 10) and machine.spacing == pytest.approx(0.35)
     slaves = JOINTS[3:].reshape(1, 3, 3)
-    ideal = batch.make_harvest_task(ideal=True)
+    ideal = make_harvest_task(ideal=True)
     for made, off in ((task, True), (HarvestEnv().task, True), (ideal, False), (HarvestEnv(ideal=True).task, False)):
         error = made.true.tips(JOINTS[None, :3], slaves)[0] - machine.tips(JOINTS[:3], slaves[0])
         assert (np.linalg.norm(error, axis=1) > 1e-3).all() == off and (np.abs(error).max() > 1e-9) == off
@@ -341,7 +342,7 @@ def test_the_guard_watches_every_pair_of_neighbours(slaves):
 
 
 def test_the_spaces_have_room_for_joints_blades_fruit_and_what_else_is_asked():
-    seen, acted = batch.spaces(batch.make_harvest_task(slaves=2, fruit=2), extra=3)
+    seen, acted = harvest_spaces(make_harvest_task(slaves=2, fruit=2), extra=3)
     assert seen.high.tolist() == [1.0] * 11 + [2.0, 2.0, 2.0, 1.0] * 2 + [1.0] * 3
     assert seen.low.tolist() == [-1.0] * 9 + [0.0] * 2 + [-2.0, -2.0, -2.0, 0.0] * 2 + [0.0] * 3
     assert acted.high.tolist() == [1.0] * 9 and acted.low.tolist() == [-1.0] * 9

@@ -16,6 +16,7 @@ from pickenv.arm.kinematics.forward import chain_of, forward
 from pickenv.arm.plant.tree import tree_map
 from pickenv.calibration.compensation.compensator import Compensator, corrected
 from pickenv.envs.harvesting import harvest_batch
+from pickenv.envs.harvesting.harvest_task import make_harvest_task
 from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.reaching.reach import ReachEnv
 from pickenv.envs.reaching.reach_goal import ReachGoalEnv
@@ -156,7 +157,7 @@ DIAMETERS_MM = (60.0, 66.0, 70.0, 71.0)
 def test_a_cup_this_far_off_does_the_same_in_the_experiment_in_one_machine_and_in_many(
     axial_mm, diameter_mm, grasp, monkeypatch
 ):
-    task = harvest_batch.make_harvest_task(slaves=1, fruit=1, vision="ideal")
+    task = make_harvest_task(slaves=1, fruit=1, vision="ideal")
     task = replace(task, model=replace(task.model, cut_success=1.0, undamaged=1.0))
     luck = draw_luck(np.random.default_rng(0), 1)._replace(grasp=np.array([grasp]))
     monkeypatch.setattr(harvest_batch, "draw_luck", lambda *_: luck)

@@ -221,7 +221,7 @@ def test_pictures_follow_the_fruit(monkeypatch):
     one = env.render()
     env.unwrapped.scene.attempted[:] = True
     other = env.render()
-    assert one.shape == other.shape == (360, 720, 3) and one.dtype == np.uint8
+    assert one.shape == other.shape == (360, 480, 3) and one.dtype == np.uint8
     assert (one != other).any(axis=-1).sum() > 100
     window = gym.make("pickenv/Pick-v0", render_mode="human")
     window.reset(seed=0)

@@ -385,7 +385,7 @@ def test_pictures_of_all(arms):
     envs = native(2, render_mode="rgb_array", arms=arms)
     envs.reset(seed=0)
     pictures = envs.render()
-    assert [picture.shape for picture in pictures] == [(360, 720, 3)] * 2
+    assert [picture.shape for picture in pictures] == [(360, 480, 3)] * 2
     assert not np.array_equal(*pictures)
 
 

@@ -102,7 +102,7 @@ def test_impossible_actions_are_refused(action):
 
 @pytest.mark.parametrize(
     "arguments",
-    [{"fruit": 0}, {"slaves": 9}, {"spacing_mm": 100.0}, {"render_mode": "human"}, {"fruit": 2.5}, {"vision": "eagle"}],
+    [{"fruit": 0}, {"slaves": 9}, {"spacing_mm": 100.0}, {"render_mode": "ansi"}, {"fruit": 2.5}, {"vision": "eagle"}],
 )
 def test_impossible_arguments_are_refused(arguments):
     with pytest.raises(InputError):

@@ -8,6 +8,7 @@ import pytest
 from pickenv.agents.policies.harvest_policy import ScriptedHarvest
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_env import HarvestEnv
+from pickenv.envs.harvesting.harvest_task import make_harvest_task
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.harvester.picking import attempt, displacements, draw_luck, pushes
 
@@ -16,7 +17,7 @@ AWAY = np.array([0.0, 0.0, 9.0])
 
 def zone(seed=0, fruit=8, **changes):
     """A task, and one machine before a zone."""
-    task = batch.make_harvest_task(fruit=fruit, vision="ideal")
+    task = make_harvest_task(fruit=fruit, vision="ideal")
     task = replace(task, model=replace(task.model, **changes))
     return task, batch.begin_zones(task, [np.random.default_rng(seed)])
 
@@ -140,7 +141,7 @@ def test_two_cups_at_one_fruit_are_one_attempt(monkeypatch):
 
 
 def test_pushes_fall_off_with_distance_and_have_the_stated_median():
-    model = batch.make_harvest_task().model
+    model = make_harvest_task().model
     luck = draw_luck(np.random.default_rng(0), 4001)
     here = np.zeros((4001, 3))
     pushed = np.linalg.norm(pushes(model, here, np.array([[0.0, 0, 0], [0.3, 0, 0]]), luck), axis=-1)

@@ -100,3 +100,14 @@ def test_one_to_six_arms_are_built_by_configuration_alone(arms):
     true = load_true_machine(load_machine(slaves=arms))
     assert len(true.slaves) == arms
     assert true.tips(np.zeros((4, 3)), np.zeros((4, arms, 3))).shape == (4, arms, 3)
+
+
+def test_one_machine_has_the_bits_that_it_has_among_many(true):
+    """One runs on floats, many in arrays."""
+    machine, rng = true.machine, np.random.default_rng(5)
+    joints = rng.uniform(machine.lower, machine.upper, (300, machine.joints))
+    slaves = joints[:, 3:].reshape(300, machine.arms, 3)
+    many = true.tips(joints[:, :3], slaves)
+    alone = [true.tips(joints[i : i + 1, :3], slaves[i : i + 1])[0] for i in range(300)]
+    np.testing.assert_array_equal(alone, many)
+    np.testing.assert_array_equal(true.tips(joints[7, :3], slaves[7]), many[7])

@@ -7,129 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Annotated
 
 import numpy as np
-from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
+from pickenv.envs.harvesting.harvest_task import HarvestTask
 from pickenv.envs.harvesting.harvest_zone import AS_DRAWN, GivenZones, drawn_zone
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.envs.shared.task import MOST_ACTION, Compensate, check_choice, check_number
+from pickenv.envs.shared.task import Compensate
 from pickenv.errors import InputError
 from pickenv.harvester.interference import arm_distances, pairs_of
-from pickenv.harvester.machine import Machine, load_machine
 from pickenv.harvester.pick_point import pick_point
-from pickenv.harvester.picking import Picking, attempt, draw_luck, load_picking, pushes
-from pickenv.harvester.trees import SHIPPED, Orchard, load_orchard
-from pickenv.harvester.true_machine import TrueMachine, load_true_machine
-from pickenv.orchard import Eyes, fruit_masses, load_eyes, swing
-from pickenv.toml_tables import MM, NUMBER, read, toml_table
+from pickenv.harvester.picking import attempt, draw_luck, pushes
+from pickenv.orchard import fruit_masses, swing
 
 HANGING, COLLECTED, LOST = 0, 1, 2
 
 Flags = NDArray[np.bool_]
-
-
-@toml_table
-class Rules:
-    """When a cup tries a fruit, what is shown, and what costs; see [task] of picking.toml.
-
-    Attributes:
-        sensor: Height within which the position sensor finds a fruit in the cup, m.
-        rearm: A cup that tried a fruit tries again only after going this far away from it, m.
-        shown: Largest offset that an observation shows, m.
-        guard_cost: Reward lost for each arm that the guard holds.
-        period_cost: Reward lost in each period.
-        motion_cost: Reward lost in a period in which all joints move as fast as they can.
-    """
-
-    sensor: Annotated[float, MM.positive]
-    rearm: Annotated[float, MM.positive]
-    shown: Annotated[float, MM.positive]
-    guard_cost: Annotated[float, NUMBER.not_negative]
-    period_cost: Annotated[float, NUMBER.not_negative]
-    motion_cost: Annotated[float, NUMBER.not_negative]
-
-
-@lru_cache(maxsize=1)
-def load_rules() -> Rules:
-    """Read the rules of the task."""
-    return read(Rules, SHIPPED, section="task")
-
-
-@dataclass(frozen=True, eq=False)
-class HarvestTask:
-    """What stays the same over episodes.
-
-    Attributes:
-        machine: The machine as drawn.
-        true: The machine as built.
-        model: What becomes of attempts.
-        rules: When a cup tries a fruit, what is shown, and what costs.
-        orchard: Where fruit hangs and how big it is.
-        eyes: How it is seen.
-        fruit: Fruit in a zone.
-        most_action: Largest size of an action's numbers that is taken.
-    """
-
-    machine: Machine
-    true: TrueMachine
-    model: Picking
-    rules: Rules
-    orchard: Orchard
-    eyes: Eyes
-    fruit: int
-    most_action: float
-
-    @cached_property
-    def increment(self) -> Array:
-        """Largest increment of each joint in one period."""
-        return self.machine.speed * CONTROL_PERIOD
-
-    @cached_property
-    def lead(self) -> int:
-        """Periods that sensing and cutting take."""
-        return int(np.ceil((self.machine.cycle.sense + self.machine.cycle.cut) / CONTROL_PERIOD - 1e-9))
-
-    @cached_property
-    def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Smallest and largest observation."""
-        box = spaces(self)[0]
-        return box.low, box.high
-
-
-def make_harvest_task(
-    slaves: int | None = None,
-    spacing_mm: float | None = None,
-    fruit: int = 8,
-    ideal: bool = False,
-    vision: str = "measured_errors",
-    detector: str = "li2016",
-    canopy: str | None = None,
-    out_of_range: str = "clip",
-) -> HarvestTask:
-    """Check the arguments of an environment and read its files.
-
-    Raises:
-        InputError: If one of them is impossible.
-    """
-    check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
-    if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
-        raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
-    if spacing_mm is not None:
-        check_number("spacing_mm", spacing_mm, positive=True)
-    machine = load_machine(slaves=slaves, spacing=None if spacing_mm is None else spacing_mm * 1e-3)
-    true = load_true_machine(machine)
-    if ideal:
-        true = true.ideal()
-    orchard = load_orchard(canopy=canopy)
-    eyes = load_eyes(vision, orchard.canopy, detector)
-    most = MOST_ACTION[out_of_range]
-    return HarvestTask(machine, true, load_picking(), load_rules(), orchard, eyes, fruit, most)
 
 
 @dataclass(eq=False)
@@ -399,15 +295,6 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
     parts = [scaled, state.busy / task.lead, np.concatenate([local, shown], axis=-1).reshape(len(scaled), -1)]
     low, high = task.bounds
     return np.asarray(np.minimum(np.maximum(np.concatenate(parts, axis=1), low), high), dtype=np.float32)
-
-
-def spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
-    """Observation space, with room for some numbers from 0 to 1 at its end, and action space."""
-    joints, arms, most = task.machine.joints, task.machine.arms, task.rules.shown
-    high = [1.0] * (joints + arms) + [most, most, most, 1.0] * task.fruit + [1.0] * extra
-    low = [-1.0] * joints + [0.0] * arms + [-most, -most, -most, 0.0] * task.fruit + [0.0] * extra
-    observations = Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
-    return observations, Box(-1.0, 1.0, (joints,), np.float32)
 
 
 def information(state: HarvestState) -> dict[str, NDArray[np.generic]]:

@@ -10,7 +10,8 @@ import numpy as np
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import tree_map
-from pickenv.envs.harvesting.harvest_batch import COLLECTED, HANGING, HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import COLLECTED, HANGING, HarvestState
+from pickenv.envs.harvesting.harvest_task import HarvestTask
 from pickenv.envs.shared.drawing import GHOST_WORDS, staged
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import Compensate
@@ -28,7 +29,7 @@ from pickenv.pictures.arm_shapes import (
     frustum_solids,
     joined_solids,
 )
-from pickenv.pictures.stage import Balls, Eye, Mesh, Rods, Stage, Words, rgba
+from pickenv.pictures.stage import SIZE, Balls, Eye, Mesh, Rods, Stage, Words, rgba
 from pickenv.pictures.tree_shapes import (
     GREEN,
     MISSED_FRUIT,
@@ -69,7 +70,7 @@ def draw_harvest(
         _ghosts(pivots, tips + GAIN * (believed - tips), machine.body.radius / 2),
         *(cup_solids(tip, UP, CUP_RADIUS) for tip in tips),
         zone_fruit(state),
-        crate(np.array([0.25, -0.2, 0.0]), picked, float(state.diameters[0].mean()), -machine.base_height),
+        crate(_eye(state), SIZE, picked, float(state.diameters[0].mean()), -machine.base_height),
         _cameras(task, command[0]),
     )
     seconds = float(state.periods[0]) * CONTROL_PERIOD

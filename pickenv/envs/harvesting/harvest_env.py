@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState
+from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
 from pickenv.envs.harvesting.harvest_zone import OPTIONS, given_zones
 from pickenv.envs.shared.drawn_env import DrawnEnv
 from pickenv.envs.shared.spaces import given_options
@@ -130,11 +131,11 @@ class HarvestEnv(DrawnEnv):
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         super().__init__(render_mode)
-        self.task: HarvestTask = batch.make_harvest_task(
+        self.task: HarvestTask = make_harvest_task(
             slaves, spacing_mm, fruit, ideal, vision, detector, canopy, out_of_range
         )
         self.compensator: Compensate | None = None
-        self.observation_space, self.action_space = batch.spaces(self.task)
+        self.observation_space, self.action_space = harvest_spaces(self.task)
         self.state: HarvestState | None = None
 
     def reset(

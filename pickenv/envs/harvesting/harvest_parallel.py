@@ -16,8 +16,9 @@ import pettingzoo  # type: ignore[import-untyped,import-not-found,unused-ignore]
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState
 from pickenv.envs.harvesting.harvest_env import LONGEST
+from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
 from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
 from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError
@@ -39,12 +40,12 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
 
     def __init__(self, *, max_cycles: int = LONGEST, render_mode: str | None = None, **arguments: Any) -> None:
         """See the class."""
-        self.task: HarvestTask = batch.make_harvest_task(**arguments)
+        self.task: HarvestTask = make_harvest_task(**arguments)
         self.max_cycles, self.render_mode = max_cycles, checked_render_mode(render_mode, ("rgb_array",))
         self.possible_agents = ["master", *(f"slave_{i}" for i in range(self.task.machine.arms))]
         self.agents: list[str] = []
         self.compensator: Compensate | None = None
-        observations = batch.spaces(self.task, extra=len(self.possible_agents))[0]
+        observations = harvest_spaces(self.task, extra=len(self.possible_agents))[0]
         self._observations = {name: deepcopy(observations) for name in self.possible_agents}
         self._actions = {name: gym.spaces.Box(-1.0, 1.0, (3,), np.float32) for name in self.possible_agents}
         self._rng = np.random.default_rng()

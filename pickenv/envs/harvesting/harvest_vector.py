@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import HarvestState, HarvestTask
+from pickenv.envs.harvesting.harvest_batch import HarvestState
 from pickenv.envs.harvesting.harvest_env import LONGEST
+from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
 from pickenv.envs.harvesting.harvest_zone import AS_DRAWN, OPTIONS, GivenZones, given_zones
 from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
 from pickenv.envs.shared.spaces import final_rows, given_mask, given_options, given_seeds
@@ -48,12 +49,12 @@ class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """See the class."""
         if num_envs < 1:
             raise InputError(f"{num_envs} environments are impossible; give 1 or more")
-        self.task: HarvestTask = batch.make_harvest_task(**arguments)
+        self.task: HarvestTask = make_harvest_task(**arguments)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
         self.render_mode = checked_render_mode(render_mode, ("rgb_array",))
-        self.single_observation_space, self.single_action_space = batch.spaces(self.task)
+        self.single_observation_space, self.single_action_space = harvest_spaces(self.task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.compensator: Compensate | None = None

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pickenv.arm import Array
+from pickenv.envs.harvesting.harvest_task import HarvestTask
 from pickenv.envs.shared.task import as_numbers
 from pickenv.errors import InputError
 from pickenv.harvester.trees import lab_zone, tree_leaves
 from pickenv.harvester.zones import AHEAD
 from pickenv.orchard import Sight, Viewpoint, sample_diameters, see
-
-if TYPE_CHECKING:
-    from pickenv.envs.harvesting.harvest_batch import HarvestTask
 
 OPTIONS = ("fruit", "start_joints")
 DRAWS = 100

@@ -9,12 +9,10 @@ from pickenv.envs.picking.pick_scene import PickScene, PickSetting, to_base
 from pickenv.envs.shared.drawing import GHOST_WORDS, arm_at_work, staged, standing, tool_dial
 from pickenv.orchard.gripper import lateral_tolerance
 from pickenv.pictures.arm_shapes import Solids, cup_solids, frustum_solids, hand_solids, joined_solids
-from pickenv.pictures.stage import Eye, Mesh, Stage, Words
+from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
 
 CAMERA = (110, 96, 160)
-CRATE = np.array([0.55, -0.15, -0.25])
-"""Where its lowest corner stands, in the base frame."""
 
 
 def draw_pick(
@@ -38,7 +36,7 @@ def draw_pick(
         arm_at_work(nominal, command, point, axis, np.array(believed[9:])),
         gripper_solids(orchard, point, axis, scene.held is not None),
         canopy_fruit(scene),
-        crate(CRATE, funnel["collected"], float(np.mean(scene.diameters)), ground_of(orchard)),
+        crate(pick_eye(orchard), SIZE, funnel["collected"], float(np.mean(scene.diameters)), ground_of(orchard)),
         camera_solids(orchard),
     )
     missed = scene.attempted & ~scene.attached

@@ -37,6 +37,8 @@ from pickenv.pictures.tree_shapes import (
     sprig,
 )
 
+MISS: dict[bool, Rgb] = {False: RED, True: (255, 128, 128)}
+"""Of words about a miss, on light and on dark pages."""
 FRUIT = 0.06
 """Diameter that is drawn; recordings know of places alone."""
 SAME_FRUIT = 0.045
@@ -191,7 +193,7 @@ def _fruit(film_set: FilmSet, side: int, episode: int, now: int, stated: FilmCap
         number = int(np.argmin(np.linalg.norm(film_set.fruit[episode] - track[attempt.begin], axis=1)))
         if attempt.begin <= now <= attempt.end and (now < attempt.close or attempt.taken):
             places[number], held[number] = track[now], attempt.taken and now >= attempt.close
-        there[number] = not (attempt.taken and now > attempt.end)
+        there[number] = not (attempt.taken and now >= attempt.end + film_set.plan.reaching)  # a reach ends in the cup
         missed[number] = not attempt.taken and now >= attempt.close
     colours = fruit_colours(len(places))
     colours[missed] = MISSED_FRUIT
@@ -200,7 +202,7 @@ def _fruit(film_set: FilmSet, side: int, episode: int, now: int, stated: FilmCap
     parts = [
         fruit_solids(places[hanging], FRUIT, colours[hanging]),
         fruit_solids(places[loose], FRUIT, colours[loose], stems=False),
-        crate(_beside(film_set), stated.picked, FRUIT, film_set.ground),
+        crate(film_set.eye, film_set.size, stated.picked, FRUIT, film_set.ground),
     ]
     if film_set.plan.reaching:
         parts += [sprig(place, FRUIT) for place in film_set.fruit[episode][:1]]
@@ -213,13 +215,7 @@ def _missed(film_set: FilmSet, side: int, episode: int, now: int) -> Iterator[Wo
     for attempt in film_set.attempts[side][episode]:
         if not attempt.taken and attempt.close <= now:
             place = policy.fruit_position[episode, attempt.begin] - [0.0, 0.0, 0.75 * FRUIT]
-            yield Words(f"missed by {policy.miss_mm[episode, attempt.close]:.1f} mm", place, RED)
-
-
-def _beside(film_set: FilmSet) -> Array:
-    """Where the crate stands: in the lower left of the picture, as far away as the arm."""
-    eye, (width, height) = film_set.eye, film_set.size
-    return eye.point_at((0.28 * width, 0.86 * height), float(np.linalg.norm(eye.target - eye.position)), film_set.size)
+            yield Words(f"missed by {policy.miss_mm[episode, attempt.close]:.1f} mm", place, MISS[film_set.dark])
 
 
 def _dial(film_set: FilmSet, side: int, frame: FilmFrame, now: int, colour: Rgb, stated: FilmCaption) -> Dial:

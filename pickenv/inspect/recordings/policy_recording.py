@@ -14,7 +14,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.inspect.colours import Rgb, lane, policy_colours
+from pickenv.inspect.colours import WHITE, lane, policy_colours
 from pickenv.inspect.figures.field_figure import field_gain
 from pickenv.inspect.recordings.blueprint_views import seen_from, with_colour_bar
 from pickenv.inspect.recordings.episode_blueprint import EYE, at_the_end, distance_plot, number_plots, target_view
@@ -32,8 +32,6 @@ SIDEWAYS = np.array([0.8, 0.6, 0.0])
 """Where the next policy stands: to the right as the eye sees it."""
 APART = 1.25
 """Distance between policies, in widths of what is shown of one."""
-WORDS: Rgb = (125, 125, 133)
-"""Of names in space: legible on the viewer's dark plates and on its light ones."""
 NAME_SIZE = rr.Radius.ui_points(6.0)
 
 
@@ -97,7 +95,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
         scribe.still(root, rr.Transform3D(translation=number * _step(low, high)))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]
         scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=NAME_SIZE))
-        name = rr.Points3D([above], labels=[policy.label], colors=[WORDS], radii=0.0, show_labels=True)
+        name = rr.Points3D([above], labels=[policy.label], colors=[WHITE], radii=0.0, show_labels=True)
         scribe.still(f"{root}/name", name)
         send_looks(stream, scene, policy.key, rows, root)
         send_rows(stream, scene, policy.key, rows, root)
@@ -115,7 +113,7 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
         centre, radius = shown_box(comparison)
         above = [centre + np.array([0.0, 0.0, 0.8 * radius])]
         scribe.still(
-            f"fields/{name}/name", rr.Points3D(above, labels=[title], colors=[WORDS], radii=0.0, show_labels=True)
+            f"fields/{name}/name", rr.Points3D(above, labels=[title], colors=[WHITE], radii=0.0, show_labels=True)
         )
         send_arrows(scribe, f"fields/{name}/vectors", comparison.field_points, gain * errors, 1e3 * errors, top)
     send_colour_bar(scribe, "legend/position", top, "mm")
@@ -176,7 +174,7 @@ def _field_tab(comparison: Comparison) -> Any:
     centre, radius = shown_box(comparison)
     step, count = _field_step(comparison), len(_fields(comparison))
     middle = centre + (count - 1) / 2.0 * step
-    eye = middle + (1.5 * radius + 0.45 * (count - 1) * float(np.linalg.norm(step))) * EYE
+    eye = middle + (radius + 0.25 * (count - 1) * float(np.linalg.norm(step))) * EYE
     gain = _arrow_gain(comparison)
     view = seen_from(
         eye, middle, "/fields", ["+ /fields/**"], f"Final misses by goal, one eye for all, arrows ×{gain:g}"

@@ -126,7 +126,7 @@ def test_series_must_be_told_apart() -> None:
     assert said == "two entries of the legend look alike, one is 'two'"
     (said,) = figure_faults(lines(raw=(LS, [2.0, 3.0, 1.0])))
     assert said == "'raw' has the colour #0072b2, not its own"
-    (said,) = figure_faults(lines(best=("#f0e442", [2.0, 3.0, 1.0])))
+    (said,) = figure_faults(lines(other=("#f0e442", [2.0, 3.0, 1.0])))
     assert said.startswith("a series of the legend in #f0e442 has a contrast of 1.3")
 
 

@@ -257,7 +257,7 @@ def test_error_fields(comparison: Comparison) -> None:
 
 def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison: Comparison) -> None:
     """Tail, tip and colour of each arrow, the box with its ranges, and the arm, by an orthographic view of our own."""
-    eye, (centre, _) = eye_direction(comparison), shown_box(comparison)
+    eye, (centre, radius) = eye_direction(comparison), shown_box(comparison)
     right = np.array([-eye[1], eye[0], 0.0]) / np.hypot(eye[0], eye[1])
     plane = np.stack([right, np.cross(eye, right)], axis=-1)
     figure = error_fields(comparison, gain=40.0)
@@ -282,6 +282,10 @@ def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison
         said = [text.get_text() for text in axes.texts]
         wanted = [f"{value:.2f}".replace("-", "−") for value in ends.T.ravel()]
         assert sorted(wanted) == sorted(text for text in said if re.fullmatch(r"−?\d+\.\d\d", text))
+        for axis, name in enumerate("xyz"):  # beside the middle of one of its edges
+            (place,) = [text.get_position() for text in axes.texts if text.get_text() == f"{name} (m)"]
+            middles = [(corners[a] + corners[b]) / 2 for a, b in edges if a[axis] != b[axis]]
+            assert min(np.linalg.norm(place - middle) for middle in middles) < 0.2 * radius
         nearest = np.argmin(np.linalg.norm(comparison.fruit - centre, axis=1))
         points = nominal_points(comparison.nominal, comparison.policies[0].reach_joints[nearest])
         arm = [line.get_xydata()[0] for line in axes.lines[12:]] + [axes.lines[-1].get_xydata()[1]]
@@ -363,6 +367,11 @@ def test_iso9283_bars_and_drift() -> None:
             assert [bar.get_height() for bar in group] == given[label]
             assert same(to_rgb(group[0].get_facecolor()), COLOURS[label])
             assert group.get_label() == f"{label}: worst {max(given[label]):.3f} mm"
+        ends = np.array([[(bar.get_x(), bar.get_x() + bar.get_width()) for bar in group] for group in bars])
+        np.testing.assert_allclose(ends.mean(axis=(0, 2)), np.arange(1, 6))  # around their pose's number
+        assert (ends[0, :, 1] <= ends[1, :, 0]).all() and (ends[1, :-1, 1] < ends[0, 1:, 0]).all()  # side by side
+        assert [t.get_text() for t in axes.get_xticklabels()] == ["P1", "P2", "P3", "P4", "P5"]
+        assert axes.get_xticks().tolist() == [1, 2, 3, 4, 5]
     hours, drift = [0.0, 1.0, 2.5], {"raw": [1.0, 2.0, 2.5], "LS": [0.1, 0.4, 0.3]}
     (axes,) = plot_policies.accuracy_drift(hours, drift).axes
     for label, values in drift.items():
