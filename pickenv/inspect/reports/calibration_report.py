@@ -242,7 +242,7 @@ def _parameters(r: Result) -> Section:
         (
             _sentence(r.quality.states.text()),
             table(f"{len(moved)} parameters moved by more than {SIGMAS:g} sigma", moved) if moved else "",
-            *(Folded(caption, [table(caption, rows)]) for caption, rows in groups.items() if rows),
+            *(Folded(caption, [table(caption, rows)]) for caption, rows in groups if rows),
         ),
         "Calibrated minus nominal, with one standard uncertainty (±); bars show the change and a whisker of two "
         "standard uncertainties. A change within its whisker is not significant. Where the last column names a sum, "
