@@ -24,9 +24,11 @@ from pickenv.inspect.colours import lane, policy_colours, policy_rank
 from pickenv.inspect.runs import episode_summary
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.links import nominal_points, true_points
+from pickenv.inspect.runs.matters import pick_share
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, missing_positions
 from pickenv.inspect.runs.run_folder import load_comparison, load_part, read_run
 from pickenv.intervals import mean_interval, paired_share_interval, share_interval
+from pickenv.orchard.gripper import load_gripper
 
 EPISODES = 12
 
@@ -131,6 +133,17 @@ def test_one_number_in_the_terminal_the_json_the_page_and_the_recording(
     cells += [cell for line in content["differences"] for cell in episode_summary.difference_cells(line)]
     for cell in [*cells, content["headline"], content["explanation"]]:
         assert cell in terminal and cell in page and cell in words, cell
+    between = content["matters"]
+    assert (between["from"], between["to"]) == ("raw", "LS")
+    for change in between["changes"]:
+        for policy, key in zip(found.episodes.policies, ("before", "after"), strict=True):
+            share = pick_share(load_gripper(change["gripper"]), policy.miss_mm[:, -1], change["perception_mm"])
+            assert change[key] == pytest.approx(share)
+        assert f"<td>{100 * change['before']:.1f}</td><td>{100 * change['after']:.1f}</td>" in page
+    most = max(between["changes"], key=lambda each: each["after"] - each["before"])
+    second = content["explanation"].split(". ")[1]
+    assert f"with {most['gripper']} and the fruit seen" in second
+    assert f"{100 * most['before']:.0f} % taken with raw, {100 * most['after']:.0f} % with LS" in second
     for row in content["rows"]:
         assert f"{row['mean_mm']:.3f} (" in words
         names = [

@@ -75,6 +75,12 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
                 [episode_summary.difference_cells(line) for line in lines],
             )
         )
+    if changed := episode_summary.change_table(episodes):
+        tables.append(
+            PageTable(
+                "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)", *changed
+            )
+        )
     verdict = PageVerdict("note", episode_summary.outcome_sentence(episodes), episode_summary.explanation(episodes))
     plant = f" on the plant {episodes.plant}" if episodes.plant else ""
     subtitle = f"Simulated; {len(episodes.seeds)} episodes of {episodes.env_id}{plant}, the same for all policies"

@@ -23,7 +23,7 @@ from pickenv.inspect.reports.report_words import axis_table, between, estimated,
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.gripping import gripped
-from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
+from pickenv.inspect.runs.matters import PickChange, change_cells, matters, pick_changes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_cases, load_part
 from pickenv.intervals import mean_interval, share_interval
 
@@ -131,14 +131,7 @@ def demo_verdict(
 def _cases(cases: Mapping[str, Sequence[PickChange]]) -> report_page.Section:
     """Picks without and with calibration, by plant, gripper and perception error."""
     rows = [
-        (
-            f"{plant}, {c.gripper}",
-            f"{c.perception_mm:g}",
-            *(f"{100.0 * share:.1f}" for share in (c.before, c.after)),
-            f"{100.0 * c.gain:+.1f}",
-        )
-        for plant, changes in cases.items()
-        for c in changes
+        (f"{plant}, {cells[0]}", *cells[1:]) for plant, changes in cases.items() for cells in map(change_cells, changes)
     ]
     heads = ("arm, gripper", "fruit seen to, per axis (mm)", "taken, raw (%)", "calibrated (%)", "change (points)")
     caption = "Share of fruit that a gripper takes, by how well the fruit is seen (standard deviation)"

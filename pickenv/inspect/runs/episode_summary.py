@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.inspect.runs.matters import PickChange, change_cells, matters, pick_changes
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.intervals import LEAST, clustered_share_interval, mean_interval, paired_share_interval, share_interval
 
@@ -161,31 +162,54 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
 
 
 def explanation(episodes: RecordedEpisodes) -> str:
-    """By how much it is better, and whether it matters to the gripper: two sentences."""
+    """By how much it is better, whether that changes a pick for any gripper, and what this gripper picked here."""
     rows = policy_rows(episodes)
     known = [row for row in rows if row["mean_mm"] is not None]
     if not known:
         return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
     best = min(known, key=lambda row: row["mean_mm"])
-    others = [row for row in rows if row is not best]
-    if not others:
-        return f"{_picking(episodes, [best])}."
-    other, line = _against(episodes, best["policy"])
+    other, line = _against(episodes, best["policy"]) if len(known) > 1 else ("", {"difference_mm": None})
+    if line["difference_mm"] is None:  # no fruit for which two of them closed the gripper
+        return f"{_picking(episodes, rows)}."
     by = said(abs(line["difference_mm"]), _turned(line), 3)
     first = f"{best['policy']} misses by {by} mm less than {other} for the same {line['pairs']} fruit"
-    shares = {row["share_picked"] for row in rows}
-    matters = (
-        "so here the difference changes no pick"
-        if len(shares) == 1
-        else "so here the difference changes what is picked"
-    )
-    return f"{first}. {_picking(episodes, rows)}, {matters}."
+    between = (f"with {other}", f"with {best['policy']}")
+    worth = matters(episodes.plant or episodes.env_id, _changes(episodes, other, best["policy"]), between)
+    return f"{first}. {worth} {_picking(episodes, rows)}."
 
 
 def _picking(episodes: RecordedEpisodes, rows: Sequence[Mapping[str, Any]]) -> str:
     counts = ", ".join(f"{row['picked']} of {row['tried']} with {row['policy']}" for row in rows)
-    gripper = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
-    return f"{gripper} and picks {counts}"
+    return f"In these episodes {episodes.gripper}, which forgives {episodes.tolerance_mm:g} mm, picks {counts}"
+
+
+def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
+    """What the best policy instead of the other changes in picks, for each gripper and perception error.
+
+    A miss counts as one across the tool. Empty where no two policies closed the gripper for the same fruit.
+    """
+    known = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
+    if len(known) < 2:
+        return {}
+    best = min(known, key=lambda row: row["mean_mm"])["policy"]
+    other, line = _against(episodes, best)
+    if line["difference_mm"] is None:
+        return {}
+    return {"from": other, "to": best, "changes": [vars(each) for each in _changes(episodes, other, best)]}
+
+
+def change_table(episodes: RecordedEpisodes) -> tuple[tuple[str, ...], list[tuple[str, ...]]] | None:
+    """Heads and rows of `policy_changes`; None where there are none."""
+    found = policy_changes(episodes)
+    if not found:
+        return None
+    heads = ("gripper", "fruit seen to, per axis (mm)", f"taken, {found['from']} (%)", f"{found['to']} (%)")
+    return (*heads, "change (points of %)"), [change_cells(PickChange(**each)) for each in found["changes"]]
+
+
+def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[PickChange]:
+    misses = {policy.label: _finite(policy.miss_mm) for policy in episodes.policies}
+    return pick_changes(misses[other], misses[best])
 
 
 def _against(episodes: RecordedEpisodes, best: str) -> tuple[str, dict[str, Any]]:
@@ -218,6 +242,7 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
         "explanation": explanation(episodes),
         "rows": policy_rows(episodes),
         "differences": policy_differences(episodes),
+        "matters": policy_changes(episodes),
     }
 
 

@@ -76,13 +76,30 @@ def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike, grippers: Sequence[s
     ]
 
 
-def matters(plant: str, changes: Sequence[PickChange]) -> str:
+def change_cells(change: PickChange) -> tuple[str, ...]:
+    """What people are shown of a change: gripper, perception error, shares without and with, points of % between."""
+    shares = (f"{100.0 * share:.1f}" for share in (change.before, change.after))
+    return (change.gripper, f"{change.perception_mm:g}", *shares, f"{100.0 * change.gain:+.1f}")
+
+
+def matters(
+    plant: str, changes: Sequence[PickChange], between: tuple[str, str] = ("without", "with calibration")
+) -> str:
     """In a few sentences: on which arm, for which gripper and perception error picks change.
 
     Args:
         plant: The arm's name.
         changes: From `pick_changes`.
+        between: What stands behind the shares before and after: "with raw" and "with LS" for two policies.
     """
+
+    def both(change: PickChange) -> str:
+        before, after = (
+            f"{100.0 * share:.0f} % {word}"
+            for share, word in zip((change.before, change.after), (f"taken {between[0]}", between[1]), strict=True)
+        )
+        return f"{before}, {after}"
+
     best = sorted(
         (
             max((c for c in changes if c.gripper == name), key=lambda c: abs(c.gain))
@@ -94,21 +111,17 @@ def matters(plant: str, changes: Sequence[PickChange]) -> str:
         most = np.ceil(100.0 * abs(best[0].gain) - 1e-9)
         return (
             f"On {plant} this changes no more than {most:.0f} of 100 picks, with any gripper "
-            f"and however well the fruit is seen; most {_where(best[0])}: {_both(best[0])}."
+            f"and however well the fruit is seen; most {_where(best[0])}: {both(best[0])}."
         )
-    yes = [f"{_where(c)}: {_both(c)}" for c in best if abs(c.gain) >= MATTERS]
-    no = [f"{c.gripper} ({_both(c)})" for c in best if abs(c.gain) < MATTERS]
+    yes = [f"{_where(c)}: {both(c)}" for c in best if abs(c.gain) >= MATTERS]
+    no = [f"{c.gripper} ({both(c)})" for c in best if abs(c.gain) < MATTERS]
     first = f"On {plant} this changes picks {'; '.join(yes)}."
     sharp = next(c for c in changes if c.gripper == best[0].gripper and c.perception_mm == PERCEPTION_MM[0])
     if abs(sharp.gain) < MATTERS:
-        first += f" Were the fruit seen without error, it would change none ({_both(sharp)})."
+        first += f" Were the fruit seen without error, it would change none ({both(sharp)})."
     return first + (f" Hardly a pick changes with {' and '.join(no)}." if no else "")
 
 
 def _where(change: PickChange) -> str:
     seen = f"seen to {change.perception_mm:g} mm per axis" if change.perception_mm else "seen without error"
     return f"with {change.gripper} and the fruit {seen}"
-
-
-def _both(change: PickChange) -> str:
-    return f"{100.0 * change.before:.0f} % taken without, {100.0 * change.after:.0f} % with calibration"
