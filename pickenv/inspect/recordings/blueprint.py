@@ -14,6 +14,7 @@ from rerun.components import Colormap
 from rerun.encodings import TensorDimensionIndexSelection
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.inspect.colours import lane
 from pickenv.inspect.recordings.blueprint_views import ghost, layout, seen_from, space, with_colour_bar
 from pickenv.inspect.recordings.detail_tabs import detail_tabs
 from pickenv.inspect.recordings.details import Details
@@ -114,6 +115,7 @@ def _slice(comparison: Comparison, policy: PolicyErrors) -> Any:
         origin=entity,
         contents=[f"+ {entity}"],
         name=f"{policy.label} | error magnitude, mm, at height z (slider)",
+        view_fit="FillKeepAspectRatio",
         slice_selection=rrb.TensorSliceSelection(
             width=2, height=1, indices=[TensorDimensionIndexSelection(dimension=0, index=middle)], slider=[0]
         ),
@@ -144,7 +146,7 @@ def _table(policies: tuple[PolicyErrors, ...]) -> Any:
         ("metrics/attitude_deg", "Scalars:scalars"),
         ("outcome", "StateChange:state"),
     )
-    entities = [(f"/{folder}/{policy.key}", component) for folder, component in sources for policy in policies]
+    entities = [(f"/{folder}/{lane(policy.key)}", component) for folder, component in sources for policy in policies]
     columns = [ComponentColumnSelector(entity_path=entity, component=component) for entity, component in entities]
     return rrb.DataframeView(
         origin="/metrics",

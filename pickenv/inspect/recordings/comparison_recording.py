@@ -12,13 +12,14 @@ import numpy as np
 import rerun as rr
 
 from pickenv.errors import InputError
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, policy_colours, policy_key
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, lane, policy_colours, policy_key
 from pickenv.inspect.recordings.blueprint import comparison_blueprint
 from pickenv.inspect.recordings.detail_entities import send_details
 from pickenv.inspect.recordings.details import Details, details_of
 from pickenv.inspect.recordings.scribe import (
     Scribe,
     f32,
+    four_digits,
     reading,
     reading_columns,
     send_arm,
@@ -175,7 +176,14 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, ga
     grid[tuple(index.T)] = mean
     scribe.still(
         f"field/{policy.key}/magnitude_mm",
-        rr.Tensor(np.ascontiguousarray(grid.transpose(2, 1, 0)), dim_names=["z", "y", "x"], value_range=[0.0, top]),
+        rr.Tensor(
+            np.ascontiguousarray(grid.transpose(2, 1, 0)),
+            dim_names=[
+                f"{axis} = {start:.3f} m + {step:g} m ×"  # the viewer says a cell's number after it
+                for axis, start in zip("zyx", comparison.grid_origin[::-1], strict=True)
+            ],
+            value_range=[0.0, top],
+        ),
     )
 
 
@@ -192,10 +200,10 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, 
     shots = rr.Points3D(f32(miss * 1e3), colors=[colour], radii=rr.Radius.ui_points(3.0))
     scribe.still(f"target/{policy.key}", shots, reading(1e3 * miss))
     for name, values in (("error_mm", policy.position_error_mm), ("attitude_deg", policy.attitude_error_deg)):
-        entity = f"metrics/{name}/{policy.key}"
+        entity = f"metrics/{name}/{lane(policy.key)}"
         scribe.still(entity, rr.SeriesLines(names=[policy.label], colors=[colour], widths=[1.8]))
-        scribe.along(entity, rr.Scalars.columns(scalars=values))
-    entity = f"outcome/{policy.key}"
+        scribe.along(entity, rr.Scalars.columns(scalars=four_digits(values)))
+    entity = f"outcome/{lane(policy.key)}"
     configuration = rr.StateConfiguration(
         values=["pick", "miss"], labels=["pick", "miss"], colors=[(*colour, 255), (*RED, 255)]
     )
@@ -237,7 +245,7 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
         chart = rr.BarChart(
             numbers, abscissa=f32(middle), widths=f32(np.full(len(numbers), width)), color=(*colour, 255)
         )
-        scribe.still(f"hist/{policy.key}", chart)
+        scribe.still(f"hist/{lane(policy.key)}", chart)
 
 
 def _send_legend(scribe: Scribe, comparison: Comparison, gain: float) -> None:

@@ -70,8 +70,9 @@ def _uncertainty(comparison: Comparison) -> Any:
         comparison_summary.field_mm(last),
         100.0 * float(np.mean(comparison_summary.field_mm(last) < 2.0 * predicted)),
     )
+    least, most = float(predicted.min()), float(predicted.max())
     titles = {
-        "predicted": f"Predicted standard uncertainty u of the tool position | mean {predicted.mean():.2f} mm",
+        "predicted": f"Predicted standard uncertainty u | mean {predicted.mean():.2f} mm, {least:.2f} to {most:.2f} mm",
         "actual": f"Actual error, {last.label} | mean {actual.mean():.2f} mm | below 2u at {inside:.0f} %",
     }
     views = [space(comparison, title, [f"+ /world/uncertainty/{key}"]) for key, title in titles.items()]
