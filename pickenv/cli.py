@@ -68,7 +68,7 @@ def demo(
 
 def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     from pickenv.calibration.assessment.metrics import LEAST_ROWS
-    from pickenv.demo import LABELS
+    from pickenv.inspect.colours import policy_label
     from pickenv.inspect.reports.report_words import between, percent
 
     found = summary["identifiability"]
@@ -88,7 +88,7 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
         numbers = (position["rms"], position["p95"], row["attitude_deg"]["mean"], row["noncompensable_deg"])
         said = "none" if interval is None else between(interval[0], interval[1], 3)
         cells = [f"{position['mean']:.3f}", said, *(f"{number:.3f}" for number in numbers)]
-        rows.append([LABELS[key], *cells, percent(row["success_rate"], *row["success_ci95"]).replace(" %", "")])
+        rows.append([policy_label(key), *cells, percent(row["success_rate"], *row["success_ci95"]).replace(" %", "")])
     title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
     title += "; a quick run, worse than the paper's protocol" if summary["quick"] else ""
     caption = (

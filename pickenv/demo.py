@@ -41,6 +41,7 @@ from pickenv.calibration import (
     simulated_tracker,
 )
 from pickenv.files import write_json, write_text
+from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors
 from pickenv.inspect.runs.field_grid import field_grid
@@ -53,7 +54,6 @@ from pickenv.wrappers import CompensationWrapper
 
 OTHER = "orchard"
 """The plant with every effect, on which the demonstration shows what the same calibration is worth for picks."""
-LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN"}
 
 Progress = Callable[[str, int, int], None]
 """Called with (stage, done, in all)."""
@@ -185,7 +185,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         )
         if compensator is not None:
             env = CompensationWrapper(env, compensator)
-        stage = f"reaching, {LABELS[key]}"
+        stage = f"reaching, {policy_label(key)}"
         reaches[key] = run_reaches(env, ScriptedReach(env), seeds, lambda done, s=stage: report(s, done, len(seeds)))  # type: ignore[misc]
         env.close()
     gains: list[BlockedGain] = []
@@ -249,7 +249,7 @@ def _comparison(
     for key, compensator in compensators.items():
         run, field = reaches[key], _errors(plant, grid.joints, compensator)
         ends = (run.joint_command, run.tool_position, run.pose_error, run.success)
-        policies.append(policy_errors(LABELS[key], field, *ends, key=key))
+        policies.append(policy_errors(policy_label(key), field, *ends, key=key))
     return compared(
         plant,
         grid,
@@ -346,4 +346,6 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
 def trace(result: DemoResult) -> CalibrationTrace:
     """What the figures and the report of the calibration are made of."""
     sets = {"identification": result.identification, "network": result.network, "test": result.test}
-    return trace_of(result.calibrated.fit, sets, {LABELS[key]: error for key, error in result.test_errors.items()})
+    return trace_of(
+        result.calibrated.fit, sets, {policy_label(key): error for key, error in result.test_errors.items()}
+    )

@@ -15,8 +15,9 @@ import typer
 from rich.progress import track
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.demo import LABELS, DemoSettings, run_demo
+from pickenv.demo import DemoSettings, run_demo
 from pickenv.files import write_json
+from pickenv.inspect.colours import policy_label
 from pickenv.inspect.reports.report_words import between
 from pickenv.intervals import LEAST, mean_interval
 
@@ -51,15 +52,15 @@ def main(
     epochs: Annotated[int, typer.Option(help="Passes of each network's training; the paper's by default.")] = 500,
 ) -> None:
     """Run them and print a line for each policy."""
-    means: dict[str, list[float]] = {key: [] for key in LABELS}
+    means: dict[str, list[float]] = {}
     for seed in track(np.random.SeedSequence(SEED).generate_state(calibrations), description="calibrations"):
         result = run_demo(DemoSettings(seed=int(seed), epochs=epochs, grid_step=0.5, gain_poses=0))
         for key, run in result.reaches.items():
-            means[key].append(float(run.position_error_mm.mean()))
+            means.setdefault(key, []).append(float(run.position_error_mm.mean()))
     found = {key: spread(np.array(values)) for key, values in means.items()}
     print(f"over {calibrations} calibrations of one arm (own poses, noise, network and fruit):")
-    for key, label in LABELS.items():
-        print(f"  {sentence(label, found[key])}")
+    for key, each in found.items():
+        print(f"  {sentence(policy_label(key), each)}")
     if json_file is not None:
         write_json(json_file, {"seed": SEED, "means_mm": means, "spread_mm": found})
 

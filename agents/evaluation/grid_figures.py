@@ -12,12 +12,12 @@ from pickenv.agents.evaluation.grid import PolicyGrid
 from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.envs.shared.situation import CONTROL_PERIOD
+from pickenv.inspect.colours import policy_label
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.runs.gripping import gripper_curves
 
-LABELS = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN", "best": "LS+GP"}
 STATISTICS: Mapping[str, Callable[[Array], Estimate]] = {
     "mean": mean_over_arms,
     "median arm": lambda values: quantile_over_arms(values, 0.5),
@@ -32,7 +32,7 @@ def aggregate_figure(grid: PolicyGrid) -> Figure:
         for title, statistic in STATISTICS.items():
             found = statistic(cell.errors_mm)
             policies = panels.setdefault(cell.plant, {}).setdefault(title, {})
-            policies.setdefault(f"{cell.policy}\n{cell.feedback}", {})[LABELS[cell.compensation]] = (
+            policies.setdefault(f"{cell.policy}\n{cell.feedback}", {})[policy_label(cell.compensation)] = (
                 found.value,
                 found.ci95,
             )
@@ -47,7 +47,7 @@ def success_curves(grid: PolicyGrid, plant: str) -> Figure:
             for name, gripper in grid.grippers.items():
                 success = share_over_arms(cell.chances(gripper))
                 place = (float(cell.errors_mm.mean()), (success.value, success.ci95))
-                points.setdefault(LABELS[cell.compensation], {})[name] = place
+                points.setdefault(policy_label(cell.compensation), {})[name] = place
     return plot_policies.success_against_misalignment(gripper_curves(tuple(grid.grippers)), points)
 
 
@@ -59,7 +59,7 @@ def cycle_figure(grid: PolicyGrid, period: float, plant: str) -> Figure:
     curves = [
         plot_policies.CycleCurve(
             cell.policy,
-            LABELS[cell.compensation],
+            policy_label(cell.compensation),
             np.mean([rollout.error_mm.mean(axis=1) for rollout in cell.rollouts], axis=0),
         )
         for cell in grid.cells
@@ -81,7 +81,7 @@ def grid_drawings(grid: PolicyGrid) -> Sequence[Drawing]:
     ]
     for plant in dict.fromkeys(cell.plant for cell in grid.cells):
         scripted = {
-            LABELS[cell.compensation]: cell.errors_mm.ravel()
+            policy_label(cell.compensation): cell.errors_mm.ravel()
             for cell in grid.cells
             if cell.plant == plant and cell.policy == "scripted"
         }

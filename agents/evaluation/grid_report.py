@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pickenv.agents.evaluation.grid_figures import LABELS, grid_drawings
+from pickenv.agents.evaluation.grid_figures import grid_drawings
 from pickenv.agents.evaluation.grid_tables import HEADS, cells_of, gain_words, interval_words, read_grid
+from pickenv.inspect.colours import policy_label
 from pickenv.inspect.figures.run_drawings import Drawings
 from pickenv.inspect.reports.plain_report import plain_report
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict
@@ -30,15 +31,15 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     helped = [line for line in raw if line["significant"] and line["difference_mm"] < 0.0]
     verdict = PageVerdict(
         "note",
-        f"Best: {best['policy']} with {LABELS[best['compensation']]}, {best['mean_mm']:.2f} mm",
-        f"{best['policy']} with {best['feedback']} and {LABELS[best['compensation']]} on {best['plant']} ends "
+        f"Best: {best['policy']} with {policy_label(best['compensation'])}, {best['mean_mm']:.2f} mm",
+        f"{best['policy']} with {best['feedback']} and {policy_label(best['compensation'])} on {best['plant']} ends "
         f"{best['mean_mm']:.3f} mm from the fruit in the mean ({_evidence(best)}). "
         f"Of {len(raw)} comparisons of a calibration with the raw arm, {len(helped)} show a gain that is significant.",
     )
-    cells = [cells_of(row | {"compensation": LABELS[row["compensation"]]}) for row in rows]
+    cells = [cells_of(row | {"compensation": policy_label(row["compensation"])}) for row in rows]
     gains = [
         (
-            *(line["policy"], line["feedback"], line["plant"], LABELS[line["from"]], LABELS[line["to"]]),
+            *(line["policy"], line["feedback"], line["plant"], policy_label(line["from"]), policy_label(line["to"])),
             *gain_words(line),
         )
         for line in worth

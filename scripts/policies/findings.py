@@ -32,14 +32,14 @@ from findings_transfer import (
     transfer_tables,
 )
 
-from pickenv.agents.evaluation.calibrated import CalibrationPlan
+from pickenv.agents.evaluation import calibrated
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
-from pickenv.agents.evaluation.grid_figures import LABELS, aggregate_figure, success_curves
+from pickenv.agents.evaluation.grid_figures import aggregate_figure, success_curves
 from pickenv.agents.evaluation.grid_tables import gain_words, interval_words, with_interval
 from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.files import write_text
-from pickenv.inspect.colours import policy_colours
+from pickenv.inspect.colours import policy_colours, policy_label
 from pickenv.inspect.figures.style import LINES, WIDTH, new_figure, plain_decades, rgb, save_figure
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class Finding:
 
 def settings_of(sizes: Sizes, seed: int = 0, **changes: Any) -> GridSettings:
     """Settings of a comparison."""
-    plan = CalibrationPlan(epochs=sizes.epochs, seed=seed)
+    plan = calibrated.CalibrationPlan(epochs=sizes.epochs, seed=seed)
     return GridSettings(arms=sizes.arms, episodes=sizes.episodes, seed=seed, protocol=plan, **changes)
 
 
@@ -128,7 +128,7 @@ def policies_findings(grid: PolicyGrid) -> list[Finding]:
     means, servo = {}, {}
     for plant in ("qiao2026", "field"):
         errors = {key: grid.cell("scripted", key, "encoders", plant).errors_mm for key in PLANTS[plant]}
-        means[plant] = ", ".join(f"{LABELS[key]} {_of(mean_over_arms(each))}" for key, each in errors.items())
+        means[plant] = ", ".join(f"{policy_label(key)} {_of(mean_over_arms(each))}" for key, each in errors.items())
         servo[plant] = _of(mean_over_arms(grid.cell("servo", "raw", "camera", plant).errors_mm))
     first = (
         f"The scripted policy, blind, ends this far from the fruit (mean over {grid.settings.arms} arms, mm): on "
@@ -175,23 +175,26 @@ def error_tables(grid: PolicyGrid) -> list[str]:
     for cell in grid.cells:
         numbers = mean_over_arms(cell.errors_mm), *(quantile_over_arms(cell.errors_mm, p) for p in (0.5, 0.95))
         lines.append(
-            f"| {cell.plant} | {cell.policy} | {cell.feedback} | {LABELS[cell.compensation]} | "
+            f"| {cell.plant} | {cell.policy} | {cell.feedback} | {policy_label(cell.compensation)} | "
             f"{' | '.join(map(_of, numbers))} | {cell.errors_mm.max():.1f} |"
         )
     lines += ["", "Paired differences (mm), on the same arms and fruit, open loop:", ""]
     lines += ["| plant | policy | from | to | difference | 95 % | significant |", "|---|---|---|---|---|---|---|"]
     for row in grid.comparisons():
         if row["feedback"] == "encoders":
-            labels = f"{LABELS[row['from']]} | {LABELS[row['to']]}"
+            labels = f"{policy_label(row['from'])} | {policy_label(row['to'])}"
             lines.append(f"| {row['plant']} | {row['policy']} | {labels} | {' | '.join(gain_words(row))} |")
     return [*lines, "", "The intervals are not corrected for their number.", ""]
 
 
 def success_table(grid: PolicyGrid) -> list[str]:
     """Success by gripper with intervals."""
-    keys = list(LABELS)
+    keys = calibrated.COMPENSATIONS
     lines = ["Success by gripper, scripted policy, open loop; 95 % intervals over arms.", ""]
-    lines += [f"| plant | gripper | {' | '.join(LABELS[key] for key in keys)} |", "|---|---|" + "---|" * len(keys)]
+    lines += [
+        f"| plant | gripper | {' | '.join(policy_label(key) for key in keys)} |",
+        "|---|---|" + "---|" * len(keys),
+    ]
     for plant, known in PLANTS.items():
         for name, gripper in grid.grippers.items():
             rates = []
@@ -233,13 +236,15 @@ def adaptive_finding(grid: PolicyGrid) -> Finding:
         for cell in grid.cells:
             errors = cell.errors_mm
             found = [_of(mean_over_arms(errors[:, :, part])) for part in parts.values()]
-            lines.append(f"| {cell.plant} | {LABELS[cell.compensation]} | {' | '.join(found)} | {errors.max():.1f} |")
+            lines.append(
+                f"| {cell.plant} | {policy_label(cell.compensation)} | {' | '.join(found)} | {errors.max():.1f} |"
+            )
             axes.plot(
                 np.arange(1, settings.episodes + 1),
                 errors.mean(axis=(0, 1)),
                 linestyle=lines_of[cell.plant],
                 color=colours[cell.compensation],
-                label=f"{cell.plant}, from {LABELS[cell.compensation]}",
+                label=f"{cell.plant}, from {policy_label(cell.compensation)}",
             )
         plain_decades(axes.yaxis)
         figure.legend(loc="outside right center")

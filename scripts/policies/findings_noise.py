@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid
-from pickenv.agents.evaluation.grid_figures import LABELS
 from pickenv.agents.evaluation.grid_tables import with_interval
 from pickenv.agents.evaluation.rollout import roll_out
 from pickenv.agents.policies.servo import ServoReach
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.inspect.colours import policy_colours
+from pickenv.inspect.colours import policy_colours, policy_label
 from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, rgb
 from pickenv.intervals import Ends, mean_interval, statistic_interval
 
@@ -112,7 +111,9 @@ def noise_figure(swept: list[Noise]) -> Figure:
             plain_decades(axes.xaxis)
             plain_decades(axes.yaxis)
         panels[0].set_ylabel("mean position error (mm)")
-        handles = [panels[0].plot([], [], color=colours[key], label=f"open loop, {LABELS[key]}")[0] for key in keys]
+        handles = [
+            panels[0].plot([], [], color=colours[key], label=f"open loop, {policy_label(key)}")[0] for key in keys
+        ]
         handles += [
             panels[0].plot([], [], line, color="0.2", label=f"servo, raw, gain {gain:g}")[0]
             for gain, line in lines.items()
@@ -136,7 +137,7 @@ def _said_of(noise: Noise) -> str:
     """One plant in words."""
     at = int(np.argmin(np.abs(RMSE_MM - CAMERA_MM)))
     servo, ls = noise.servo[GAINS[-1]][:, at], noise.open_loop["ls"]
-    wins = [f"{_said(noise.crossing(GAINS[-1], key))} mm against {LABELS[key]}" for key in ("ls", "best")]
+    wins = [f"{_said(noise.crossing(GAINS[-1], key))} mm against {policy_label(key)}" for key in ("ls", "best")]
     return (
         f"on `{noise.plant}` {with_interval(float(servo.mean()), mean_interval(servo), 2)} mm against "
         f"{with_interval(float(ls.mean()), mean_interval(ls), 2)} mm of LS, and wins with a camera better than "
@@ -147,7 +148,7 @@ def _said_of(noise: Noise) -> str:
 def noise_tables(swept: list[Noise]) -> list[str]:
     """The crossings."""
     keys = [key for key in swept[0].open_loop if key != "raw"]
-    heads = " | ".join(f"against {LABELS[key]}" for key in keys)
+    heads = " | ".join(f"against {policy_label(key)}" for key in keys)
     lines = [
         f"Open loop against servo on raw arms, {len(swept[0].open_loop['raw'])} arms per plant: RMSE of the camera "
         "(mm) at which both leave the same mean error, 95 % interval over arms; with a better camera the servo wins.",

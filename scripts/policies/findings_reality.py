@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from findings_transfer import whisker
 
+from pickenv.agents.evaluation.calibrated import COMPENSATIONS
 from pickenv.agents.evaluation.grid import PolicyGrid
-from pickenv.agents.evaluation.grid_figures import LABELS
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
 from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.inspect.colours import policy_colours
+from pickenv.inspect.colours import policy_colours, policy_label
 from pickenv.inspect.figures.style import WIDTH, new_figure, rgb
 from pickenv.intervals import statistic_interval
 
@@ -53,14 +53,13 @@ def changed(grid: PolicyGrid, ideal: PolicyGrid, plant: str) -> Estimate:
 
 def reality_figure(grid: PolicyGrid, ideal: PolicyGrid) -> Figure:
     """Left what models add to least squares, by plant; right the two instruments."""
-    names = list(LABELS.values())
-    colours = dict(zip(LABELS, rgb(policy_colours(names)), strict=True))
+    colours = dict(zip(COMPENSATIONS, rgb(policy_colours(COMPENSATIONS)), strict=True))
     with new_figure(WIDTH, 2.9) as figure:
         left, right = figure.subplots(1, 2)
         _draw_models(left, grid, colours)
         _draw_instruments(right, grid, ideal, colours)
         shown = ("raw", "ls", *MODELS)
-        handles = [left.plot([], [], color=colours[key], linewidth=3.0, label=LABELS[key])[0] for key in shown]
+        handles = [left.plot([], [], color=colours[key], linewidth=3.0, label=policy_label(key))[0] for key in shown]
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
 
@@ -98,7 +97,7 @@ def _draw_instruments(axes: Any, grid: PolicyGrid, ideal: PolicyGrid, colours: d
 def reality_sentence(grid: PolicyGrid, ideal: PolicyGrid) -> str:
     """What the figure says."""
     shares = {key: [_percent(removed(grid, key, plant)) for plant in (SMOOTH, HARD)] for key in MODELS}
-    (first, added), (second, both) = ((LABELS[key], shares[key]) for key in MODELS)
+    (first, added), (second, both) = ((policy_label(key), shares[key]) for key in MODELS)
     changes = [f"{_change(changed(grid, ideal, plant))} mm on `{plant}`" for plant in IDEAL_ON]
     return (
         f"Of what LS leaves the scripted policy, {first} removes {added[0]} on the smooth `{SMOOTH}` and {added[1]} on "
@@ -113,7 +112,7 @@ def reality_tables(grid: PolicyGrid, ideal: PolicyGrid) -> list[str]:
     lines = [
         "Share of the scripted policy's mean error that a calibration removes, 95 % interval over arms.",
         "",
-        f"| plant | LS of raw | {' | '.join(f'{LABELS[key]} of LS' for key in MODELS)} |",
+        f"| plant | LS of raw | {' | '.join(f'{policy_label(key)} of LS' for key in MODELS)} |",
         "|---|---|" + "---|" * len(MODELS),
     ]
     for plant in (SMOOTH, HARD):

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 from train_baselines import calibration_file
 
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
-from pickenv.agents.evaluation.grid_figures import LABELS
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
 from pickenv.agents.evaluation.statistics import MARGIN_MM, Estimate, mean_over_arms
 from pickenv.agents.policies.learned import load_policy
 from pickenv.agents.training.training import train
 from pickenv.agents.training.training_setup import Training
+from pickenv.inspect.colours import policy_label
 from pickenv.inspect.figures.style import WIDTH, new_figure
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def transfer_figure(grid: PolicyGrid) -> Figure:
         axes.axvspan(-MARGIN_MM, MARGIN_MM, color="0.92", zorder=0, label=f"margin of {MARGIN_MM:g} mm")
         for y, each in enumerate(found.values()):
             whisker(axes, y, each, "0.2")
-        axes.set_yticks(range(len(found)), [f"{name} arms, used on {LABELS[key]}" for name, key in found])
+        axes.set_yticks(range(len(found)), [f"{name} arms, used on {policy_label(key)}" for name, key in found])
         axes.set_ylim(len(found) - 0.5, -0.5)
         figure.legend(loc="outside lower center")
     return figure
@@ -92,7 +92,7 @@ def transfer_sentence(grid: PolicyGrid) -> str:
     raw = mean_over_arms(grid.cell("randomised", "raw", "encoders", "qiao2026").errors_mm)
     best = mean_over_arms(grid.cell("calibrated", COMPENSATIONS[-1], "encoders", "qiao2026").errors_mm)
     return (
-        f"A policy trained on calibrated arms leaves {_of(best)} mm behind {LABELS[COMPENSATIONS[-1]]}; "
+        f"A policy trained on calibrated arms leaves {_of(best)} mm behind {policy_label(COMPENSATIONS[-1])}; "
         f"{', '.join(said)}; domain randomisation without a calibration leaves {_of(raw)} mm: without a camera nothing "
         "tells a policy which arm it has."
     )
@@ -108,7 +108,7 @@ def transfer_tables(grid: PolicyGrid, folder: str) -> list[str]:
         f"`qiao2026`, {grid.settings.episodes} fruit each: mean final error (mm), 95 % interval over arms and training "
         "seeds, two crossed factors; least squares is left out for its cost.",
         "",
-        "| trained on | " + " | ".join(LABELS[key] for key in grid.settings.compensations) + " |",
+        "| trained on | " + " | ".join(policy_label(key) for key in grid.settings.compensations) + " |",
         "|---|" + "---|" * len(grid.settings.compensations),
     ]
     for name in cells:
@@ -127,7 +127,7 @@ def transfer_tables(grid: PolicyGrid, folder: str) -> list[str]:
         "|---|---|---|---|",
     ]
     for (name, key), each in differences(grid).items():
-        lines.append(f"| {name} arms | {LABELS[key]} | {_change(each)} | {each.verdict()} |")
+        lines.append(f"| {name} arms | {policy_label(key)} | {_change(each)} | {each.verdict()} |")
     return [*lines, ""]
 
 
