@@ -14,24 +14,30 @@ import pytest
 from tests.browser.chromium import PHONE, SIZE
 from tests.browser.report_page import BROKEN_IMAGES, CLIPPED, FAINT, PAPER, SIDEWAYS, Report, open_report
 
+STUDY = Path(__file__).parents[2] / "scripts/tolerance_study.toml"
 NUMBER = r"([+\-−]?[\d.]+)"
 
 
 @pytest.fixture(scope="module")
-def reports(run_folder: Path) -> dict[str, Path]:
-    """The run's own report, and the one that `pickenv calibrate` writes about the run's measurements."""
+def reports(run_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A page of each kind: the run's own, of its measurements, of policies with its calibration, and of a study."""
+    made = tmp_path_factory.mktemp("reports")
     written = {"report": run_folder / "report.html", "calibration": run_folder / "calibration.html"}
-    measured = run_folder / "measurements.csv"
+    written |= {kind: made / kind / "report.html" for kind in ("comparison", "study")}
+    arm, calibration = ["--arm", "qiao2026"], run_folder / "calibration.npz"
+    policies = ["scripted", "--compensate", "none", calibration, "--episodes", "12", "--grid-step", "0.3"]
     for command in (
         ["report", run_folder],
-        ["calibrate", measured, "--arm", "qiao2026", "--report", written["calibration"]],
+        ["calibrate", run_folder / "measurements.csv", *arm, "--report", written["calibration"]],
+        ["compare", *policies, "--out", written["comparison"].parent],
+        ["study", STUDY, "--quick", "--out", written["study"].parent],
     ):
         done = subprocess.run([sys.executable, "-m", "pickenv.cli", *command], capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
     return written
 
 
-@pytest.fixture(scope="module", params=["report", "calibration"])
+@pytest.fixture(scope="module", params=["report", "calibration", "comparison", "study"])
 def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
@@ -50,6 +56,18 @@ def test_a_report_stands_alone_and_can_be_read(
         assert report.page.evaluate(FAINT) == []
         report.page.screenshot(path=screenshots / f"{name}-{theme}.png")
         report.page.screenshot(path=screenshots / f"{name}-{theme}-whole.png", full_page=True)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_report_breaks_no_rule_of_accessibility(
+    browser: Any, reports: dict[str, Path], name: str, theme: str
+) -> None:
+    from axe_playwright_python.sync_playwright import Axe
+
+    with open_report(browser, reports[name], viewport=SIZE, color_scheme=theme) as report:
+        found = Axe().run(report.page).response
+    assert len(found["passes"]) > 20
+    assert [(rule["id"], node["html"][:120]) for rule in found["violations"] for node in rule["nodes"]] == []
 
 
 def test_the_report_shows_the_recording(browser: Any, reports: dict[str, Path]) -> None:

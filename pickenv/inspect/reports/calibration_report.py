@@ -236,7 +236,7 @@ def _parameters(r: Result) -> Section:
     held = [row for row in every if row["state"] == HELD]
     groups = [(f"{len(stayed)} measured, and within {SIGMAS:g} sigma of the nominal value", stayed)]
     groups += [(f"{len(held)} held by their prior: the data tell little of them", held)]
-    heads = ("parameter", "meaning", "change ± uncertainty", "", "stands for")
+    heads = ("parameter", "meaning", "change ± uncertainty", "drawn", "stands for")
     return Section(
         "What moved",
         (
