@@ -222,8 +222,8 @@ def training(count: int, seconds: float) -> tuple[float, float]:
     return ROLLOUT / best["native"], ROLLOUT / best["dummy"]
 
 
-def peers(folder: Path, seconds: float) -> dict[str, dict[str, Any]]:
-    """FetchReach and PandaReach in an environment of packages of their own, made on demand."""
+def peers(folder: Path, seconds: float, *words: str) -> dict[str, dict[str, Any]]:
+    """FetchReach and PandaReach in an environment of packages of their own, made on demand; words go to `run_envs`."""
     python, done = folder / "bin" / "python", folder / "installed"
     try:
         if not done.exists():
@@ -232,11 +232,13 @@ def peers(folder: Path, seconds: float) -> dict[str, dict[str, Any]]:
             subprocess.run(install, check=True, capture_output=True)
             done.touch()
         worker = Path(__file__).parent / "peers" / "run_envs.py"
-        ended = subprocess.run([python, worker, str(seconds)], check=True, capture_output=True, text=True, timeout=600)
+        ended = subprocess.run(
+            [python, worker, str(seconds), *words], check=True, capture_output=True, text=True, timeout=600
+        )
         return dict(json.loads(ended.stdout.strip().splitlines()[-1]))
     except (subprocess.SubprocessError, OSError) as error:
         return {
-            name: {"steps_per_s": None, "note": f"cannot be run: {error}"}
+            name: {"steps_per_s": None, "frames_per_s": None, "note": f"cannot be run: {error}"}
             for name in ("FetchReach-v4", "PandaReach-v3")
         }
 

@@ -1,6 +1,7 @@
-"""Steps per second of the peers' environments, measured inside their own environment of packages; prints JSON.
+"""Steps and frames per second of the peers' environments, in an environment of packages of their own; prints JSON.
 
-Random fresh actions, resets, rewards and observations included. Run by `benchmark_envs.py`; needs no pickenv.
+Random fresh actions, resets, rewards and observations included; of frames render() alone is timed. Run by
+`benchmark_envs.py` and, with the word frames behind the seconds, by `benchmark_pictures.py`; needs no pickenv.
 """
 
 import json
@@ -10,6 +11,7 @@ import warnings
 
 import gymnasium as gym
 
+SIZE = {"width": 480, "height": 360}
 PEERS = {"FetchReach-v4": "gymnasium_robotics", "PandaReach-v3": "panda_gym"}
 
 
@@ -29,13 +31,34 @@ def steps_per_second(name: str, seconds: float) -> float:
     return rate
 
 
+def frames_per_second(name: str, seconds: float) -> list[float]:
+    """Frames that render() draws per second of processor time, and per second; steps between them are left out."""
+    size = SIZE if name.startswith("Fetch") else {f"render_{side}": length for side, length in SIZE.items()}
+    env = gym.make(name, render_mode="rgb_array", **size)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    env.render()
+    frames, processor, wall = 0, 0.0, 0.0
+    while wall < seconds:
+        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        if terminated or truncated:
+            env.reset()
+        begin, began = time.process_time(), time.perf_counter()
+        env.render()
+        processor, wall = processor + time.process_time() - begin, wall + time.perf_counter() - began
+        frames += 1
+    env.close()
+    return [frames / processor, frames / wall]
+
+
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
     seconds, found = float(sys.argv[1]), {}
+    key, measure = ("frames_per_s", frames_per_second) if "frames" in sys.argv else ("steps_per_s", steps_per_second)
     for name, package in PEERS.items():
         try:
             gym.register_envs(__import__(package))
-            found[name] = {"steps_per_s": steps_per_second(name, seconds), "note": ""}
+            found[name] = {key: measure(name, seconds), "note": ""}
         except Exception as error:  # a broken peer is reported, not hidden
-            found[name] = {"steps_per_s": None, "note": f"{type(error).__name__}: {str(error)[:200]}"}
+            found[name] = {key: None, "note": f"{type(error).__name__}: {str(error)[:200]}"}
     print(json.dumps(found))

@@ -1,0 +1,111 @@
+"""Frames per second of render() at 480 x 360 px for every environment, with VTK and without, beside FetchReach's.
+
+Per second of processor time, which other work on the machine hardly changes, and per second. Only render() is timed:
+the arm moves by a random action between two frames. A peer draws with MuJoCo or Bullet, headless.
+
+Run: python scripts/benchmark_pictures.py [--json FILE] [--no-peers] [--seconds 4]
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium as gym
+import typer
+from benchmark_envs import peers
+from rich.console import Console
+from rich.table import Table
+
+import pickenv  # noqa: F401  (registers the environments)
+from pickenv.files import write_json
+from pickenv.pictures.drawers import PLAIN, drawer_name
+
+SIZE = (360, 480, 3)
+Rates = tuple[float, float]
+"""Frames per second of processor time, and per second."""
+
+
+def frame_rates(name: str, seconds: float) -> Rates:
+    """How fast an environment draws, its first frame left out."""
+    env: gym.Env[Any, Any] = gym.make(name, render_mode="rgb_array")
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    env.render()
+    frames, processor, wall = 0, 0.0, 0.0
+    while wall < seconds:
+        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        if terminated or truncated:
+            env.reset()
+        begin, began = time.process_time(), time.perf_counter()
+        picture: Any = env.render()
+        processor, wall = processor + time.process_time() - begin, wall + time.perf_counter() - began
+        frames += 1
+        assert picture.shape == SIZE
+    env.close()
+    return frames / processor, frames / wall
+
+
+def measured(seconds: float) -> dict[str, Any]:
+    """All environments with the drawer that this process takes."""
+    names = sorted(name for name in gym.registry if name.startswith("pickenv/"))
+    return {"drawer": drawer_name(), "rates": {name: frame_rates(name, seconds) for name in names}}
+
+
+def in_another_process(seconds: float, **environment: str) -> dict[str, Any]:
+    """The same in a process of its own: which drawer it takes is found out once in each."""
+    command = [sys.executable, __file__, "--worker", "--seconds", str(seconds)]
+    ended = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=os.environ | environment)
+    return dict(json.loads(ended.stdout.splitlines()[-1]))
+
+
+def said(rates: Rates | None) -> list[str]:
+    """Both rates as they are printed."""
+    return ["-", "-"] if rates is None else [f"{rate:.0f}" for rate in rates]
+
+
+def main(
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    no_peers: Annotated[bool, typer.Option("--no-peers", help="Leave the peers out.")] = False,
+    seconds: Annotated[float, typer.Option(help="Of drawing, for each environment and drawer, s.", min=0.1)] = 4.0,
+    folder: Annotated[Path, typer.Option(help="Where the peers' packages are installed.")] = Path("runs/peers/envs"),
+    worker: Annotated[bool, typer.Option(hidden=True)] = False,
+) -> None:
+    """Measure and print."""
+    if worker:
+        print(json.dumps(measured(seconds)))
+        return
+    solid, plain = in_another_process(seconds), in_another_process(seconds, **{PLAIN: "1"})
+    missing = solid["drawer"] != "vtk"
+    found: dict[str, dict[str, Any]] = {
+        name: {"vtk": None if missing else solid["rates"][name], "plain": rates}
+        for name, rates in plain["rates"].items()
+    }
+    os.environ.setdefault("MUJOCO_GL", "egl")  # for the peer, which else asks for a screen
+    others = {} if no_peers else peers(folder, seconds, "frames")
+    table = Table(title="Frames of 480 x 360 px: per second of processor time, and per second")
+    for head in ("environment", "VTK, processor", "VTK", "plain, processor", "plain"):
+        table.add_column(head, justify="left" if head == "environment" else "right")
+    for name, drawn in found.items():
+        table.add_row(name, *said(drawn["vtk"]), *said(drawn["plain"]))
+    console = Console(width=120)
+    console.print(table)
+    for name, each in others.items():
+        rates = each["frames_per_s"]
+        told = (
+            each["note"]
+            if rates is None
+            else f"{said(rates)[0]} per second of processor time, {said(rates)[1]} per second"
+        )
+        console.print(f"{name}, its own drawing: {told}")
+    if json_file is not None:
+        write_json(json_file, {"frames_per_s": found, "peers": others, "cores": os.cpu_count()})
+
+
+if __name__ == "__main__":
+    typer.run(main)
