@@ -10,6 +10,9 @@ from hypothesis import HealthCheck, settings
 settings.register_profile("pickenv", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("pickenv")
 
+# A terminal so wide that sentences and tables stand on one line; what narrow ones do is asked where it matters.
+os.environ["COLUMNS"] = "400"
+
 ROOT = Path(__file__).parents[1]
 
 

@@ -13,6 +13,7 @@ EARLY = {"end_on_success": True, "tolerance_mm": 400.0, "angle_tolerance_deg": 1
 ARGUMENTS = {
     "pickenv/Reach-v0": {**EARLY, "plant": "orchard", "feedback": "camera", "camera_noise_mm": 3.0},
     "pickenv/ReachGoal-v0": EARLY,
+    "pickenv/ReachScaled-v0": {**EARLY, "plant": "orchard"},
     "pickenv/ReachIdeal-v0": {key: EARLY[key] for key in list(EARLY)[:3]},
     "pickenv/Pick-v0": {"arms": "per_episode", "population": 8, "camera": "perfect"},
     "pickenv/Harvest-v0": {"fruit": 1},

@@ -31,6 +31,8 @@ from pickenv.study.running.batched import judge_batch
 
 ARMS, FRUIT = 3, 5
 TOLERANCE_MM, TOLERANCE_DEG = 1.0, 10.0
+CORNER = np.log10(1 + TOLERANCE_MM) + 0.5 * np.log10(1 + TOLERANCE_DEG)
+"""What the capture region's farthest corner costs: every failure is lower by it."""
 POPULATION = {"arms": "per_episode", "population": ARMS, "tolerances": "medium"}
 JUDGED = {"tolerance_mm": TOLERANCE_MM, "angle_tolerance_deg": TOLERANCE_DEG}
 ROWS = [(arm, fruit) for arm in range(ARMS) for fruit in range(FRUIT)]
@@ -108,9 +110,9 @@ def test_pose_error_reward_and_success_are_the_studys(kind, protocol, given, pla
     np.testing.assert_allclose(info["pose_error"], error, rtol=0, atol=1e-12)
     np.testing.assert_allclose(info["position_error_mm"], 1e3 * position, rtol=0, atol=1e-9)
     np.testing.assert_allclose(info["attitude_error_deg"], np.degrees(attitude), rtol=0, atol=1e-9)
-    wanted = -np.log10(1 + 1e3 * position) - 0.5 * np.log10(1 + np.degrees(attitude))
-    np.testing.assert_allclose(rewards, wanted, rtol=0, atol=1e-12)
     success = (1e3 * position <= TOLERANCE_MM) & (np.degrees(attitude) <= TOLERANCE_DEG)
+    wanted = -np.log10(1 + 1e3 * position) - 0.5 * np.log10(1 + np.degrees(attitude)) - np.where(success, 0.0, CORNER)
+    np.testing.assert_allclose(rewards, wanted, rtol=0, atol=1e-12)
     assert info["is_success"].tolist() == success.tolist()
     assert 0 < success.sum() < len(ROWS)
     table = chunk_table(protocol, range(ARMS), [(plants, [together])])
@@ -127,7 +129,8 @@ def test_rewards_of_goals_are_those_of_the_goals_that_are_returned(kind, given):
         np.testing.assert_allclose(rewards, 0.0, atol=1e-4)
     _, rewards = shown(kind, given, goal=True, reward="dense", feedback="camera")
     error = shown(kind, given)[0]["position_error_mm"]
-    np.testing.assert_allclose(rewards, -np.log10(1 + error), rtol=0, atol=1e-4)  # goals are in single precision
+    wanted = -np.log10(1 + error) - np.where(error <= TOLERANCE_MM, 0.0, CORNER)
+    np.testing.assert_allclose(rewards, wanted, rtol=0, atol=1e-4)  # goals are in single precision
 
 
 @pytest.mark.parametrize("kind", KINDS)

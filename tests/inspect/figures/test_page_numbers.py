@@ -31,7 +31,7 @@ class Tables(HTMLParser):
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tag = tag
+        self.tag = "caption" if (self.tag, tag) == ("caption", "span") else tag
         if tag == "table":
             self.rows = []
         if tag == "tr":
