@@ -137,7 +137,9 @@ def test_one_number_in_the_terminal_the_json_the_page_and_the_recording(
     assert (between["from"], between["to"]) == ("raw", "LS")
     for change in between["changes"]:
         for policy, key in zip(found.episodes.policies, ("before", "after"), strict=True):
-            share = pick_share(load_gripper(change["gripper"]), policy.miss_mm[:, -1], change["perception_mm"])
+            apart = 1e3 * (policy.fruit_position - policy.tool_position)[:, -1]
+            across = np.linalg.norm(np.cross(apart, policy.tool_rotation[:, -1, :, 2]), axis=1)
+            share = pick_share(load_gripper(change["gripper"]), across, change["perception_mm"])
             assert change[key] == pytest.approx(share)
         assert f"<td>{100 * change['before']:.1f}</td><td>{100 * change['after']:.1f}</td>" in page
     most = max(between["changes"], key=lambda each: each["after"] - each["before"])

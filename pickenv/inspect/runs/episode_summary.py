@@ -17,6 +17,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.runs.matters import PickChange, change_cells, matters, pick_changes
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.intervals import LEAST, clustered_share_interval, mean_interval, paired_share_interval, share_interval
+from pickenv.orchard.gripper import misalignment
 
 HEADS = ("policy", "miss, mean (mm)", "median (mm)", "95th (mm)", "attitude, mean (deg)", "picked", "share picked (%)")
 DIFFERENCES = ("from", "to", "miss (mm)", "attitude (deg)", "share picked (points of %)", "nearer")
@@ -186,7 +187,7 @@ def _picking(episodes: RecordedEpisodes, rows: Sequence[Mapping[str, Any]]) -> s
 def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
     """What the best policy instead of the other changes in picks, for each gripper and perception error.
 
-    A miss counts as one across the tool. Empty where no two policies closed the gripper for the same fruit.
+    What counts is the miss across the tool. Empty where no two policies closed the gripper for the same fruit.
     """
     known = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
     if len(known) < 2:
@@ -208,8 +209,17 @@ def change_table(episodes: RecordedEpisodes) -> tuple[tuple[str, ...], list[tupl
 
 
 def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[PickChange]:
-    misses = {policy.label: _finite(policy.miss_mm) for policy in episodes.policies}
+    misses = {policy.label: _across(policy) for policy in episodes.policies}
     return pick_changes(misses[other], misses[best])
+
+
+def _across(policy: RecordedPolicy) -> Array:
+    """What each miss is across the tool, mm; all of it where the tool's attitude to that fruit is not known."""
+    axis, across = policy.tool_rotation[..., 2], policy.miss_mm.copy()
+    known = np.isfinite(axis).all(axis=-1) & np.isclose(policy.position_error_mm, policy.miss_mm)
+    apart = (policy.fruit_position - policy.tool_position)[known]
+    across[known] = 1e3 * misalignment(apart, axis[known]).lateral
+    return _finite(across)
 
 
 def _against(episodes: RecordedEpisodes, best: str) -> tuple[str, dict[str, Any]]:
