@@ -20,6 +20,8 @@ PERCEPTION_MM = (0.0, 1.0, 2.0, 3.0, 5.0)
 """Standard deviations per axis at which fruit may be seen."""
 MATTERS = 0.05
 """Share of picks below which a calibration is said to change none: five of a hundred."""
+NONE = 0.005
+"""Share of picks below which the printed shares are equal, or nearly so."""
 RINGS, SPOKES = 24, 24
 """Of the perception's errors: distances of equal probability, and directions."""
 
@@ -118,7 +120,8 @@ def matters(
     first = f"On {plant} this changes picks {'; '.join(yes)}."
     sharp = next(c for c in changes if c.gripper == best[0].gripper and c.perception_mm == PERCEPTION_MM[0])
     if abs(sharp.gain) < MATTERS:
-        first += f" Were the fruit seen without error, it would change none ({both(sharp)})."
+        few = "none" if abs(sharp.gain) < NONE else "hardly any"
+        first += f" Were the fruit seen without error, it would change {few} ({both(sharp)})."
     return first + (f" Hardly a pick changes with {' and '.join(no)}." if no else "")
 
 

@@ -40,6 +40,8 @@ def test_the_sentence_says_for_which_gripper_and_perception_error() -> None:
         "Were the fruit seen without error, it would change none (100 % taken without, 100 % with calibration)" in said
     )
     assert "Hardly a pick changes with hand (90 % taken without, 91 % with calibration)" in said
+    few = matters("orchard", [PickChange("cup", 0.0, 0.96, 1.0), PickChange("cup", 2.0, 0.6, 0.9)])
+    assert "it would change hardly any (96 % taken without, 100 % with calibration)" in few
     least = [PickChange("cup", 2.0, 0.9, 0.9 + 0.6 * MATTERS), PickChange("hand", 0.0, 0.9, 0.9)]
     assert matters("arm", least).startswith("On arm this changes no more than 3 of 100 picks, with any gripper")
     worse = [PickChange("cup", 0.0, 0.9, 0.8)]
