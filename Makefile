@@ -46,10 +46,10 @@ demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
 
 test: lint
-	$(PYTEST) -n 2 $(ARGS)
+	$(PYTEST) -n 2 --dist worksteal $(ARGS)
 
 test-slow: $(DEVELOPMENT)
-	$(PYTEST) -m "slow and not coverage" -n 2 $(ARGS)
+	$(PYTEST) -m "slow and not coverage" -n 2 --dist worksteal $(ARGS)
 
 test-referees: $(REFEREES)
 	$(PYTEST) -n 2 tests/calibration/delivery $(ARGS)

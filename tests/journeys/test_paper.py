@@ -48,7 +48,7 @@ class Captions(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: object) -> None:
-        self.tag = tag
+        self.tag = "caption" if (self.tag, tag) == ("caption", "span") else tag
         if tag == "table":
             self.cells = []
         if tag in ("td", "th"):
