@@ -12,13 +12,13 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium as gym
 import typer
 from benchmark_envs import peers
+from peers.run_envs import drawn_per_second
 from rich.console import Console
 from rich.table import Table
 
@@ -26,29 +26,14 @@ import pickenv  # noqa: F401  (registers the environments)
 from pickenv.files import write_json
 from pickenv.pictures.drawers import PLAIN, drawer_name
 
-SIZE = (360, 480, 3)
 Rates = tuple[float, float]
 """Frames per second of processor time, and per second."""
 
 
 def frame_rates(name: str, seconds: float) -> Rates:
     """How fast an environment draws, its first frame left out."""
-    env: gym.Env[Any, Any] = gym.make(name, render_mode="rgb_array")
-    env.reset(seed=0)
-    env.action_space.seed(0)
-    env.render()
-    frames, processor, wall = 0, 0.0, 0.0
-    while wall < seconds:
-        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        if terminated or truncated:
-            env.reset()
-        begin, began = time.process_time(), time.perf_counter()
-        picture: Any = env.render()
-        processor, wall = processor + time.process_time() - begin, wall + time.perf_counter() - began
-        frames += 1
-        assert picture.shape == SIZE
-    env.close()
-    return frames / processor, frames / wall
+    processor, wall = drawn_per_second(gym.make(name, render_mode="rgb_array"), seconds)
+    return processor, wall
 
 
 def measured(seconds: float) -> dict[str, Any]:

@@ -8,8 +8,10 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
+import traceback
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,7 +70,7 @@ def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
 
     Raises:
         InputError: If there is no such file, it is damaged, of an algorithm that is not known, defines no
-            ``make_policy``, or was trained on other observations or actions.
+            ``make_policy``, its own lines fail, or it was trained on other observations or actions.
     """
     path = Path(path)
     if not path.is_file():
@@ -80,14 +82,29 @@ def _written(path: Path, env: Any, seed: int) -> Policy:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    with _faults_of(path):
+        spec.loader.exec_module(module)
     make = getattr(module, MAKER, None)
     if make is None:
         raise InputError(f"{path} defines no {MAKER}(env, seed); let it return an object with act and reset")
-    policy: Policy = make(env, seed)
+    with _faults_of(path):
+        policy: Policy = make(env, seed)
     if not callable(getattr(policy, "act", None)) or not callable(getattr(policy, "reset", None)):
         raise InputError(f"what {MAKER} of {path} returns has no act(observation) or no reset(); give it both")
     return policy
+
+
+@contextmanager
+def _faults_of(path: Path) -> Iterator[None]:
+    """What somebody else's lines raise is said with the file and its line."""
+    try:
+        yield
+    except Exception as error:
+        own = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = error.lineno if isinstance(error, SyntaxError) else own[-1] if own else None
+        where = f"{path}, line {line}" if line is not None else f"{path}"
+        said = error.msg if isinstance(error, SyntaxError) else error
+        raise InputError(f"{where}: {type(error).__name__}: {said}; mend the policy") from error
 
 
 def _trained(path: Path, env: Any) -> Sb3Policy:

@@ -80,10 +80,7 @@ def print_table(
     parts = side_by_side(sizes, leading, room - 1)
     console = Console(width=room)
     for number, part in enumerate(parts):
-        table = Table(
-            title=escape(title) if number == 0 else None,
-            caption=escape(caption) or None if number == len(parts) - 1 else None,
-        )
+        table = Table(title=escape(title) if number == 0 else None)
         spare = room - 1 - sum(least[i] + 3 for i in part)
         for i in part:
             size = least[i] + max(0, min(spare, whole[i] - least[i]))
@@ -92,3 +89,5 @@ def print_table(
         for row in lines:
             table.add_row(*(escape(row[i]) for i in part))
         console.print(table)
+    if caption:
+        console.print(escape(caption), style="italic", highlight=False)

@@ -34,7 +34,11 @@ def steps_per_second(name: str, seconds: float) -> float:
 def frames_per_second(name: str, seconds: float) -> list[float]:
     """Frames that render() draws per second of processor time, and per second; steps between them are left out."""
     size = SIZE if name.startswith("Fetch") else {f"render_{side}": length for side, length in SIZE.items()}
-    env = gym.make(name, render_mode="rgb_array", **size)
+    return drawn_per_second(gym.make(name, render_mode="rgb_array", **size), seconds)
+
+
+def drawn_per_second(env: gym.Env, seconds: float) -> list[float]:
+    """The same of an environment, the first frame left out; it is closed."""
     env.reset(seed=0)
     env.action_space.seed(0)
     env.render()

@@ -17,6 +17,7 @@ from gymnasium import spaces
 import pickenv
 from pickenv.agents.evaluation.compare import PolicyComparison
 from pickenv.agents.evaluation.compare_run import write_comparison
+from pickenv.agents.policies.foreign import foreign_policy
 from pickenv.arm import forward, load_plant, pose_error
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
@@ -233,6 +234,24 @@ def test_a_foreign_environment_and_a_strangers_file_are_compared_drawn_and_repor
     written = {path.name for path in write_comparison(found, tmp_path / "run")}
     assert {"comparison.rrd", "report.html", "distance_over_time.png"} <= written
     assert "comparison.npz" not in written
+
+
+@pytest.mark.parametrize(
+    ("lines", "fault"),
+    [
+        ("def make_policy(env, seed):", "line 1: IndentationError: expected an indented block"),
+        ("\nimport nowhere_at_all", "line 2: ModuleNotFoundError: No module named 'nowhere_at_all'"),
+        ("def make_policy(env, seed):\n    return 1 / 0", "line 2: ZeroDivisionError: division by zero"),
+        ("", "defines no make_policy"),
+        ("def make_policy(env, seed): return 3", "has no act"),
+    ],
+)
+def test_faults_of_a_strangers_file_are_said_with_its_line(lines: str, fault: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(lines, encoding="utf-8")
+    with pytest.raises(InputError, match=r"mine\.py") as refused:
+        foreign_policy(path, None, 0)
+    assert fault in str(refused.value) and "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(

@@ -384,6 +384,10 @@ def test_fruit_and_joints_are_as_asked_for_alone_and_among_many():
     ("options", "said"),
     [
         ({"fruit": np.zeros((2, 3))}, r"fruit has shape \(2, 3\); give finite numbers of shape \(3, 3\)"),
+        (
+            {"fruit": np.full((3, 3), np.nan)},
+            r"^option fruit is \[\[nan, nan.*; give finite numbers of shape \(3, 3\)$",
+        ),
         ({"start_joints": "home"}, "start_joints is 'home'; give numbers"),
         ({"start_joints": [99.0] * 12}, "outside the joint limits"),
     ],

@@ -3,46 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs/comparing-policies.md").read_text(encoding="utf-8")
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-ENVIRONMENT = os.environ | {
-    "PYTHONPATH": str(ROOT),
-    "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-    "MPLBACKEND": "Agg",
-    "COLUMNS": "200",
-}
-
-
-def commands() -> list[list[str]]:
-    """Programs and commands of the page in their order; a viewer is not opened."""
-    found = []
-    for language, text in BLOCK.findall(PAGE):
-        if language == "python":
-            found.append([sys.executable, "-c", text])
-        else:
-            lines = [shlex.split(line) for line in text.splitlines()]
-            found += [[sys.executable, "-m", "pickenv.cli", *line[1:]] for line in lines if line[1] != "inspect"]
-    return found
+from tests.journeys.pages import commands, walked
 
 
 @pytest.mark.slow
 def test_the_page_told_from_an_empty_folder_ends_with_a_calibrated_policy_far_nearer(tmp_path: Path) -> None:
-    said = []
-    for command in commands():
-        done = subprocess.run(command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True)
-        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-        said.append(done.stdout)
+    said = walked("comparing-policies.md", tmp_path)
     compared = json.loads((tmp_path / "compared.json").read_text(encoding="utf-8"))
     raw, calibrated = compared["rows"]
     assert [raw["policy"], calibrated["policy"]] == ["raw", "LS"]
@@ -63,5 +35,5 @@ def test_the_page_told_from_an_empty_folder_ends_with_a_calibrated_policy_far_ne
 
 
 def test_every_command_of_the_page_is_told() -> None:
-    assert sum(command[3] == "compare" for command in commands() if command[1] == "-m") == 2
-    assert np.all([len(command) > 2 for command in commands()])
+    assert sum(command[3] == "compare" for command in commands("comparing-policies.md") if command[1] == "-m") == 2
+    assert np.all([len(command) > 2 for command in commands("comparing-policies.md")])

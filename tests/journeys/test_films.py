@@ -3,33 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, last_of
 from pickenv.inspect.runs.run_folder import load_part, read_run
+from tests.journeys.pages import walked
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs/films.md").read_text(encoding="utf-8")
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "COLUMNS": "200"}
-
-
-def commands() -> list[list[str]]:
-    """Programs and commands of the page in their order."""
-    found = []
-    for language, text in BLOCK.findall(PAGE):
-        if language == "python":
-            found.append([sys.executable, "-c", text])
-        else:
-            found += [[sys.executable, "-m", "pickenv.cli", *shlex.split(line)[1:]] for line in text.splitlines()]
-    return found
 
 
 def test_the_film_of_the_page_is_small_and_lasts_twelve_seconds() -> None:
@@ -47,11 +30,7 @@ def test_the_film_of_the_page_is_small_and_lasts_twelve_seconds() -> None:
 
 @pytest.mark.slow
 def test_the_page_told_from_an_empty_folder_ends_with_a_film_that_counts_what_the_run_counts(tmp_path: Path) -> None:
-    said = []
-    for command in commands():
-        done = subprocess.run(command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True)
-        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-        said.append(done.stdout)
+    said = walked("films.md", tmp_path)
     assert (tmp_path / "picture.png").is_file()
     assert (tmp_path / "film.gif").stat().st_size < 3e6
     episodes = load_part(read_run(tmp_path / "runs/orchard"), RecordedEpisodes)

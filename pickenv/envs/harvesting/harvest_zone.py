@@ -13,6 +13,7 @@ from pickenv.envs.shared.task import as_numbers
 from pickenv.errors import InputError
 from pickenv.harvester.trees import lab_zone, tree_leaves
 from pickenv.harvester.zones import AHEAD
+from pickenv.limits import shown
 from pickenv.orchard import Sight, Viewpoint, sample_diameters, see
 
 OPTIONS = ("fruit", "start_joints")
@@ -47,8 +48,10 @@ def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows:
             found.append(None)
             continue
         given = as_numbers(f"option {name}", options[name])
-        if given.shape not in (shape, (count, *shape)) or not np.isfinite(given).all():
+        if given.shape not in (shape, (count, *shape)):
             raise InputError(f"option {name} has shape {given.shape}; give finite numbers of shape {shape}")
+        if not np.isfinite(given).all():
+            raise InputError(f"option {name} is {shown(given.tolist())}; give finite numbers of shape {shape}")
         found.append(np.broadcast_to(given, (count, *shape))[rows])
     fruit, joints = found
     if joints is not None and not np.all((joints >= machine.lower) & (joints <= machine.upper)):

@@ -14,6 +14,7 @@ from pickenv.arm.kinematics.forward import frame_of
 from pickenv.arm.kinematics.pose_error import rotation_matrix
 from pickenv.envs.shared.task import Task, as_numbers
 from pickenv.errors import InputError
+from pickenv.limits import shown
 
 GOALS = ("goal_joints", "goal_position", "goal_pose")
 
@@ -50,8 +51,10 @@ def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None
     width, what = (3, "x, y, z in m") if name == "goal_position" else (6, "x, y, z in m and a rotation vector in rad")
     rows = as_numbers(f"option {name}", given)
     shapes = [(width,)] if count is None else [(width,), (count, width)]
-    if rows.shape not in shapes or not np.isfinite(rows).all():
-        raise InputError(f"option {name} has shape {rows.shape}; give {' or '.join(map(str, shapes))}, finite: {what}")
+    if rows.shape not in shapes:
+        raise InputError(f"option {name} has shape {rows.shape}; give {' or '.join(map(str, shapes))}: {what}")
+    if not np.isfinite(rows).all():
+        raise InputError(f"option {name} is {shown(rows.tolist())}; give finite numbers: {what}")
     goals = np.array([_reached(task, row) if width == 3 else _framed(task, row) for row in np.atleast_2d(rows)])
     goals = goals[0] if count is None else np.broadcast_to(goals, (count, goals.shape[1]))
     return GivenGoals(joints=goals) if width == 3 else GivenGoals(frames=goals)

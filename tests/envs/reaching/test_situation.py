@@ -149,7 +149,7 @@ def test_a_goal_can_be_given_by_position_or_pose():
         ({"goal_pose": [9, 9, 9, 0, 0, 0]}, "does not reach"),
         ({"goal_pose": [0, 0, 0]}, "has shape (3,); give (6,)"),
         ({"goal_position": "tree"}, "goal_position is 'tree'; give numbers"),
-        ({"goal_position": [0, 0, np.nan]}, "finite"),
+        ({"goal_position": [0, 0, np.nan]}, "is [0.0, 0.0, nan]; give finite numbers: x, y, z in m"),
         ({"goal_position": [0, 0, 1], "goal_joints": [0] * 6}, "both say where the goal is"),
     ],
 )
