@@ -24,6 +24,7 @@ from pickenv.agents.policies.learned import BASELINES, shipped_baselines
 from pickenv.arm.files.content import content_sha256
 from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
+from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.run_folder import RECORD, read_run
 from pickenv.provenance import code_fingerprint, file_sha256
 from pickenv.seeds import stream
@@ -34,7 +35,6 @@ LEAST_SEEDS = 5
 GRIPPERS = ("li_cup", "compliant_hand")
 """Who takes the fruit; success is the first one's."""
 
-NAMES = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN", "best": "LS+GP"}
 HEADS = ("mean (mm)", "interquartile mean (mm)", "attitude (deg)", *(f"success, {name}" for name in GRIPPERS))
 
 
@@ -171,7 +171,7 @@ def leaderboard_cells(row: Mapping[str, Any]) -> list[str]:
     return [
         row["policy"],
         row["feedback"],
-        NAMES[row["compensation"]],
+        policy_label(row["compensation"]),
         f"{row['mean_mm']:.3f}",
         f"{row['iqm_mm']:.3f} ({interval_words(row['ci95_mm'], 3) or 'no interval'})",
         f"{row['attitude_deg']:.3f}",

@@ -34,7 +34,7 @@ Given = float | Sequence[float]
 
 
 class Span(NamedTuple):
-    """A number that is drawn evenly for each episode, or the same in all of them; whole where its ends are ints."""
+    """A number that is drawn uniformly for each episode, or the same in all of them; whole where its ends are ints."""
 
     low: float
     high: float
