@@ -134,6 +134,9 @@ def _run(
     plant: Plant | None = getattr(inner, "plant", None)
     if getattr(getattr(inner, "task", None), "arms", "fixed") != "fixed":
         raise InputError("a comparison is of one arm; for a population of arms use `pickenv evaluate`")
+    situation = getattr(getattr(inner, "task", None), "situation", None)
+    if situation is not None and situation.period.varies:
+        raise InputError("a comparison has one time line; give one control_period_s, not a range")
     noise = float(np.hypot(arguments.get("camera_noise_mm", 0.0), arguments.get("fruit_noise_mm") or 0.0))
     arm = None if plant is None else plant.arm
     contenders = contenders_of(policies, compensate, labels, arm=arm, camera_noise_mm=noise, allow=allow)

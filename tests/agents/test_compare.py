@@ -236,6 +236,17 @@ def test_a_foreign_environment_and_a_strangers_file_are_compared_drawn_and_repor
     assert "comparison.npz" not in written
 
 
+def test_time_goes_by_the_control_period() -> None:
+    settled = {}
+    for period in (0.05, 0.1):
+        found = pickenv.compare(["scripted"], episodes=2, grid_step=0.4, control_period_s=period).episodes
+        assert found.period == period
+        settled[period] = found.period * int((found.policies[0].position_error_mm[0] > 5.0).sum())
+    assert settled[0.05] == pytest.approx(settled[0.1], abs=0.15)  # joints are as fast whatever the period
+    with pytest.raises(InputError, match="give one control_period_s"):
+        pickenv.compare(["scripted"], episodes=2, control_period_s=[0.05, 0.1])
+
+
 @pytest.mark.parametrize(
     ("lines", "fault"),
     [

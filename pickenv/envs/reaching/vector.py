@@ -77,7 +77,6 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
 
     metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["rgb_array"],
-        "render_fps": 10,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
     goal_dict = False
@@ -108,7 +107,8 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         self.task: Task = make_task(**on_ladder("Reach", difficulty, split, arguments))
         self.num_envs, self.max_episode_steps, self.render_mode = int(num_envs), max_episode_steps, render_mode
         self.autoreset_mode = AutoresetMode(mode)
-        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode, "torch": executor == "torch"}
+        self.metadata = {**type(self).metadata, "render_fps": self.task.situation.frames_per_second}
+        self.metadata |= {"autoreset_mode": self.autoreset_mode, "torch": executor == "torch"}
         self.single_observation_space = spaces.goal_space(self.task) if self.goal_dict else spaces.flat_space(self.task)
         self.single_action_space = spaces.action_space(self.task)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)

@@ -25,6 +25,7 @@ class ArmEnv(DrawnEnv):
     def __init__(self, task: Task, render_mode: str | None) -> None:
         super().__init__(render_mode)
         self.task: Task = task
+        self.metadata = {**type(self).metadata, "render_fps": task.situation.frames_per_second}
         self.plant: Plant = task.plant if task.arms == "fixed" else plant_at(task.plant, 0)
         self.compensator: Compensate | None = None
 

@@ -72,6 +72,11 @@ class Situation:
         return tuple(name for name, value in values if isinstance(value, Span) and value.varies)
 
     @property
+    def frames_per_second(self) -> float:
+        """Steps per second of the arm's time, which recordings and films go by; the least where periods vary."""
+        return round(1.0 / self.period.high, 6)
+
+    @property
     def late(self) -> bool:
         """Whether anything is remembered from one period to the next."""
         return self.latency.high + self.delay.high > 0

@@ -10,6 +10,7 @@ import pytest
 import pickenv  # noqa: F401, registers the environments
 from pickenv.arm import forward
 from pickenv.arm.kinematics.pose_error import rotation_matrix
+from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.reaching.reach import ReachEnv
 from pickenv.errors import InputError
 
@@ -202,3 +203,11 @@ def test_fruit_is_picked_in_the_same_situations():
     _, _, warm = picks(hours_on=4.0, start_spread=0.5, control_period_s=[0.05, 0.2])
     assert warm._state.rise[0] > env._state.rise[0] + 1.0
     np.testing.assert_array_equal(warm.scene.rest, env.scene.rest)
+
+
+@pytest.mark.parametrize(("given", "rate"), [(0.1, 10.0), (0.05, 20.0), ([0.05, 0.2], 5.0)])
+def test_films_go_by_the_control_period_the_longest_of_a_range(given, rate):
+    assert ReachEnv(control_period_s=given).metadata["render_fps"] == rate
+    assert PickEnv(control_period_s=given).metadata["render_fps"] == rate
+    several = ReachVectorEnv(2, control_period_s=given)
+    assert several.metadata["render_fps"] == rate and several.metadata["render_modes"] == ["rgb_array"]
