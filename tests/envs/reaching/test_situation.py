@@ -12,6 +12,7 @@ from pickenv.arm import forward
 from pickenv.arm.kinematics.pose_error import rotation_matrix
 from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.reaching.reach import ReachEnv
+from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
 
 STEPS = 12
