@@ -271,7 +271,9 @@ ROOMS = {
         "solids drawers",
         most=SECOND,
     ),
-    "films": room("pickenv/inspect/films", "film_plan film_stage make_film", "tests/inspect/films", "film", most=SECOND),
+    "films": room(
+        "pickenv/inspect/films", "film_plan film_stage make_film", "tests/inspect/films", "film", most=SECOND
+    ),
     "recordings": room(
         "pickenv/inspect",
         "runs/harvest_trace runs/calibration_trace runs/gripping recordings/detail_entities recordings/details "
@@ -284,7 +286,7 @@ ROOMS = {
         "pickenv/inspect/figures",
         "field_figure plot_harvest plot_pixels plot_policies plot_conditions plot_slices",
         "tests/inspect/figures",
-        "figure_numbers pixel_errors",
+        "misalignments figure_numbers pixel_errors",
         most=SECOND,
     ),
     "reports": room(
