@@ -98,7 +98,7 @@ ROOMS = {
     "wrappers": room(
         "pickenv/wrappers", "compensation sb3", "tests/envs", "compensation_wrapper compensation_vector sb3"
     ),
-    "gap": room("pickenv/wrappers", "gap miscalibrate mujoco_arm", "tests/envs", "miscalibrate sb3", most=SECOND),
+    "gap": room("pickenv/wrappers", "gap miscalibrate mujoco_arm", "tests/envs", "reaching/gap_by_hand miscalibrate sb3", most=SECOND),
     "situation": room(
         "pickenv/envs/shared",
         "situation given_goals difficulty",
