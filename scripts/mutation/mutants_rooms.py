@@ -98,12 +98,18 @@ ROOMS = {
     "wrappers": room(
         "pickenv/wrappers", "compensation sb3", "tests/envs", "compensation_wrapper compensation_vector sb3"
     ),
-    "gap": room("pickenv/wrappers", "gap miscalibrate mujoco_arm", "tests/envs", "reaching/gap_by_hand miscalibrate sb3", most=SECOND),
+    "gap": room(
+        "pickenv/wrappers",
+        "gap miscalibrate mujoco_arm",
+        "tests/envs",
+        "reaching/gap_by_hand miscalibrate sb3",
+        most=SECOND,
+    ),
     "situation": room(
         "pickenv/envs/shared",
         "situation given_goals difficulty",
         "tests/envs",
-        "reaching/situation given",
+        "reaching/situation_by_hand reaching/situation given",
         most=SECOND,
     ),
     "harvest zone": room(
