@@ -278,7 +278,11 @@ ROOMS = {
         most=SECOND,
     ),
     "films": room(
-        "pickenv/inspect/films", "film_plan film_stage make_film", "tests/inspect/films", "film", most=SECOND
+        "pickenv/inspect/films",
+        "film_plan film_stage make_film",
+        "tests/inspect/films",
+        "film_by_hand film",
+        most=SECOND,
     ),
     "recordings": room(
         "pickenv/inspect",
