@@ -1,6 +1,7 @@
 """Rules, bounds and searches against plans enumerated one by one, and pick points against the equations written out."""
 
 import math
+from dataclasses import replace
 from functools import partial
 from itertools import permutations, product
 
@@ -314,6 +315,22 @@ def test_heights_worth_trying_put_the_fruits_middle_or_one_fruit_at_the_slides_m
         wanted = [(z[0] + z[-1]) / 2 - (low + high) / 2, *(z - low), *(z - high)]
         expected = np.clip(np.array(wanted) - machine.d1, *(end[1] for end in limits_of(machine)))
         np.testing.assert_allclose(np.sort(_heights(machine, fruit)), np.sort(expected))
+
+
+def test_slides_that_end_elsewhere_move_the_pick_point_by_as_much(machine):
+    """A slide from 0.05 to 0.65 m in place of -0.3 to 0.3 m: the master stands 0.35 m lower, all else is the same."""
+    shift = np.array([0.35, 0.0, 0.0])
+    slaves = tuple(
+        replace(arm, nominal=replace(arm.nominal, lower=arm.nominal.lower + shift, upper=arm.nominal.upper + shift))
+        for arm in machine.slaves
+    )
+    shifted = replace(machine, slaves=slaves, slave_home=machine.slave_home + shift)
+    rng = np.random.default_rng(8)
+    for _ in range(4):
+        fruit = [rng.uniform(-0.3, 0.3), -1.3, 1.5] + np.array([0.6, 0.3, 0.8]) * rng.random((7, 3))
+        usual, moved = pick_point(machine, fruit), pick_point(shifted, fruit)
+        np.testing.assert_allclose(moved.master, usual.master - [0.0, 0.35, 0.0], atol=1e-9)
+        np.testing.assert_array_equal(moved.reached, usual.reached)
 
 
 def limits_of(machine):
