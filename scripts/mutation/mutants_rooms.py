@@ -109,7 +109,7 @@ ROOMS = {
         "pickenv/envs/shared",
         "situation given_goals difficulty",
         "tests/envs",
-        "reaching/situation_by_hand reaching/situation given",
+        "reaching/situation_by_hand reaching/situation given reaching/ladder",
         most=SECOND,
     ),
     "harvest zone": room(
