@@ -27,13 +27,23 @@ if _TYPE_CHECKING:
     from pickenv.agents.policies.policy import Policy
     from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
     from pickenv.agents.policies.servo import ServoReach
+    from pickenv.agents.training.data_sets import datasets
     from pickenv.agents.training.training import Trained, train
     from pickenv.agents.training.training_setup import Training
     from pickenv.inspect.runs.episode_ends import Reaches
 
 __all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GridSettings", "LearnedPolicy", "OracleReach"]
 __all__ += ["Policy", "PolicyComparison", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]
-__all__ += ["ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "calibrate_arm", "compare"]
+__all__ += [
+    "ScriptedPick",
+    "ScriptedReach",
+    "ServoReach",
+    "Trained",
+    "Training",
+    "calibrate_arm",
+    "compare",
+    "datasets",
+]
 __all__ += ["episode_seeds", "load_policy", "reaches_behind", "roll_out", "run_grid", "run_reaches"]
 __all__ += ["shipped_baselines", "train"]
 

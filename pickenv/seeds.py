@@ -13,7 +13,7 @@ import numpy as np
 from pickenv.errors import InputError
 
 Purpose = Literal[
-    "arms", "fruit", "policy", "calibration", "training", "camera", "picks", "day", "grasps", "leaderboard"
+    "arms", "fruit", "policy", "calibration", "training", "camera", "picks", "day", "grasps", "leaderboard", "datasets"
 ]
 """What a stream is drawn for."""
 

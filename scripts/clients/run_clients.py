@@ -33,7 +33,7 @@ PAGE = ROOT / "docs" / "clients.md"
 PACKAGES = HERE / "clients.toml"
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PRINTED = re.compile(r"^(\w+): ([\d.]+) mm$", re.MULTILINE)
-SHORT = "7_680"
+SHORT = 3840
 """Steps of a quick run."""
 
 
@@ -50,7 +50,7 @@ def recipe(heading: str) -> list[tuple[str, str]]:
 
 def shortened(text: str) -> str:
     """A block with a training of a few seconds."""
-    return re.sub(r"\b(2)?[15]0[_]?000\b", SHORT, text)
+    return re.sub(r"(?<=steps = )[\d_]+|(?<=--n-timesteps )\d+", str(SHORT), text)
 
 
 def commands(blocks: Sequence[tuple[str, str]], python: str) -> Iterator[list[str]]:
@@ -61,7 +61,8 @@ def commands(blocks: Sequence[tuple[str, str]], python: str) -> Iterator[list[st
         else:
             for line in text.splitlines():
                 words = shlex.split(line)
-                yield [python, "-W", "ignore", *words[1:]] if words[0] == "python" else words
+                program = {"python": [], "pickenv": ["-m", "pickenv.cli"]}[words[0]]
+                yield [python, "-W", "ignore", *program, *words[1:]]
 
 
 def set_up(folder: Path, packages: Sequence[str]) -> str:
