@@ -93,7 +93,7 @@ def datasets(
     if episodes is not None:
         check_count("episodes", episodes)
         check_limit("episodes", episodes, "episodes")
-    require("minari", "h5py")
+    require("minari")
     out, report = Path(out), progress or (lambda name, done, total: None)
     with locked(out):
         return [_kept_or_made(out, task, quality, episodes, seed, report) for task in tasks for quality in qualities]

@@ -1,6 +1,6 @@
 """Other people's clients on the environments: each in its own virtual environment, with the recipe of docs/clients.md.
 
-    python scripts/clients/run_clients.py --folder .venv-clients --json runs/clients.json
+    python scripts/clients/run_clients.py --folder .venv-clients --json scripts/clients/clients.json
     python scripts/clients/run_clients.py --client skrl --quick
 
 A client's environment sees the packages of the Python that runs this script (pickenv, torch, Stable-Baselines3), and
@@ -50,7 +50,12 @@ def recipe(heading: str) -> list[tuple[str, str]]:
 
 def shortened(text: str) -> str:
     """A block with a training of a few seconds."""
-    return re.sub(r"(?<=steps = )[\d_]+|(?<=--n-timesteps )\d+", str(SHORT), text)
+    return re.sub(r"(?<=steps = )[\d_]+|(?<=steps, epochs = )[\d_]+|(?<=--n-timesteps )\d+", str(SHORT), text)
+
+
+def recipe_hash(packages: Sequence[str], blocks: Sequence[tuple[str, str]]) -> str:
+    """What a result belongs to."""
+    return hashlib.sha256(json.dumps([packages, blocks]).encode()).hexdigest()
 
 
 def commands(blocks: Sequence[tuple[str, str]], python: str) -> Iterator[list[str]]:
@@ -92,7 +97,7 @@ def run(name: str, folder: Path, quick: bool) -> dict[str, Any]:
     packages, blocks = client["packages"], recipe(client["heading"])
     if quick:
         blocks = [(language, shortened(text)) for language, text in blocks]
-    key = hashlib.sha256(json.dumps([packages, blocks]).encode()).hexdigest()
+    key = recipe_hash(packages, blocks)
     kept = folder / "results" / f"{name}-{key[:16]}.json"
     if kept.exists():
         found: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8"))
@@ -109,7 +114,7 @@ def run(name: str, folder: Path, quick: bool) -> dict[str, Any]:
             raise RuntimeError(f"{name}: {done.stdout[-2000:]}\n{done.stderr[-4000:]}")
         said += done.stdout
     seconds = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
-    row = {"client": name, "packages": packages, "processor_s": round(seconds, 1), "quick": quick}
+    row = {"client": name, "packages": packages, "processor_s": round(seconds, 1), "quick": quick, "recipe": key}
     row |= {key: float(mm) for key, mm in PRINTED.findall(said)}
     write_json(kept, row)
     return row

@@ -1,4 +1,4 @@
-"""Data sets: read by Minari, replayed by the environment that they give back, whole or not there, kept and not redone."""
+"""Data sets: Minari reads them, their environment replays them; whole or not there, kept and not made again."""
 
 import gc
 import json
