@@ -1,8 +1,8 @@
 """Four newcomers walk through the README: every line typed in a fresh environment, timed, up to its last number.
 
 Each walk clones the checkout, makes an environment without caches, and types what the README prints, in its order and
-nothing else. The table says how many commands that were, how long they took, what the environment takes on the disk,
-and the last line that the newcomer reads.
+nothing else. The table says how many commands that were, how long they took on the clock and of processor time (which
+other programs on the computer lengthen less), what the environment takes on the disk, and the newcomer's last line.
 
 Run: python scripts/walks.py [--only NAME] [--out walks.json]
 """
@@ -13,6 +13,7 @@ import argparse
 import json
 import os
 import re
+import resource
 import shlex
 import subprocess
 import sys
@@ -58,6 +59,7 @@ class Walk:
         who: The newcomer.
         typed: The commands; a program counts as one.
         seconds: Of each, on the clock.
+        processor_seconds: Of each, of all its processes.
         megabytes: What the environment takes on the disk.
         last: The last line that they read.
     """
@@ -65,6 +67,7 @@ class Walk:
     who: str
     typed: tuple[str, ...]
     seconds: tuple[float, ...]
+    processor_seconds: tuple[float, ...]
     megabytes: float
     last: str
 
@@ -112,14 +115,14 @@ def walk(who: str, python: str, folder: Path) -> Walk:
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
     path = os.pathsep.join([str(place / ".venv/bin"), *os.environ["PATH"].split(os.pathsep)])
     environment = kept | {"PATH": path, "PIP_NO_CACHE_DIR": "1", "MPLBACKEND": "Agg", "COLUMNS": "200"}
-    seconds, said = [], ""
+    seconds, busy, said = [], [], ""
     for language, text in lines:
         words: Sequence[str] = ["python", "-c", text] if language == "python" else shlex.split(text)
         if words[0] == "git":
             words = ["git", "clone", "--quiet", str(ROOT), str(place)]
         elif words[0] == "python3":
             words = [python, *words[1:]]
-        start = time.perf_counter()
+        start, before = time.perf_counter(), _processor_seconds()
         if words[0] != ".":  # activated by the path above
             cwd = folder if words[0] == "git" else place
             done = subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
@@ -127,18 +130,30 @@ def walk(who: str, python: str, folder: Path) -> Walk:
                 raise SystemExit(f"{who}: {text} ended with {done.returncode}\n{done.stdout}\n{done.stderr}")
             said = done.stdout
         seconds.append(round(time.perf_counter() - start, 1))
+        busy.append(round(_processor_seconds() - before, 1))
         print(f"{who}: {seconds[-1]:6.1f} s  {text.splitlines()[0]}", file=sys.stderr, flush=True)
     found = re.findall(newcomer.last, " ".join(said.split()) if "LS misses" in newcomer.last else said)
     commands = tuple(text for _, text in lines)
-    return Walk(who, commands, tuple(seconds), round(megabytes(place / ".venv"), 0), found[-1] if found else "")
+    return Walk(
+        who, commands, tuple(seconds), tuple(busy), round(megabytes(place / ".venv"), 0), found[-1] if found else ""
+    )
+
+
+def _processor_seconds() -> float:
+    """Processor time of all commands so far."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def table(walks: Sequence[Walk]) -> str:
     """The walks as a Markdown table."""
-    rows = ["| newcomer | commands | minutes | environment (MB) | last line |", "|---|---|---|---|---|"]
+    heads = ("newcomer", "commands", "minutes on the clock", "of processor time", "environment (MB)", "last line")
+    rows = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for each in walks:
-        minutes = sum(each.seconds) / 60
-        rows.append(f"| {each.who} | {len(each.typed)} | {minutes:.1f} | {each.megabytes:.0f} | {each.last} |")
+        minutes, busy = sum(each.seconds) / 60, sum(each.processor_seconds) / 60
+        rows.append(
+            f"| {each.who} | {len(each.typed)} | {minutes:.1f} | {busy:.1f} | {each.megabytes:.0f} | {each.last} |"
+        )
     return "\n".join(rows)
 
 
