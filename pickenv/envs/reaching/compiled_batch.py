@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant, plants_on
+from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import Views, Words
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.shared.machine_code import Compiled
@@ -26,7 +27,7 @@ from pickenv.envs.shared.simulation import (
     true_reward,
 )
 from pickenv.envs.shared.task import Compensate, Task
-from pickenv.envs.shared.tracing import DOUBLE, FLAG, SINGLE, TRACER, WORD, Outputs, Trace, Traced
+from pickenv.envs.shared.tracing import DOUBLE, FLAG, SINGLE, TRACER, WORD, Outputs, Trace, Traced, Untraceable
 
 
 class CompiledBatch(NumpyBatch):
@@ -34,45 +35,53 @@ class CompiledBatch(NumpyBatch):
 
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
         super().__init__(task, count, goal_dict, poses)
-        self._table, self._code = self._fresh()
+        self._side_by_side()
 
-    def _fresh(self) -> tuple[Array, dict[str, Compiled]]:
-        """The state in one array, whose rows are the columns, and no code yet."""
-        table = np.array(self.columns)
-        self.columns = list(table)
-        return table, {}
+    def _side_by_side(self) -> None:
+        """Put the state into one array and the arms' numbers into another, and forget the code."""
+        self._table = np.array(self.columns)
+        self.columns = list(self._table)
+        self._arms = np.array([values for values in arrays_of(self.plant) if values.ndim == 1])
+        rows = iter(self._arms)
+        self.plant = plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)
+        self._plants = [self.plant_of(block) for block in self._blocks]
+        self._code: dict[str, Compiled | None] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the code, which is made anew."""
-        return {key: value for key, value in vars(self).items() if key not in ("_table", "_code")}
+        return {key: value for key, value in vars(self).items() if key not in ("_table", "_arms", "_code")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """The inverse of `__getstate__`."""
         vars(self).update(state)
-        self._table, self._code = self._fresh()
+        self._side_by_side()
 
     def step(self, out: Views, actions: Array, moments: Words, compensate: Compensate | None) -> None:
         """Act in all environments, and put what they show into ``out``."""
-        arrays = {
-            **{"columns": self._table, "actions": actions, "keys": self.keys, "moments": moments},
+        arrays: dict[str, NDArray[Any]] = {
+            **{"columns": self._table, "arms": self._arms, "keys": self.keys, "moments": moments, "actions": actions},
             **{f"observation{i}": part for i, part in enumerate(out.observation)},
             **{"reward": out.reward, "success": out.success, "numbers": out.numbers, "vectors": out.vectors},
         }
-        arms: dict[str, NDArray[Any]] = {}
-        if compensate is None:
-            self._run("step", arrays)
-        else:
-            self._run("act", arrays)
-            commands = self.commands(compensate, self.columns[: self.task.joints])
-            self._run("look", arrays | {"commands": np.array(commands)})
+        parts = [self._ready(part) for part in (("step",) if compensate is None else ("act", "look"))]
+        if None in parts:
+            super().step(out, actions, moments, compensate)
+            return
+        parts[0].run(arrays, self.count)
+        if compensate is not None:
+            arrays["commands"] = np.array(self.commands(compensate, self.columns[: self.task.joints]))
+            parts[1].run(arrays, self.count)
 
-    def _run(self, part: str, arrays: dict[str, NDArray[Any]]) -> None:
+    def _ready(self, part: str) -> Compiled | None:
+        """The code of one part of the step: "act", "look", or "step" for both; None where it cannot be traced."""
         if part not in self._code:
-            self._code[part] = self._compiled(part)
-        self._code[part].run(arrays | self._arms, self.count)
+            try:
+                self._code[part] = self._compiled(part)
+            except Untraceable:
+                self._code[part] = None
+        return self._code[part]
 
     def _compiled(self, part: str) -> Compiled:
-        """Trace one part of the step, "act", "look" or both ("step"), and compile it."""
         trace, outputs = Trace(), list[Outputs]()
         state = self.state_of(trace.inputs("columns", len(self.columns)))
         if part != "look":
@@ -82,7 +91,7 @@ class CompiledBatch(NumpyBatch):
         else:
             command = state.target if part == "step" else trace.inputs("commands", self.task.joints)
             outputs += self._looked(trace, state, command)
-        return Compiled(trace, outputs)
+        return Compiled(trace, outputs, self.count)
 
     def _remembered(self, state: ReachState) -> list[Outputs]:
         """What changes in the state."""
@@ -113,14 +122,6 @@ class CompiledBatch(NumpyBatch):
         ]
 
     def _traced_plant(self, trace: Trace) -> Plant:
-        """The true arms, with the arrays that hold one number of each as inputs."""
-        self._arms: dict[str, Array] = {}
-
-        def traced(values: Array) -> Any:
-            if values.ndim > 1:
-                return values
-            name = f"arm{len(self._arms)}"
-            self._arms[name] = values
-            return trace.inputs(name, 1)[0]
-
-        return plants_on(self.plant, traced)
+        """The true arms, with the numbers of each as inputs."""
+        rows = iter(trace.inputs("arms", len(self._arms)))
+        return plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)

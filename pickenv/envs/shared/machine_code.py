@@ -37,6 +37,9 @@ LANES = 4
 BLOCK = 512
 """Environments that go through all stages together: their intermediate results stay in a core's second cache."""
 
+THOROUGH = 1024
+"""From so many environments on, code that takes four times as long to generate and runs a third faster is worth it."""
+
 BYTES = {DOUBLE: 8, SINGLE: 4, WORD: 8, FLAG: 1}
 KEPT = "kept"
 """The array of intermediate results."""
@@ -105,15 +108,17 @@ class Compiled:
     Args:
         trace: The operations.
         outputs: What is written.
+        count: For how many environments it will be run.
     """
 
-    def __init__(self, trace: Trace, outputs: Sequence[Outputs]) -> None:
+    def __init__(self, trace: Trace, outputs: Sequence[Outputs], count: int) -> None:
         self._plan = stages(trace, outputs)
         self._layout = laid_out(self._plan)
         read = (operation.operands[0] for operation in trace.operations if operation.name == "input")
         self._arrays = (KEPT, *dict.fromkeys((*read, *(out.array for out in outputs))))
         code = (_loop(trace, self._layout, i, stage, self._arrays) for i, stage in enumerate(self._plan))
-        self._engine, self._functions = _machine("\n".join((*DECLARED, *code)), len(self._plan))
+        text = "\n".join((*DECLARED, *code))
+        self._engine, self._functions = _machine(text, len(self._plan), count >= THOROUGH)
         self._calls: dict[int, list[list[tuple[Any, list[NDArray[Any]]]]]] = {}
         self._kept = np.empty((0, 0))
 
@@ -123,7 +128,7 @@ class Compiled:
         if self._kept.shape[1] != width:
             self._kept, self._calls = np.zeros((self._layout.height, width)), {}
         given = (self._kept, *(arrays[name] for name in self._arrays[1:]))
-        bases = (ctypes.c_void_p * len(given))(*(array.ctypes.data for array in given))
+        bases = (ctypes.c_void_p * len(given))(*(array.__array_interface__["data"][0] for array in given))
         for first in range(0, count, width):
             here = min(width, count - first)
             if here not in self._calls:
@@ -286,18 +291,18 @@ class _Body:
 FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, *[ctypes.c_int64] * 4)
 
 
-@lru_cache(maxsize=16)
-def _machine(code: str, count: int) -> tuple[Any, list[Any]]:
+@lru_cache(maxsize=64)
+def _machine(code: str, count: int, thorough: bool) -> tuple[Any, list[Any]]:
     """What keeps the code of so many stages in memory, and their functions."""
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
-    target = binding.Target.from_default_triple().create_target_machine(
-        cpu=binding.get_host_cpu_name(), features=binding.get_host_cpu_features().flatten(), opt=2
+    machine = binding.Target.from_default_triple().create_target_machine(
+        cpu=binding.get_host_cpu_name(),
+        features=binding.get_host_cpu_features().flatten(),
+        opt=2 if thorough else 0,
     )
     module = binding.parse_assembly(code)
     module.verify()
-    options = binding.create_pipeline_tuning_options(speed_level=1)
-    binding.create_pass_builder(target, options).getModulePassManager().run(module, binding.create_pass_builder(target, options))
-    engine = binding.create_mcjit_compiler(module, target)
+    engine = binding.create_mcjit_compiler(module, machine)
     engine.finalize_object()
     return engine, [FUNCTION(engine.get_function_address(f"stage{i}")) for i in range(count)]
