@@ -1,7 +1,7 @@
 """Many reach tasks side by side on NumPy's arrays, with the step compiled: the same bits in fewer passes.
 
-The step is traced and becomes machine code (`pickenv.envs.shared.machine_code`) when it is first taken. Episodes begin
-on NumPy.
+The step is traced and becomes machine code (`pickenv.arm.kinematics.machine_code`) when it is first taken. Episodes
+begin on NumPy.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant, plants_on
+from pickenv.arm.kinematics.machine_code import Compiled
+from pickenv.arm.kinematics.tracing import DOUBLE, FLAG, SINGLE, WORD, Outputs, Trace, Traced
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import Views, Words
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
-from pickenv.envs.shared.machine_code import Compiled
+from pickenv.envs.shared.backends import TRACER
 from pickenv.envs.shared.simulation import (
     ReachState,
     act,
@@ -27,7 +29,6 @@ from pickenv.envs.shared.simulation import (
     true_reward,
 )
 from pickenv.envs.shared.task import Compensate, Task
-from pickenv.envs.shared.tracing import DOUBLE, FLAG, SINGLE, TRACER, WORD, Outputs, Trace, Traced, Untraceable
 
 
 class CompiledBatch(NumpyBatch):
@@ -45,7 +46,7 @@ class CompiledBatch(NumpyBatch):
         rows = iter(self._arms)
         self.plant = plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)
         self._plants = [self.plant_of(block) for block in self._blocks]
-        self._code: dict[str, Compiled | None] = {}
+        self._code: dict[str, Compiled] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the code, which is made anew."""
@@ -63,23 +64,18 @@ class CompiledBatch(NumpyBatch):
             **{f"observation{i}": part for i, part in enumerate(out.observation)},
             **{"reward": out.reward, "success": out.success, "numbers": out.numbers, "vectors": out.vectors},
         }
-        parts = [self._ready(part) for part in (("step",) if compensate is None else ("act", "look"))]
-        if None in parts:
-            super().step(out, actions, moments, compensate)
+        if compensate is None:
+            self._run("step", arrays)
             return
-        parts[0].run(arrays, self.count)
-        if compensate is not None:
-            arrays["commands"] = np.array(self.commands(compensate, self.columns[: self.task.joints]))
-            parts[1].run(arrays, self.count)
+        self._run("act", arrays)
+        arrays["commands"] = np.array(self.commands(compensate, self.columns[: self.task.joints]))
+        self._run("look", arrays)
 
-    def _ready(self, part: str) -> Compiled | None:
-        """The code of one part of the step: "act", "look", or "step" for both; None where it cannot be traced."""
+    def _run(self, part: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Take one part of the step: "act", "look", or "step" for both."""
         if part not in self._code:
-            try:
-                self._code[part] = self._compiled(part)
-            except Untraceable:
-                self._code[part] = None
-        return self._code[part]
+            self._code[part] = self._compiled(part)
+        self._code[part].run(arrays, self.count)
 
     def _compiled(self, part: str) -> Compiled:
         trace, outputs = Trace(), list[Outputs]()

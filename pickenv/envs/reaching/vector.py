@@ -53,8 +53,7 @@ class ReachVectorEnv(VectorEnv[Any, Any, Any]):
         autoreset_mode: An `AutoresetMode` or its name, see the table.
         executor: "numpy"; "compiled", the same on arrays with the step as machine code (0.1 s, once; half a second from
             1024 environments on), with the same bits; "auto" (default): compiled where llvmlite is installed, of the
-            extra `pickenv[compiled]`; or "torch" for tensors in and out. What cannot be compiled runs on NumPy: plants
-            with a field of waves, as "field".
+            extra `pickenv[compiled]`; or "torch" for tensors in and out.
         compiled: torch only: whether the step is compiled (half a minute, once) or run eagerly.
         device: torch only: "cpu", "cuda", "cuda:1".
         dtype: torch only: "float64" or "float32" (positions then hold to 1 um).

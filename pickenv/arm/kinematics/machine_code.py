@@ -1,4 +1,4 @@
-"""A trace as machine code: each stage is one loop over the environments, between two calls of NumPy's functions.
+"""A trace as machine code: each stage is one loop over the poses, between two calls of NumPy's functions.
 
 Code is generated with LLVM (llvmlite), without any licence to reorder, contract or approximate: results have the bits
 of the NumPy operations that the trace stands for.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -16,29 +16,27 @@ import numpy as np
 from llvmlite import binding
 from numpy.typing import NDArray
 
-from pickenv.envs.shared.tracing import (
+from pickenv.arm.kinematics.tracing import (
     CALLED,
     DOUBLE,
     FLAG,
-    FREE,
     SINGLE,
     WORD,
     Operation,
     Outputs,
     Stage,
     Trace,
-    operands_of,
     stages,
 )
 
 LANES = 4
-"""Environments that one instruction works on."""
+"""Poses that one instruction works on."""
 
-BLOCK = 512
-"""Environments that go through all stages together: their intermediate results stay in a core's second cache."""
+NUMBERS, LEAST = 2**16, 64
+"""Intermediate results that stay in a core's second cache, and how many poses at least go through all stages together."""
 
 THOROUGH = 1024
-"""From so many environments on, code that takes four times as long to generate and runs a third faster is worth it."""
+"""From so many poses on, code that takes four times as long to generate and runs a third faster is worth it."""
 
 BYTES = {DOUBLE: 8, SINGLE: 4, WORD: 8, FLAG: 1}
 KEPT = "kept"
@@ -51,11 +49,11 @@ BY_KIND = {
     },
     SINGLE: {"double": "fpext"},
     WORD: {"add": "add", "mul": "mul", "xor": "xor", "shift": "lshr", "number": "uitofp"},
-    FLAG: {"and": "and", "or": "or"},
+    FLAG: {"and": "and", "or": "or", "xor": "xor"},
 }
 """Instructions, by the kind of what they take."""
 
-INTRINSICS = {"sqrt": "sqrt", "round": "rint"}
+INTRINSICS = {"sqrt": "sqrt", "round": "rint", "abs": "fabs"}
 
 
 class Layout(NamedTuple):
@@ -102,47 +100,61 @@ def laid_out(plan: Sequence[Stage]) -> Layout:
     return Layout(stored, home, groups, height)
 
 
+Called = tuple[Any, list[NDArray[Any]]]
+"""A function, and the arrays that it reads and writes."""
+
+
 class Compiled:
     """A trace ready to be run.
 
     Args:
         trace: The operations.
         outputs: What is written.
-        count: For how many environments it will be run.
+        count: For how many poses it will be run.
     """
 
     def __init__(self, trace: Trace, outputs: Sequence[Outputs], count: int) -> None:
         self._plan = stages(trace, outputs)
         self._layout = laid_out(self._plan)
-        read = (operation.operands[0] for operation in trace.operations if operation.name == "input")
+        self._width = max(LEAST, NUMBERS // max(self._layout.height, 1) // LEAST * LEAST)
+        read = (operation.detail[0] for operation in trace.operations if operation.name == "input")
         self._arrays = (KEPT, *dict.fromkeys((*read, *(out.array for out in outputs))))
         code = (_loop(trace, self._layout, i, stage, self._arrays) for i, stage in enumerate(self._plan))
         text = "\n".join((*DECLARED, *code))
         self._engine, self._functions = _machine(text, len(self._plan), count >= THOROUGH)
-        self._calls: dict[int, list[list[tuple[Any, list[NDArray[Any]]]]]] = {}
+        self._calls: dict[int, list[tuple[list[Called], list[Called]]]] = {}
         self._kept = np.empty((0, 0))
 
     def run(self, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
         """Compute outputs from inputs: arrays ``(rows, count)`` by name, whose rows lie one after the other."""
-        width = min(count, BLOCK)
+        width = min(count, self._width)
         if self._kept.shape[1] != width:
             self._kept, self._calls = np.zeros((self._layout.height, width)), {}
-        given = (self._kept, *(arrays[name] for name in self._arrays[1:]))
-        bases = (ctypes.c_void_p * len(given))(*(array.__array_interface__["data"][0] for array in given))
+        used = (self._kept, *(arrays[name] for name in self._arrays[1:]))
+        bases = (ctypes.c_void_p * len(used))(*(array.__array_interface__["data"][0] for array in used))
         for first in range(0, count, width):
             here = min(width, count - first)
             if here not in self._calls:
-                self._calls[here] = [list(self._called(stage, here)) for stage in self._plan]
-            for function, calls in zip(self._functions, self._calls[here], strict=True):
+                self._calls[here] = [self._called(stage, here) for stage in self._plan]
+            for function, (calls, fills) in zip(self._functions, self._calls[here], strict=True):
                 function(bases, width, count, first, here)
                 for called, rows in calls:
                     called(*rows)
+                for fill, (given, found) in fills:
+                    fill(given, found, slice(first, first + here))
 
-    def _called(self, stage: Stage, here: int) -> Iterator[tuple[Any, list[NDArray[Any]]]]:
-        """NumPy's functions of a stage, with the rows that they read and write, for a block of so many."""
+    def _called(self, stage: Stage, here: int) -> tuple[list[Called], list[Called]]:
+        """NumPy's functions of a stage, and ours, with the rows that they read and write, for a block of so many."""
+        numpys: list[Called] = []
+        ours: list[Called] = []
         for call in stage.calls:
             parts = ((self._layout.groups[part], len(part)) for part in (*call.operands, call.results))
-            yield CALLED[call.name], [self._kept[first : first + size, :here] for first, size in parts]
+            rows = [self._kept[first : first + size, :here] for first, size in parts]
+            if isinstance(call.function, str):
+                numpys.append((CALLED[call.function], rows))
+            else:
+                ours.append((call.function, rows))
+        return numpys, ours
 
 
 DECLARED = tuple(
@@ -181,7 +193,7 @@ done:
 
 
 class _Body:
-    """The instructions of one stage for some environments at once; `text` is they."""
+    """The instructions of one stage for some poses at once; `text` is they."""
 
     def __init__(
         self, trace: Trace, layout: Layout, number: int, stage: Stage, arrays: Sequence[str], lanes: int
@@ -216,7 +228,7 @@ class _Body:
             if number not in needed:
                 needed.add(number)
                 if not self._is_kept(number):
-                    waiting += operands_of(self._operations[number])
+                    waiting += self._operations[number].operands
         return sorted(needed)
 
     def _value(self, number: int) -> str:
@@ -225,7 +237,8 @@ class _Body:
         if operation.name == "constant":
             return self._constant(operation)
         if operation.name == "input":
-            return self._load(*operation.operands, operation.kind)
+            array, row = operation.detail
+            return self._load(array, row, operation.kind)
         if self._is_kept(number):
             return self._load(KEPT, self._layout.home[number][0], operation.kind)
         given = [self._values[i] for i in operation.operands]
@@ -258,7 +271,7 @@ class _Body:
         return f"<{self._lanes} x {kind}>" if self._lanes > 1 else kind
 
     def _constant(self, operation: Operation) -> str:
-        (value,), kind = operation.operands, operation.kind
+        value, kind = operation.detail, operation.kind
         text = f"0x{struct.pack('>d', float.fromhex(value)).hex().upper()}" if kind == DOUBLE else str(value)
         return text if self._lanes == 1 else f"<{', '.join([f'{kind} {text}'] * self._lanes)}>"
 

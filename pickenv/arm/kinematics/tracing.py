@@ -1,19 +1,20 @@
-"""A step written down once, operation by operation, so that it can be run without the functions that wrote it.
+"""Formulas written down once, operation by operation, so that they can be run without the functions that wrote them.
 
-The task's formulas run on `Traced` numbers as on arrays. What comes out is a list of operations in which nothing is
-computed twice, each the one that NumPy would do, with the same bits. `pickenv.envs.shared.machine_code` compiles it.
+They run on `Traced` numbers as on arrays, with `SYMBOLS` in the place of `numpy`. What comes out is a list of
+operations in which nothing is computed twice, each the one that NumPy would do, with the same bits.
+`pickenv.arm.kinematics.machine_code` compiles it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from pickenv.arm.kinematics.forward import Scalar
-from pickenv.envs.shared.backends import MASK, Executor
+from pickenv.arm.kinematics.geometry import Array
 
 DOUBLE, SINGLE, WORD, FLAG = "double", "float", "i64", "i1"
 """Kinds of numbers: float64, float32, 64-bit word, truth value."""
@@ -21,8 +22,8 @@ DOUBLE, SINGLE, WORD, FLAG = "double", "float", "i64", "i1"
 CALLED = {"sin": np.sin, "cos": np.cos, "atan2": np.arctan2, "log": np.log, "log10": np.log10, "exp": np.exp}
 """Functions that are left to NumPy, whose last bit no other library has."""
 
-FREE = ("input", "constant")
-"""Operations that take none, and need not be kept."""
+OUTSIDE = "outside"
+"""Operations that a function of ours computes, row by row of arrays."""
 
 COMMUTATIVE = frozenset({"add", "mul", "and", "or", "xor"})
 
@@ -35,14 +36,26 @@ class Operation(NamedTuple):
     """One operation.
 
     Attributes:
-        name: "add", "sin", ...; "input" and "constant" have no operands.
+        name: "add", "sin", "input", "constant", ...
         kind: Kind of its result.
-        operands: Numbers of the operations that it takes; of an input its array and its row, of a constant its value.
+        operands: Numbers of the operations that it takes.
+        detail: Array and row of an input, value of a constant, function and row of a result of `outside`.
     """
 
     name: str
     kind: str
-    operands: tuple[Any, ...]
+    operands: tuple[int, ...]
+    detail: Any = None
+
+    @property
+    def called(self) -> bool:
+        """Whether a function outside computes it, for many numbers at once."""
+        return self.name in CALLED or self.name == OUTSIDE
+
+    @property
+    def free(self) -> bool:
+        """Whether it takes nothing, and need not be kept."""
+        return self.name in ("input", "constant")
 
 
 class Trace:
@@ -56,11 +69,11 @@ class Trace:
         self.operations: list[Operation] = []
         self._known: dict[Operation, int] = {}
 
-    def note(self, name: str, kind: str, *operands: Any) -> Traced:
-        """The result of an operation on numbers of operations, or of a new input or constant."""
+    def note(self, name: str, kind: str, *operands: int, detail: Any = None) -> Traced:
+        """The result of an operation."""
         if name in COMMUTATIVE and operands[0] > operands[1]:
             operands = operands[::-1]
-        operation = Operation(name, kind, operands)
+        operation = Operation(name, kind, operands, detail)
         if operation not in self._known:
             self._known[operation] = len(self.operations)
             self.operations.append(operation)
@@ -68,7 +81,7 @@ class Trace:
 
     def inputs(self, array: str, rows: int, kind: str = DOUBLE) -> list[Traced]:
         """The rows of an array ``(rows, N)``."""
-        return [self.note("input", kind, array, row) for row in range(rows)]
+        return [self.note("input", kind, detail=(array, row)) for row in range(rows)]
 
     def of(self, value: Scalar, kind: str) -> int:
         """Number of the operation that gives ``value``; plain numbers become constants of this kind."""
@@ -76,8 +89,7 @@ class Trace:
             return value.number
         if not isinstance(value, bool | int | float | np.generic):
             raise Untraceable(f"{type(value).__name__} is no number")
-        plain = float(value).hex() if kind == DOUBLE else int(value)
-        return self.note("constant", kind, plain).number
+        return self.note("constant", kind, detail=float(value).hex() if kind == DOUBLE else int(value)).number
 
     def single(self, value: Scalar) -> Traced:
         """A number rounded to float32."""
@@ -122,6 +134,18 @@ class Traced:
     def __neg__(self) -> Traced:
         return self.trace.note("neg", self.kind, self.number)
 
+    def __invert__(self) -> Traced:
+        return cast(Traced, self ^ True)
+
+    def as_double(self) -> Traced:
+        """A word as a float64."""
+        return self.trace.note("number", DOUBLE, self.number)
+
+    @property
+    def dtype(self) -> Any:
+        """What an array of such numbers would have."""
+        return np.dtype(np.float64)
+
     def __bool__(self) -> bool:
         raise Untraceable("a formula goes one way or another")
 
@@ -154,6 +178,8 @@ SYMBOLS: Any = SimpleNamespace(
     __name__="symbols",
     sqrt=_function("sqrt", np.sqrt),
     round=_function("round", np.round),
+    abs=_function("abs", np.abs),
+    finfo=np.finfo,
     where=_where,
     clip=lambda value, low, high: _least(_most(value, low), high),
     **{name: _function(name, plain) for name, plain in CALLED.items()},
@@ -161,42 +187,35 @@ SYMBOLS: Any = SimpleNamespace(
 """What `numpy` is to arrays."""
 
 
-def _product(word: Scalar, constant: int) -> Scalar:
-    return word * constant if isinstance(word, Traced) else (word * constant) & MASK
+Fill = Callable[[Array, Array, slice], None]
+"""Gets an array ``(k, N)`` and fills one ``(rows, N)``, for these of the poses; a column depends on the same alone."""
 
 
-def _total(word: Scalar, other: Scalar) -> Scalar:
-    return word + other if isinstance(word, Traced) or isinstance(other, Traced) else (word + other) & MASK
+def outside(function: Fill, values: Sequence[Scalar], rows: int) -> list[Traced] | None:
+    """What a function of whole arrays makes of numbers, or None where they are not `Traced`.
 
-
-def _unit(word: Traced) -> Traced:
-    shifted = word >> 11
-    return cast(Traced, word.trace.note("number", DOUBLE, shifted.number) * 2.0**-53)
-
-
-TRACER = Executor(
-    name="tracer",
-    m=cast(ModuleType, SYMBOLS),
-    times=_product,
-    plus=_total,
-    shifted=lambda word, bits: word >> bits,
-    unit=_unit,
-    word=lambda number: number & MASK,
-    spares_constants=True,
-)
-"""Writes the simulation down instead of running it, as `pickenv.envs.shared.backends.NUMPY` would run it."""
+    Args:
+        function: The function.
+        values: What it is given.
+        rows: How many numbers it makes of them.
+    """
+    trace = next((value.trace for value in values if isinstance(value, Traced)), None)
+    if trace is None:
+        return None
+    given = [trace.of(value, DOUBLE) for value in values]
+    return [trace.note(OUTSIDE, DOUBLE, *given, detail=(function, row, rows)) for row in range(rows)]
 
 
 class Call(NamedTuple):
-    """A function that NumPy computes, for several numbers at once.
+    """A function that is computed for many numbers at once.
 
     Attributes:
-        name: One of `CALLED`.
+        function: One of `CALLED`, by name, or one given to `outside`.
         operands: For each of its arguments, the numbers of the operations that give it.
         results: Numbers of the operations that it is.
     """
 
-    name: str
+    function: str | Fill
     operands: tuple[tuple[int, ...], ...]
     results: tuple[int, ...]
 
@@ -234,43 +253,61 @@ class Outputs(NamedTuple):
 def stages(trace: Trace, outputs: Sequence[Outputs]) -> list[Stage]:
     """What is to be computed, one stage after the other; all is written in the last, for inputs are read until then."""
     operations = trace.operations
-    goals = [(trace.of(value, out.kind), (out.array, i)) for out in outputs for i, value in enumerate(out.rows, out.first)]
-    needed, waiting = set(), [number for number, _ in goals]
+    goals = [
+        (trace.of(value, out.kind), (out.array, i)) for out in outputs for i, value in enumerate(out.rows, out.first)
+    ]
+    needed: set[int] = set()
+    waiting = [number for number, _ in goals]
     while waiting:
         number = waiting.pop()
         if number not in needed:
             needed.add(number)
-            waiting += operands_of(operations[number])
+            waiting += _with_siblings(operations, number)
     ready: dict[int, int] = {}  # by operation, the first stage that can use it
     for number in sorted(needed):
         operation = operations[number]
-        ready[number] = max((ready[i] for i in operands_of(operation)), default=0) + (operation.name in CALLED)
+        ready[number] = max((ready[i] for i in operation.operands), default=0) + operation.called
     last = max(ready[number] for number, _ in goals)
     kept: list[set[int]] = [set() for _ in range(last + 1)]
-    calls: list[dict[str, list[int]]] = [{} for _ in range(last + 1)]
+    called: list[list[int]] = [[] for _ in range(last + 1)]
     for number in sorted(needed):
-        operation, called = operations[number], operations[number].name in CALLED
-        if called:
-            calls[ready[number] - 1].setdefault(operation.name, []).append(number)
-        for i in operands_of(operation):
-            if operations[i].name not in (*CALLED, *FREE) and (called or ready[i] < ready[number]):
-                kept[ready[i]].add(i)
+        operation = operations[number]
+        if operation.called:
+            called[ready[number] - 1].append(number)
+        kept_for = (i for i in operation.operands if operation.called or ready[i] < ready[number])
+        for i in kept_for:
+            kept[ready[i]].add(i)
     for number, _ in goals:
-        if operations[number].name not in (*CALLED, *FREE) and ready[number] < last:
+        if ready[number] < last:
             kept[ready[number]].add(number)
     return [
         Stage(
-            kept=tuple(sorted(kept[stage])),
+            kept=tuple(i for i in sorted(kept[stage]) if not (operations[i].free or operations[i].called)),
             written=tuple(goals) if stage == last else (),
-            calls=tuple(
-                Call(name, tuple(zip(*(operations[i].operands for i in own), strict=True)), tuple(own))
-                for name, own in calls[stage].items()
-            ),
+            calls=_calls(operations, called[stage]),
         )
         for stage in range(last + 1)
     ]
 
 
-def operands_of(operation: Operation) -> tuple[int, ...]:
-    """Numbers of the operations that an operation takes."""
-    return () if operation.name in FREE else operation.operands
+def _with_siblings(operations: Sequence[Operation], number: int) -> tuple[int, ...]:
+    """The operands of an operation, and of a result of `outside` the other results."""
+    operation = operations[number]
+    if operation.name != OUTSIDE:
+        return operation.operands
+    _, row, rows = operation.detail  # noted one after the other
+    return (*operation.operands, *range(number - row, number - row + rows))
+
+
+def _calls(operations: Sequence[Operation], numbers: Sequence[int]) -> tuple[Call, ...]:
+    """Operations gathered by their functions."""
+    gathered: dict[Any, list[int]] = {}
+    for number in numbers:
+        name, _, operands, detail = operations[number]
+        gathered.setdefault((detail[0], operands) if name == OUTSIDE else name, []).append(number)
+    return tuple(
+        Call(key, tuple(zip(*(operations[i].operands for i in own), strict=True)), tuple(own))
+        if isinstance(key, str)
+        else Call(key[0], (key[1],), tuple(own))
+        for key, own in gathered.items()
+    )
