@@ -7,6 +7,7 @@ of the NumPy operations that the trace stands for.
 from __future__ import annotations
 
 import ctypes
+import platform
 import struct
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -33,7 +34,7 @@ LANES = 4
 """Poses that one instruction works on."""
 
 NUMBERS, LEAST = 2**16, 64
-"""Intermediate results that stay in a core's second cache, and how many poses at least go through all stages together."""
+"""Intermediate results that stay in a core's second cache, and how many poses at least go through stages together."""
 
 THOROUGH = 1024
 """From so many poses on, code that takes four times as long to generate and runs a third faster is worth it."""
@@ -121,7 +122,9 @@ class Compiled:
         self._arrays = (KEPT, *dict.fromkeys((*read, *(out.array for out in outputs))))
         code = (_loop(trace, self._layout, i, stage, self._arrays) for i, stage in enumerate(self._plan))
         text = "\n".join((*DECLARED, *code))
-        self._engine, self._functions = _machine(text, len(self._plan), count >= THOROUGH)
+        names = tuple(f"stage{i}" for i in range(len(self._plan)))
+        self._engine, addresses = machine(text, names, count >= THOROUGH)
+        self._functions = [FUNCTION(address) for address in addresses]
         self._calls: dict[int, list[tuple[list[Called], list[Called]]]] = {}
         self._kept = np.empty((0, 0))
 
@@ -304,18 +307,39 @@ class _Body:
 FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, *[ctypes.c_int64] * 4)
 
 
-@lru_cache(maxsize=64)
-def _machine(code: str, count: int, thorough: bool) -> tuple[Any, list[Any]]:
-    """What keeps the code of so many stages in memory, and their functions."""
+@lru_cache(maxsize=1)
+def _host() -> tuple[str, dict[str, bool]]:
+    """The name of this processor, and what it can do."""
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
-    machine = binding.Target.from_default_triple().create_target_machine(
-        cpu=binding.get_host_cpu_name(),
-        features=binding.get_host_cpu_features().flatten(),
+    return binding.get_host_cpu_name(), dict(binding.get_host_cpu_features())
+
+
+def fused(kind: str, result: str, one: str, other: str, more: str) -> str:
+    """Instructions for one * other + more of vectors of floats, rounded once where the processor can do that."""
+    lanes = kind.strip("<>").split()[0]
+    if _host()[1].get("fma") or platform.machine() in ("arm64", "aarch64"):
+        return f"  {result} = call {kind} @llvm.fma.v{lanes}f32({kind} {one}, {kind} {other}, {kind} {more})"
+    return f"  {result}p = fmul {kind} {one}, {other}\n  {result} = fadd {kind} {result}p, {more}"
+
+
+@lru_cache(maxsize=64)
+def machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, list[int]]:
+    """What keeps code in memory, and the addresses of its functions.
+
+    Args:
+        code: LLVM's language.
+        names: Of the functions.
+        thorough: Whether registers are used well, which takes four times as long to generate.
+    """
+    name, features = _host()
+    target = binding.Target.from_default_triple().create_target_machine(
+        cpu=name,
+        features=",".join(f"{'+' if there else '-'}{feature}" for feature, there in sorted(features.items())),
         opt=2 if thorough else 0,
     )
     module = binding.parse_assembly(code)
     module.verify()
-    engine = binding.create_mcjit_compiler(module, machine)
+    engine = binding.create_mcjit_compiler(module, target)
     engine.finalize_object()
-    return engine, [FUNCTION(engine.get_function_address(f"stage{i}")) for i in range(count)]
+    return engine, [engine.get_function_address(function) for function in names]

@@ -63,10 +63,12 @@ class Trace:
 
     Attributes:
         operations: All of them, each but once.
+        exceptions: Truth values; where one is true, the formulas ask for more than operations can give.
     """
 
     def __init__(self) -> None:
         self.operations: list[Operation] = []
+        self.exceptions: list[Traced] = []
         self._known: dict[Operation, int] = {}
 
     def note(self, name: str, kind: str, *operands: int, detail: Any = None) -> Traced:
@@ -165,11 +167,14 @@ def _function(name: str, plain: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-def _where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
+def _where(condition: Scalar, *values: Scalar) -> Scalar:
     if not isinstance(condition, Traced):
-        return yes if condition else no
+        return values[0] if condition else values[1]
     trace = condition.trace
-    return trace.note("where", DOUBLE, condition.number, trace.of(yes, DOUBLE), trace.of(no, DOUBLE))
+    if not values:  # which are they? what is done with them cannot be noted
+        trace.exceptions.append(condition)
+        return (condition,)
+    return trace.note("where", DOUBLE, condition.number, *(trace.of(value, DOUBLE) for value in values))
 
 
 _least, _most = _function("min", np.minimum), _function("max", np.maximum)

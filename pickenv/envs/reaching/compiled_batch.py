@@ -47,10 +47,13 @@ class CompiledBatch(NumpyBatch):
         self.plant = plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)
         self._plants = [self.plant_of(block) for block in self._blocks]
         self._code: dict[str, Compiled] = {}
+        self._compensate: tuple[Compensate | None, Compensate] = (None, lambda targets: targets)
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but the code, which is made anew."""
-        return {key: value for key, value in vars(self).items() if key not in ("_table", "_arms", "_code")}
+        return {
+            key: value for key, value in vars(self).items() if key not in ("_table", "_arms", "_code", "_compensate")
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """The inverse of `__getstate__`."""
@@ -68,8 +71,16 @@ class CompiledBatch(NumpyBatch):
             self._run("step", arrays)
             return
         self._run("act", arrays)
-        arrays["commands"] = np.array(self.commands(compensate, self.columns[: self.task.joints]))
+        targets = self._table[: self.task.joints].T
+        arrays["commands"] = np.ascontiguousarray(np.asarray(self._fast(compensate)(targets), dtype=float).T)
         self._run("look", arrays)
+
+    def _fast(self, compensate: Compensate) -> Compensate:
+        """The compensator, compiled where it can be; only the last one is kept."""
+        if self._compensate[0] is not compensate:
+            make: Any = getattr(compensate, "compiled", None)
+            self._compensate = compensate, compensate if make is None else make(self.count)
+        return self._compensate[1]
 
     def _run(self, part: str, arrays: dict[str, NDArray[Any]]) -> None:
         """Take one part of the step: "act", "look", or "step" for both."""
