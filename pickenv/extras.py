@@ -26,6 +26,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "harvest": ("skimage", "ortools", "pettingzoo"),
         "export": ("onnx",),
         "data": ("minari",),
+        "compiled": ("llvmlite",),
     }
 )
 """Extras by name, and what programs import of each."""
