@@ -237,11 +237,9 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
 
 
 def datasets(
-    task: Annotated[
-        list[Literal["reach", "pick"]] | None, typer.Option(help="reach, pick; may be repeated. Reach if left out.")
-    ] = None,
+    task: Annotated[list[str] | None, typer.Option(help="reach, pick; may be repeated. Reach if left out.")] = None,
     quality: Annotated[
-        list[Literal["expert", "medium", "random"]] | None, typer.Option(help="May be repeated. All if left out.")
+        list[str] | None, typer.Option(help="expert, medium, random; may be repeated. All if left out.")
     ] = None,
     episodes: Annotated[
         int | None, typer.Option(help="Episodes of each; 256 reaches or 32 canopies if left out.", min=1)
