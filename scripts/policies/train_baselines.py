@@ -17,7 +17,9 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
-from pickenv.agents.policies.learned import BASELINES, LearnedPolicy, load_policy
+from pickenv.agents.evaluation.compared_policies import load_any
+from pickenv.agents.policies.learned import BASELINES, LearnedPolicy
+from pickenv.agents.policies.remembering import RememberingPolicy
 from pickenv.agents.training.training import train
 from pickenv.agents.training.training_setup import Training
 from pickenv.arm import load_plant
@@ -33,6 +35,8 @@ BASELINES_BY_NAME: dict[str, dict[str, Any]] = {
     "sac_her_camera": {"algorithm": "sac", "env_id": "pickenv/ReachGoal-v0", "arguments": CAMERA},
     "tqc_her_encoders": {"algorithm": "tqc", "env_id": "pickenv/ReachGoal-v0", "compensated": True},
     "tqc_her_camera": {"algorithm": "tqc", "env_id": "pickenv/ReachGoal-v0", "arguments": CAMERA},
+    "recurrent_camera": {"algorithm": "ppo_lstm"},
+    "history_camera": {"algorithm": "ppo_history"},
 }
 
 
@@ -71,7 +75,7 @@ def judged(name: str, policy: str, out: Path, compensations: tuple[str, ...]) ->
     ]
 
 
-def card(name: str, policy: LearnedPolicy, found: list[dict[str, Any]]) -> str:
+def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[str, Any]]) -> str:
     """The model card."""
     what = policy.record["training"]
     size = sum(weight.size + bias.size for weight, bias in zip(policy.weights, policy.biases, strict=True))
@@ -143,7 +147,7 @@ def main() -> None:
     options = parser.parse_args()
     for name in [options.only] if options.only else BASELINES_BY_NAME:
         if options.cards:
-            policy, judged_policy = load_policy(name), name
+            policy, judged_policy = load_any(name), name
         else:
             trained = []
             for seed in range(options.seeds):
