@@ -14,7 +14,7 @@ hyperparams = {
         "env_wrapper": "pickenv.wrappers.SameArm",
         "env_kwargs": SAME_ARM,
         "n_envs": 128,
-        "n_timesteps": 4e5,
+        "n_timesteps": 1.5e5,
         "policy": "MlpLstmPolicy",
         "n_steps": 20,
         "batch_size": 640,
@@ -23,6 +23,7 @@ hyperparams = {
         "gamma": 0.0,
         "gae_lambda": 1.0,
         "ent_coef": 0.0,
-        "policy_kwargs": "dict(net_arch=[64], lstm_hidden_size=64, enable_critic_lstm=True, log_std_init=-2.0)",
+        "policy_kwargs": "dict(net_arch=[64], lstm_hidden_size=64, shared_lstm=True, "
+        "enable_critic_lstm=False, log_std_init=-2.0)",
     }
 }
