@@ -51,6 +51,9 @@ class LookingReach(ScriptedReach):
     Rows of a batch are arms. What is believed of them, and how it corrects and learns, is for others to say.
     """
 
+    called = "remembering"
+    """Its name in sentences."""
+
     def __init__(self, env: Any) -> None:
         """``env`` gives the nominal arm."""
         super().__init__(env)
@@ -81,9 +84,6 @@ class LookingReach(ScriptedReach):
         action = self.action(self._wanted - reading.joints)
         self._note(reading, camera, np.abs(action).max(axis=-1) < ARRIVED)
         return action[0] if np.ndim(observation) == 1 else action
-
-    called = "looking"
-    """Its name, for people."""
 
     def _corrected(self, joints: Array) -> Array:
         """Joint targets that bring each arm, as it is believed to be, to the nominal arm's place at ``joints``."""

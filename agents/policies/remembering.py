@@ -1,8 +1,8 @@
 """Policies that remember what the camera saw at past picks, and aim by it: learned calibration while picking.
 
-What they learnt on is `pickenv.wrappers.SameArm`: before each pick they say how far to aim beside the fruit. A recurrent
-one (LSTM) sees the last pick and keeps a state, one with a window sees the last picks and weighs them by how near they
-were (attention). Both are a few matrices in one verified file, run by NumPy; nothing in it is executed.
+What they learnt on is `pickenv.wrappers.SameArm`: before each pick they say how far to aim beside the fruit. One that
+is recurrent (LSTM) sees the last pick and keeps a state, one with a window sees the last picks and weighs them by how
+near they were (attention). Both are a few matrices in one verified file, run by NumPy; nothing in it is executed.
 """
 
 from __future__ import annotations

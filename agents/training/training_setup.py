@@ -210,9 +210,7 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
     if training.remembering is not None:
         return RememberingPolicy(memory=env.envs.run.memory, arrays=memory_arrays(model.policy), **common)
     activation = "tanh" if on_policy else "relu"
-    return LearnedPolicy(
-        scaling=scaling_of(training, inner), activation=activation, squashed=not on_policy, **common
-    )
+    return LearnedPolicy(scaling=scaling_of(training, inner), activation=activation, squashed=not on_policy, **common)
 
 
 def memory_arrays(policy: Any) -> dict[str, Any]:

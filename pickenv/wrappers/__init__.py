@@ -19,6 +19,16 @@ if _TYPE_CHECKING:
     from pickenv.wrappers.sb3 import Sb3Vec, make_sb3_vec
 
 __all__ = ["Compensate", "CompensationVectorWrapper", "CompensationWrapper", "GapScaling", "GapScalingVector"]
-__all__ += ["Miscalibrate", "PickMemory", "SameArm", "SameArmVector", "Sb3Vec", "geometry_in_mujoco", "make_sb3_vec", "scaled_reach", "scaled_reach_vector"]
+__all__ += [
+    "Miscalibrate",
+    "PickMemory",
+    "SameArm",
+    "SameArmVector",
+    "Sb3Vec",
+    "geometry_in_mujoco",
+    "make_sb3_vec",
+    "scaled_reach",
+    "scaled_reach_vector",
+]
 
 __getattr__, __dir__ = _offered(__name__)

@@ -227,7 +227,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
             rows = np.arange(self.num_envs)
             final = {"final_obs": final_rows(shown, rows, self.num_envs), "_final_obs": done.copy()}
             final |= {"final_info": infos, "_final_info": done.copy()}
-            _, begun = self.env.reset()
+            _, begun = self.env.reset(options={"goal_joints": self.run.joints})  # saves drawing poses that nobody uses
             self._begin()
             shown, infos = self.run.shown(), self._infos(begun) | final
         return shown, rewards, np.zeros_like(done), done, infos
@@ -309,8 +309,10 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         RecordConstructorArgs.__init__(self, picks=picks, window=window, looks=looks, reach_mm=reach_mm)
         gym.Wrapper.__init__(self, env)
         task: Any = getattr(env.unwrapped, "task", None)
-        if not isinstance(task, Task) or not hasattr(env.unwrapped, "arm") or not isinstance(
-            env.observation_space, spaces.Box
+        if (
+            not isinstance(task, Task)
+            or not hasattr(env.unwrapped, "arm")
+            or not isinstance(env.observation_space, spaces.Box)
         ):
             raise InputError("SameArm works on flat reach environments; wrap a pickenv/Reach-v0 environment")
         self.run = _Run(task, 1, picks, PickMemory(task.joints, window, reach_mm), looks)

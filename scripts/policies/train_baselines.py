@@ -15,9 +15,9 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
+from pickenv.agents.evaluation.compared_policies import load_any
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
-from pickenv.agents.evaluation.compared_policies import load_any
 from pickenv.agents.policies.learned import BASELINES, LearnedPolicy
 from pickenv.agents.policies.remembering import RememberingPolicy
 from pickenv.agents.training.training import train

@@ -6,7 +6,8 @@ hyperparams = {
     name: parameters
     | {
         "env_wrapper": {"pickenv.wrappers.SameArm": {"window": 20}},
-        "n_timesteps": 1e5,
+        "n_envs": 128,
+        "n_steps": 20,
         "policy": "pickenv.agents.training.history.HistoryPolicy",
         "policy_kwargs": "dict(net_arch=[64, 64], log_std_init=-2.0)",
     }

@@ -13,10 +13,10 @@ hyperparams = {
     "pickenv/Reach-v0": {
         "env_wrapper": "pickenv.wrappers.SameArm",
         "env_kwargs": SAME_ARM,
-        "n_envs": 128,
-        "n_timesteps": 1.5e5,
+        "n_envs": 256,
+        "n_timesteps": 1e5,
         "policy": "MlpLstmPolicy",
-        "n_steps": 20,
+        "n_steps": 10,
         "batch_size": 640,
         "n_epochs": 5,
         "learning_rate": "lin_1e-3",
