@@ -52,7 +52,7 @@ class HistoryFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Features ``(N, features)``."""
-        found: th.Tensor = attended(th, self.given, self.memory, observations)
+        found: th.Tensor = attended(th, dict(self.given.items()), self.memory, observations)
         return found
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, SupportsFloat
+from typing import Any, SupportsFloat, cast
 
 import gymnasium as gym
 import numpy as np
@@ -225,7 +225,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         shown, infos = self.run.shown(), self._infos(infos)
         if done.all():
             rows = np.arange(self.num_envs)
-            final = {"final_obs": final_rows(shown, rows, self.num_envs), "_final_obs": done.copy()}
+            final: dict[str, Any] = {"final_obs": final_rows(shown, rows, self.num_envs), "_final_obs": done.copy()}
             final |= {"final_info": infos, "_final_info": done.copy()}
             _, begun = self.env.reset(options={"goal_joints": self.run.joints})  # saves drawing poses that nobody uses
             self._begin()
@@ -234,10 +234,11 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint."""
-        run, inner = self.run, self.env
+        run, inner = self.run, cast(Any, self.env)
         own = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
         own = {f"run/{key}": np.array(value) for key, value in own.items()} | {"run/pick": np.array(run.pick)}
-        return own | inner.state_arrays()  # type: ignore[attr-defined]
+        below: dict[str, NDArray[Any]] = inner.state_arrays()
+        return own | below
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state_arrays`, around environments made with the same arguments."""
@@ -337,7 +338,8 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         options = self.run.options(as_numbers("action", action)[None], self._arm)
         options = {key: value[0] if key != "arm" else value for key, value in options.items()}
         self.env.reset(options=options)
-        error, reward, still = np.zeros((1, 3)), 0.0, np.zeros(self.run.task.joints)
+        error, still = np.zeros((1, 3)), np.zeros(self.run.task.joints)
+        reward: SupportsFloat = 0.0
         for _ in range(self.run.looks):
             observation, reward, _, _, info = self.env.step(still)
             error += self.run.saw(observation[None])
