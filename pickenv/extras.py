@@ -24,6 +24,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "ray": ("ray",),
         "harvest": ("skimage", "ortools", "pettingzoo"),
         "export": ("onnx",),
+        "data": ("minari",),
     }
 )
 """Extras by name, and what programs import of each."""

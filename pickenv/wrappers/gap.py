@@ -17,7 +17,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
@@ -218,6 +218,12 @@ class GapScalingVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructor
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.raw: Any = np.zeros((self.num_envs, self.scaling.inputs), dtype=np.float32)
         """The observations as the environments gave them."""
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """The environments' mode, which torchrl asks the outermost wrapper for."""
+        mode: AutoresetMode = self.metadata["autoreset_mode"]
+        return mode
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

@@ -18,6 +18,7 @@ from pickenv.envs.harvesting.harvest_env import LONGEST
 from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
 from pickenv.envs.harvesting.harvest_zone import AS_DRAWN, OPTIONS, GivenZones, given_zones
 from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
+from pickenv.envs.shared.plain_spec import PlainSpec
 from pickenv.envs.shared.spaces import final_rows, given_mask, given_options, given_seeds
 from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError
@@ -26,7 +27,7 @@ Information = dict[str, Any]
 Rows = NDArray[np.intp]
 
 
-class HarvestVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+class HarvestVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
     """Many harvesters at once; environment i is seeded with ``seed + i`` and does not depend on how many there are.
 
     Args:

@@ -19,6 +19,7 @@ from pickenv.envs.shared import spaces
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
 from pickenv.envs.shared.given_goals import given_goals
+from pickenv.envs.shared.plain_spec import PlainSpec
 from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import Compensate, Task, check_choice, check_count, make_task
@@ -29,7 +30,7 @@ EXECUTORS = ("numpy", "torch")
 STATE = ("seeds", "episodes", "elapsed", "seeded", "ended")
 
 
-class ReachVectorEnv(VectorEnv[Any, Any, Any]):
+class ReachVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
     """N environments `pickenv/Reach-v0` in one.
 
     Environment i is the same, number by number, as a single `pickenv/Reach-v0` with seed ``seed + i``, whatever N is:
