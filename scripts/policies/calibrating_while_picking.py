@@ -7,7 +7,7 @@ there yet. The filter has the same looks and the same action; its two settings a
 All are judged on the same fresh arms and fruit, of the population that was learnt on and of others, pick by pick.
 Seeds are stated beforehand: trainings 0 to 4, arms and fruit of stream 0. Simulated throughout.
 
-Run: python scripts/policies/calibrating_while_picking.py [--arms 48] [--runs 4] [--out runs/baselines]
+Run: python scripts/policies/calibrating_while_picking.py [--arms 24] [--runs 2] [--out runs/baselines]
 """
 
 from __future__ import annotations
@@ -193,13 +193,13 @@ def figure_of(found: dict[str, dict[str, Array]]) -> Any:
 
 
 def main(
-    arms: Annotated[int, typer.Option(help="Fresh arms of each place.", min=10)] = 48,
-    runs: Annotated[int, typer.Option(help="Runs of 20 picks of each arm.", min=1)] = 4,
+    arms: Annotated[int, typer.Option(help="Fresh arms of each place.", min=10)] = 24,
+    runs: Annotated[int, typer.Option(help="Runs of 20 picks of each arm.", min=1)] = 2,
     out: Annotated[Path, typer.Option(help="Folder of the trainings, tables and figures.")] = ROOT / "runs/baselines",
     docs: Annotated[bool, typer.Option("--docs", help="Write the figure of the documentation as well.")] = False,
 ) -> None:
     """Train what is missing, judge, print."""
-    policies, best = trainings(out), tuned_filter(24)
+    policies, best = trainings(out), tuned_filter(12)
     print(f"Kalman filter: unmodelled {1e3 * best.unmodelled_std:g} mm, prior {best.prior:g} tolerances")
     print(f"| arms | policy | {' | '.join(SHOWN)} |\n|{'---|' * (2 + len(SHOWN))}")
     found, rows = {}, []
