@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -100,13 +100,43 @@ def _origin(orchard: PickSetting) -> Array:
     return np.array([station.middle, station.face, station.mount - orchard.canopy.bottom])
 
 
-def upright_turn(axis: Array) -> Array:
-    """Rotation vector (3,) of the shortest turn that brings a unit vector upright, rad."""
-    across = np.cross(axis, UP)
-    sine = float(np.linalg.norm(across))
-    if sine < 1e-12:
-        return np.zeros(3) if axis[2] > 0 else np.array([math.pi, 0.0, 0.0])
-    return np.asarray(across / sine * math.atan2(sine, float(axis[2])))
+class Contact(NamedTuple):
+    """How fruit stands to a tool.
+
+    Attributes:
+        across: From the tool's axis to each fruit, m, shape (..., n, 3).
+        gap: Its length, m, shape (..., n).
+        overlap: How far the tool is inside the fruit, m, shape (..., n).
+        touched: Whether it is.
+    """
+
+    across: Array
+    gap: Array
+    overlap: Array
+    touched: Flags
+
+
+def contact(station: trees.Station, positions: Array, diameters: Array, point: Array, axis: Array) -> Contact:
+    """Which fruit a tool touches; every canopy gives each fruit the same bits, whatever else is in the arrays.
+
+    Args:
+        station: The tool.
+        positions: Of the fruit, m, shape (..., n, 3).
+        diameters: m, shape (..., n).
+        point: The tool's point, m, shape (..., 3).
+        axis: Its axis, shape (..., 3).
+    """
+    away = positions - point[..., None, :]
+    along = _dot(away, axis[..., None, :])
+    across = away - along[..., None] * axis[..., None, :]
+    gap = np.sqrt(_dot(across, across))
+    radius, high = diameters / 2, np.maximum(along, 0.0)
+    wide = station.tool_radius + np.sqrt(np.maximum(radius * radius - high * high, 0.0))
+    return Contact(across, gap, wide - gap, (gap < wide) & (along > -station.tool_length) & (along < radius))
+
+
+def _dot(one: Array, other: Array) -> Array:
+    return np.asarray(one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1] + one[..., 2] * other[..., 2])
 
 
 @dataclass(eq=False)
@@ -173,11 +203,20 @@ class PickScene:
         """Whether the gripper holds a fruit that is off its stem."""
         return self.held is not None and bool(self.detached[self.held])
 
+    @property
+    def holds_hanging(self) -> bool:
+        """Whether the gripper holds a fruit that is on its stem."""
+        return self.held is not None and not self.detached[self.held]
+
+    def tally(self) -> tuple[int, int]:
+        """Fruit collected undamaged, and damaged."""
+        return int((self.collected & ~self.damaged).sum()), int(self.damaged.sum())
+
     def funnel(self) -> dict[str, int]:
         """Fruit that got through each stage; none has more than the one before."""
         stages = ("visible", "reachable", "attempted", "attached", "detached")
         passed = {stage: int(getattr(self, stage).sum()) for stage in stages}
-        return {"present": len(self.rest), **passed, "collected": int((self.collected & ~self.damaged).sum())}
+        return {"present": len(self.rest), **passed, "collected": self.tally()[0]}
 
     def nearest(self, tool: ArrayLike) -> int | None:
         """Number of the waiting fruit that was seen nearest to the tool, or None."""
@@ -189,32 +228,35 @@ class PickScene:
 
     def advance(self, before: Frame, tool: Frame, target: int | None, dt: float) -> None:
         """Let the fruit swing for ``dt`` seconds, and the tool push what is in its way."""
-        self.displacement, self.velocity = trees.swing(
-            self.orchard.branch, self.displacement, self.velocity, self.masses, dt
-        )
-        point, axis = np.array(tool[9:]), np.array(tool[6:9])
-        moved = point - np.array(before[9:])
-        if self.held is not None and not self.detached[self.held]:
-            self._push(self.rest[self.held], moved)
-            self.displacement[self.held] = self.grip + point
-            self.velocity[self.held] = 0.0
-        away = self.positions - point
-        along = away @ axis
-        across = away - along[:, None] * axis
-        gap = np.linalg.norm(across, axis=1)
-        radius, station = self.diameters / 2, self.orchard.station
-        wide = np.sqrt(np.maximum(radius**2 - np.maximum(along, 0.0) ** 2, 0.0))
-        touched = (
-            (gap < station.tool_radius + wide) & (along > -station.tool_length) & (along < radius) & ~self.detached
-        )
+        if self.displacement.any() or self.velocity.any():
+            self.displacement[:], self.velocity[:] = trees.swing(
+                self.orchard.branch, self.displacement, self.velocity, self.masses, dt
+            )
+        point, moved = np.array(tool[9:]), np.array(tool[9:]) - np.array(before[9:])
+        if self.holds_hanging:
+            self.carry(point, moved)
+        found = contact(self.orchard.station, self.positions, self.diameters, point, np.array(tool[6:9]))
+        if found.touched.any():
+            self.meet(found, target, moved, dt)
+
+    def carry(self, point: Array, moved: Array) -> None:
+        """Take the fruit in the gripper along, and its branch."""
+        assert self.held is not None
+        self._push(self.rest[self.held], moved)
+        self.displacement[self.held] = self.grip + point
+        self.velocity[self.held] = 0.0
+
+    def meet(self, found: Contact, target: int | None, moved: Array, dt: float) -> None:
+        """Push what the tool touches: neither what is off its stem nor what it holds."""
+        touched = found.touched & ~self.detached
         if self.held is not None:
             touched[self.held] = False
         if target is not None:  # what stands above the opening goes in
-            touched[target] &= gap[target] > station.tool_radius
+            touched[target] &= found.gap[target] > self.orchard.station.tool_radius
         speed = np.linalg.norm(moved) / dt if dt else 0.0
         for i in np.flatnonzero(touched):
-            self._push(self.positions[i], across[i] / max(gap[i], 1e-9) * (station.tool_radius + wide[i] - gap[i]))
-            self.damaged[i] |= speed > station.bruise_speed
+            self._push(self.positions[i], found.across[i] / max(found.gap[i], 1e-9) * found.overlap[i])
+            self.damaged[i] |= speed > self.orchard.station.bruise_speed
 
     def work_gripper(self, share: float, number: int, believed: Frame, tool: Frame) -> None:
         """Close the gripper on fruit ``number``, twist, open or empty it.
@@ -281,7 +323,7 @@ class PickScene:
         """Displace the fruit around ``contact``; fruit in or past the gripper stays."""
         moved = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
         far = np.linalg.norm(moved, axis=1, keepdims=True)
-        self.displacement = moved * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
+        self.displacement[:] = moved * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
 
 
 def draw_scene(orchard: PickSetting, reach: Reach, rng: np.random.Generator, given: Any = None) -> PickScene:
@@ -322,7 +364,7 @@ def _seen_scene(
     count = len(positions)
     believed, visible = looked_at(orchard, rng, positions, diameters)
     seen = to_base(orchard, believed)
-    clear = trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
+    wanted = visible & trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
     return PickScene(
         orchard=orchard,
         rest=to_base(orchard, positions),
@@ -332,7 +374,7 @@ def _seen_scene(
         chance=rng.random(count),
         seen=seen,
         visible=visible,
-        reachable=visible & clear & reach(seen),
+        reachable=wanted & reach(seen),
     )
 
 

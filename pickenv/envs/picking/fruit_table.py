@@ -1,0 +1,136 @@
+"""The fruit of many canopies in one set of arrays, of which each `PickScene` holds its own part.
+
+What happens to all fruit in every period goes through the arrays at once; what happens to one canopy now and then, a
+grasp or a push, goes through its scene. Both write the same numbers. Units: m, s.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv import orchard as trees
+from pickenv.arm import Array
+from pickenv.envs.picking.pick_scene import FATES, Contact, PickScene, PickSetting, contact
+from pickenv.envs.shared.arm_batch import Flags, Rows
+
+FAR = 1e6
+"""Where fruit hangs that is not there: an array has room for the fullest canopy."""
+
+NUMBERS = {"rest": 3, "seen": 3, "diameters": 0, "masses": 0, "displacement": 3, "velocity": 3}
+EMPTY = {"rest": FAR, "masses": 1.0}
+LOOSE = ("displacement", "velocity", *FATES)
+"""What changes during an episode."""
+STAGES = ("visible", "reachable", "attempted", "attached", "detached")
+
+
+class FruitTable:
+    """The fruit before N arms, leading axes (N, most fruit of a canopy).
+
+    Attributes:
+        scenes: The canopies one by one; what changes in them are views of the arrays.
+        held: Number of the fruit in each gripper, or -1.
+        miss: How far each last grasp was from its fruit, across and along the tool's axis, (N, 2).
+        off: Whether the fruit in the gripper is off its stem.
+        tally: Fruit collected undamaged, and damaged, (N, 2).
+    """
+
+    rest: Array
+    seen: Array
+    diameters: Array
+    masses: Array
+    displacement: Array
+    velocity: Array
+    visible: Flags
+    reachable: Flags
+    attempted: Flags
+    attached: Flags
+    detached: Flags
+    collected: Flags
+    damaged: Flags
+
+    def __init__(self, orchard: PickSetting, count: int) -> None:
+        self.orchard, self.count = orchard, count
+        self.scenes: list[Any] = [None] * count
+        self.present = np.zeros(count, dtype=np.int64)
+        self.held = np.full(count, -1)
+        self.off = np.zeros(count, dtype=np.bool_)
+        self.miss = np.zeros((count, 2))
+        self.tally = np.zeros((count, 2), dtype=np.int64)
+        self._make_room(1)
+
+    def adopt(self, row: int, scene: PickScene) -> None:
+        """Put a canopy into row ``row``."""
+        n = len(scene.rest)
+        if n > self.rest.shape[1]:
+            self._make_room(n)
+        for name in (*NUMBERS, "visible", "reachable", *FATES):
+            array = getattr(self, name)
+            array[row] = EMPTY.get(name, 0)
+            array[row, :n] = getattr(scene, name)
+        self.scenes[row], self.present[row] = scene, n
+        self._lend(row)
+        self.note(row)
+
+    def note(self, row: int) -> None:
+        """Write down what a grasp, a push or a twist has changed in a scene."""
+        scene = self.scenes[row]
+        self.held[row] = -1 if scene.held is None else scene.held
+        self.off[row], self.miss[row] = scene.holds_detached, scene.miss
+        self.tally[row] = scene.tally()
+
+    def waiting(self) -> Flags:
+        """Fruit that can still be tried."""
+        return self.reachable & ~self.attempted
+
+    def swing(self, going: Flags, dt: Array) -> None:
+        """Let fruit swing for ``dt`` seconds, (N,), where it does."""
+        moving = going & (self.displacement.any(axis=(1, 2)) | self.velocity.any(axis=(1, 2)))
+        rows = np.flatnonzero(moving)
+        if rows.size:
+            self.displacement[rows], self.velocity[rows] = trees.swing(
+                self.orchard.branch,
+                self.displacement[rows],
+                self.velocity[rows],
+                self.masses[rows],
+                dt[rows, None],
+            )
+
+    def meet(self, going: Flags, targets: Rows, point: Array, moved: Array, axis: Array, dt: Array) -> None:
+        """Let each tool take along what it holds, and push what is in its way; arguments (N, ...)."""
+        for row in np.flatnonzero(going & (self.held >= 0) & ~self.off):
+            self.scenes[row].carry(point[row], moved[row])
+        found = contact(self.orchard.station, self.rest + self.displacement, self.diameters, point, axis)
+        for row in np.flatnonzero(going & found.touched.any(axis=1)):
+            n = self.present[row]
+            mine = Contact(*(part[row, :n] for part in found))
+            self.scenes[row].meet(mine, int(targets[row]), moved[row], float(dt[row]))
+            self.note(row)
+
+    def funnel(self) -> dict[str, NDArray[np.int64]]:
+        """Fruit that got through each stage; none has more than the one before."""
+        passed = {stage: getattr(self, stage).sum(axis=1) for stage in STAGES}
+        return {"present": self.present.copy(), **passed, "collected": self.tally[:, 0].copy()}
+
+    def _make_room(self, most: int) -> None:
+        for name, width in NUMBERS.items():
+            fresh = np.full((self.count, most, width) if width else (self.count, most), EMPTY.get(name, 0.0))
+            self._replace(name, fresh)
+        for name in ("visible", "reachable", *FATES):
+            self._replace(name, np.zeros((self.count, most), dtype=np.bool_))
+        for row, scene in enumerate(self.scenes):
+            if scene is not None:
+                self._lend(row)
+
+    def _replace(self, name: str, fresh: NDArray[Any]) -> None:
+        old = getattr(self, name, None)
+        if old is not None:
+            fresh[:, : old.shape[1]] = old
+        setattr(self, name, fresh)
+
+    def _lend(self, row: int) -> None:
+        n = self.present[row]
+        for name in LOOSE:
+            setattr(self.scenes[row], name, getattr(self, name)[row, :n])
