@@ -23,6 +23,7 @@ NUMBERS = {"rest": 3, "seen": 3, "diameters": 0, "masses": 0, "displacement": 3,
 EMPTY = {"rest": FAR, "masses": 1.0}
 LOOSE = ("displacement", "velocity", *FATES)
 """What changes during an episode."""
+EACH = (*NUMBERS, "chance", "pull", "twist", "visible", "reachable", *FATES)
 STAGES = ("visible", "reachable", "attempted", "attached", "detached")
 
 
@@ -114,6 +115,35 @@ class FruitTable:
         passed = {stage: getattr(self, stage).sum(axis=1) for stage in STAGES}
         return {"present": self.present.copy(), **passed, "collected": self.tally[:, 0].copy()}
 
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """All canopies, fruit by fruit, and what their grippers do."""
+        each = [np.column_stack([_part(scene, name) for name in EACH]) for scene in self.scenes]
+        grips = [
+            [-1.0 if scene.held is None else scene.held, *scene.miss, *scene.grip, scene.detached_at]
+            for scene in self.scenes
+        ]
+        return {"present": self.present, "each": np.concatenate(each), "grips": np.array(grips)}
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """The inverse of `state_arrays`."""
+        ends = np.cumsum(state["present"])[:-1]
+        for row, (fruit, grip) in enumerate(zip(np.split(state["each"], ends), state["grips"], strict=True)):
+            parts, first = {}, 0
+            for name in EACH:
+                width = NUMBERS.get(name, 0) or 1
+                parts[name] = fruit[:, first : first + width].copy() if width > 1 else fruit[:, first].copy()
+                first += width
+            given = {name: parts[name] for name in ("rest", "diameters", "masses", "chance", "seen")}
+            flags = {name: parts[name].astype(np.bool_) for name in ("visible", "reachable")}
+            strength = trees.Strength(parts["pull"], parts["twist"])
+            scene = PickScene(orchard=self.orchard, strength=strength, **given, **flags)
+            for name in LOOSE:
+                getattr(scene, name)[:] = parts[name]
+            held, across, along, *rest = grip.tolist()
+            scene.held, scene.miss = None if held < 0 else int(held), (across, along)
+            scene.grip, scene.detached_at = np.array(rest[:3]), rest[3]
+            self.adopt(row, scene)
+
     def _make_room(self, most: int) -> None:
         for name, width in NUMBERS.items():
             fresh = np.full((self.count, most, width) if width else (self.count, most), EMPTY.get(name, 0.0))
@@ -134,3 +164,7 @@ class FruitTable:
         n = self.present[row]
         for name in LOOSE:
             setattr(self.scenes[row], name, getattr(self, name)[row, :n])
+
+
+def _part(scene: PickScene, name: str) -> Array:
+    return np.asarray(getattr(scene.strength if name in ("pull", "twist") else scene, name), dtype=float)

@@ -12,7 +12,7 @@ from pickenv.arm import Array
 from pickenv.envs.picking.pick_arm import PickMotion, PickSight, act_arm, apart_mm, begin_arm, look_at_arm
 from pickenv.envs.picking.pick_reach import reach_of
 from pickenv.envs.picking.pick_scene import PickScene
-from pickenv.envs.picking.pick_start import PICK_OPTIONS, draw_start
+from pickenv.envs.picking.pick_start import PICK_OPTIONS, Asked, draw_starts
 from pickenv.envs.picking.pick_task import LONGEST, MOST_LEFT, STILL, make_pick, pick_reward, pick_spaces
 from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import Scalar
@@ -213,8 +213,8 @@ class PickEnv(ArmEnv):
         start: Sequence[Scalar] | None = None
         if joints is not None:
             start = self._numbers(task.given_joints("start_joints", joints).tolist())
-        given: dict[str, Any] = {"fruit": options.get("fruit"), "asked": asked, "again": seed is not None}
-        begun = draw_start(task, self.orchard, self._reach, self.np_random, self._arm, **given)
+        wanted = Asked(self._arm, seed is not None, options.get("fruit"), asked)
+        (begun,) = draw_starts(task, self.orchard, self._reach, [self.np_random], [wanted])
         self.scene, self._key = begun.scene, self._word(begun.key)
         if begun.arm is not None and (task.arms != "fixed" or asked is not None):
             self._arm = begun.arm

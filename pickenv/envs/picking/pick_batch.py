@@ -23,6 +23,8 @@ from pickenv.envs.shared.task import Compensate, Task
 BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
 """Rows of what is seen of the arms; readings and commands follow."""
 
+OWN = ("sight", "number", "still", "moments")
+
 
 class PickBatch(NumpyArms):
     """The state of N picking arms.
@@ -138,6 +140,18 @@ class PickBatch(NumpyArms):
             "fruit_position": there,
             "fruit_number": self.number.copy(),
         }
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything that the next step depends on."""
+        own = {name: getattr(self, name) for name in OWN}
+        return super().state_arrays() | own | self.fruit.state_arrays()
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """The inverse of `state_arrays`."""
+        super().take_state_arrays(state)
+        for name in OWN:
+            getattr(self, name)[:] = state[name]
+        self.fruit.take_state_arrays(state)
 
     def _choose(self, row: int) -> None:
         """Go after the nearest waiting fruit, or stay with the last one."""

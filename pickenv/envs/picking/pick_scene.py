@@ -8,6 +8,7 @@ the start, so that two policies meet the same fruit, the same camera and the sam
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -327,54 +328,77 @@ class PickScene:
 
 
 def draw_scene(orchard: PickSetting, reach: Reach, rng: np.random.Generator, given: Any = None) -> PickScene:
-    """The fruit of an episode, at least one of it in reach.
+    """The fruit of an episode, at least one of it in reach; see `draw_scenes`."""
+    return draw_scenes(orchard, reach, [rng], [given])[0]
+
+
+def draw_scenes(
+    orchard: PickSetting, reach: Reach, rngs: Sequence[np.random.Generator], given: Sequence[Any]
+) -> list[PickScene]:
+    """The fruit of some episodes, at least one of each in reach; whether it is, is asked of all at once.
 
     Args:
         orchard: What kind of fruit.
         reach: Where the arm gets.
-        rng: Source of every random draw.
+        rngs: Source of every random draw of each.
         given: Fruit positions (n, 3) in the base frame, m, in place of drawn ones, or None.
 
     Raises:
         InputError: If none of the given fruit is found within reach, or none in many draws.
     """
-    if given is not None:
-        centres = np.atleast_2d(as_numbers("option fruit", given))
-        if centres.ndim != 2 or centres.shape[-1] != 3 or not centres.size or not np.isfinite(centres).all():
-            raise InputError(f"option fruit has shape {centres.shape}; give at least one finite position (n, 3) in m")
-    for _ in range(ATTEMPTS if given is None else GIVEN_ATTEMPTS):
-        if given is None:
-            drawn = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
-            positions, diameters = drawn.positions, drawn.diameters
-        else:
-            positions = to_orchard(orchard, centres)
-            diameters = trees.sample_diameters(orchard.size, len(centres), rng)
-        if len(positions):
-            scene = _seen_scene(orchard, reach, rng, positions, diameters)
-            if scene.reachable.any():
-                return scene
-    where = "none of the fruit given" if given is not None else f"no fruit in {ATTEMPTS} draws of the orchard"
+    centres = [None if each is None else _given_fruit(each) for each in given]
+    scenes: dict[int, PickScene] = {}
+    for attempt in range(ATTEMPTS):
+        drawn: dict[int, PickScene] = {}
+        for i, rng in enumerate(rngs):
+            if i in scenes or (centres[i] is not None and attempt >= GIVEN_ATTEMPTS):
+                continue
+            scene = _seen_scene(orchard, rng, centres[i])
+            if scene is not None:
+                drawn[i] = scene
+        if drawn:
+            wanted = [scene.reachable for scene in drawn.values()]
+            reached = reach(np.concatenate([scene.seen[scene.reachable] for scene in drawn.values()]))
+            ends = np.cumsum([flags.sum() for flags in wanted])[:-1]
+            for (i, scene), found in zip(drawn.items(), np.split(reached, ends), strict=True):
+                scene.reachable[scene.reachable] = found
+                if found.any():
+                    scenes[i] = scene
+        if len(scenes) == len(rngs):
+            return [scenes[i] for i in range(len(rngs))]
+    missing = next(i for i in range(len(rngs)) if i not in scenes)
+    where = "none of the fruit given" if given[missing] is not None else f"no fruit in {ATTEMPTS} draws of the orchard"
     raise InputError(f"{where} is both seen and within the arm's reach from below; move the fruit or add some")
 
 
-def _seen_scene(
-    orchard: PickSetting, reach: Reach, rng: np.random.Generator, positions: Array, diameters: Array
-) -> PickScene:
-    """Look at fruit in the orchard frame, and say which of it the arm can try."""
-    count = len(positions)
+def _given_fruit(given: Any) -> Array:
+    centres = np.atleast_2d(as_numbers("option fruit", given))
+    if centres.ndim != 2 or centres.shape[-1] != 3 or not centres.size or not np.isfinite(centres).all():
+        raise InputError(f"option fruit has shape {centres.shape}; give at least one finite position (n, 3) in m")
+    return centres
+
+
+def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
+    """Fruit drawn or given, and looked at; reachable is what is seen with a free way from below. None without fruit."""
+    if given is None:
+        drawn = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
+        positions, diameters = drawn.positions, drawn.diameters
+        if not len(positions):
+            return None
+    else:
+        positions, diameters = to_orchard(orchard, given), trees.sample_diameters(orchard.size, len(given), rng)
     believed, visible = looked_at(orchard, rng, positions, diameters)
-    seen = to_base(orchard, believed)
-    wanted = visible & trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
+    clear = trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
     return PickScene(
         orchard=orchard,
         rest=to_base(orchard, positions),
         diameters=diameters,
         masses=trees.fruit_masses(orchard.size, diameters),
-        strength=trees.sample_strength(orchard.detachment, count, rng),
-        chance=rng.random(count),
-        seen=seen,
+        strength=trees.sample_strength(orchard.detachment, len(positions), rng),
+        chance=rng.random(len(positions)),
+        seen=to_base(orchard, believed),
         visible=visible,
-        reachable=wanted & reach(seen),
+        reachable=visible & clear,
     )
 
 

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array, Plant
 from pickenv.envs.picking.pick_batch import BELIEVED, TOOL, PickBatch
 from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_start import PICK_OPTIONS, draw_start
+from pickenv.envs.picking.pick_start import PICK_OPTIONS, Asked, PickStart, draw_starts
 from pickenv.envs.picking.pick_task import LONGEST, make_pick, pick_spaces
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.stream_vector import Flags, Information, Rows, StreamVectorEnv
+from pickenv.envs.shared.streams import state_of_words, words_of_state
 from pickenv.envs.shared.task import Compensate, Task
 from pickenv.errors import InputError
 
@@ -79,6 +80,7 @@ class PickVectorEnv(StreamVectorEnv):
         self.compensator: Compensate | None = None
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
+        self._next: list[tuple[Any, PickStart] | None] = [None] * self.num_envs
 
     @property
     def plant(self) -> Plant:
@@ -90,21 +92,76 @@ class PickVectorEnv(StreamVectorEnv):
         """Largest increment of each joint in one action, rad or m."""
         return np.array(self.task.increment)
 
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything that the next step depends on, for a checkpoint."""
+        ahead = {row: each[0] for row, each in enumerate(self._next) if each is not None}
+        states = [ahead.get(row, rng.bit_generator.state) for row, rng in enumerate(self._rngs)]
+        own = {"rngs": np.array([words_of_state(state) for state in states], dtype=np.uint64)}
+        own |= {"elapsed": self._elapsed, "over": self._over, "armed": self._armed}
+        return {key: np.array(value) for key, value in (own | self.batch.state_arrays()).items()}
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """The inverse of `state_arrays`, in an environment made with the same arguments."""
+        self._rngs = [np.random.Generator(np.random.PCG64(0)) for _ in range(self.num_envs)]
+        for rng, words in zip(self._rngs, state["rngs"], strict=True):
+            rng.bit_generator.state = state_of_words(words)
+        self._elapsed, self._over, self._armed = (state[key].copy() for key in ("elapsed", "over", "armed"))
+        self._next, self._begun = [None] * self.num_envs, True
+        self.batch.take_state_arrays(state)
+
     def _checked(self, actions: ArrayLike) -> Array:
         return np.clip(self.batch.numbers_of_actions(actions), -1.0, 1.0)
 
     def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
-        task, count, joints = self.task, self.num_envs, options.get("start_joints")
+        for row in rows[seeded[rows]].tolist():
+            self._next[row] = None
+        joints = options.get("start_joints")
         if joints is not None:
-            joints = task.given_joints("start_joints", joints, count)[rows]
-        fruit, arms = (_each(options, name, count, rank) for name, rank in (("fruit", 3), ("arm", 1)))
-        starts = []
-        for row in rows.tolist():
-            arm = int(self.batch.arm[row]) if self._armed[row] else None
-            given: dict[str, Any] = {"fruit": fruit[row], "asked": arms[row], "again": bool(seeded[row])}
-            starts.append(draw_start(task, self.orchard, self._reach, self._rngs[row], arm, **given))
+            joints = self.task.given_joints("start_joints", joints, self.num_envs)[rows]
+        if options.get("fruit") is None and options.get("arm") is None and not seeded[rows].any() and self._armed.all():
+            self._draw_ahead(rows)
+            starts = [self._taken(row) for row in rows.tolist()]
+        else:
+            self._draw_back(rows)
+            starts = self._drawn(rows, options, seeded)
         self._armed[rows] = True
         self.batch.restart(rows, starts, joints, self.compensator)
+
+    def _drawn(self, rows: Rows, options: Information, seeded: Flags) -> list[PickStart]:
+        count = self.num_envs
+        fruit, arms = _each(options, "fruit", count, 3), _each(options, "arm", count, 1)
+        asked = [
+            Asked(int(self.batch.arm[row]) if self._armed[row] else None, bool(seeded[row]), fruit[row], arms[row])
+            for row in rows.tolist()
+        ]
+        return draw_starts(self.task, self.orchard, self._reach, [self._rngs[row] for row in rows], asked)
+
+    def _draw_ahead(self, rows: Rows) -> None:
+        """Draw the next episodes of all environments that have none waiting, as soon as one needs it.
+
+        Drawing many canopies takes little longer than drawing one, and nothing else draws from their generators.
+        """
+        if all(self._next[row] is not None for row in rows.tolist()):
+            return
+        without = np.array([row for row, each in enumerate(self._next) if each is None])
+        before = [self._rngs[row].bit_generator.state for row in without]
+        starts = self._drawn(without, {}, np.zeros(self.num_envs, dtype=np.bool_))
+        for row, state, start in zip(without.tolist(), before, starts, strict=True):
+            self._next[row] = state, start
+
+    def _taken(self, row: int) -> PickStart:
+        waiting = self._next[row]
+        assert waiting is not None
+        self._next[row] = None
+        return waiting[1]
+
+    def _draw_back(self, rows: Rows) -> None:
+        """Forget episodes that were drawn ahead, as if they had never been drawn."""
+        for row in rows.tolist():
+            waiting = self._next[row]
+            if waiting is not None:
+                self._rngs[row].bit_generator.state = waiting[0]
+                self._next[row] = None
 
     def _act(self, actions: Array, going: Flags) -> NDArray[Any]:
         return self.batch.advance(actions, going, self.compensator)

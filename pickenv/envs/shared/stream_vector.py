@@ -62,10 +62,13 @@ class StreamVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArra
         mask = given_mask(options.pop("reset_mask", None), self.num_envs)
         if not self._begun:
             mask[:] = True
-        seeds, old = given_seeds(seed, self.num_envs), self._rngs
-        if seed is not None or not old:
-            self._rngs = [old[i] if old and value is None else seeding.np_random(value)[0] for i, value in enumerate(seeds)]
-        self._restart(np.flatnonzero(mask), options, np.array([value is not None for value in seeds]))
+        seeds = given_seeds(seed, self.num_envs)
+        seeded = mask & np.array([value is not None for value in seeds])
+        if not self._rngs:
+            self._rngs = [seeding.np_random(value)[0] for value in seeds]
+        for row in np.flatnonzero(seeded):
+            self._rngs[row] = seeding.np_random(seeds[row])[0]
+        self._restart(np.flatnonzero(mask), options, seeded)
         return self._observation(), self._masked(mask)
 
     def step(
