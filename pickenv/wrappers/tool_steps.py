@@ -23,11 +23,14 @@ from pickenv.envs.shared.task import MOST_ACTION, as_numbers
 from pickenv.errors import InputError
 from pickenv.wrappers.scaled import ScaledEnv, ScaledVector
 
-LARGEST = 0.04
-"""Largest step of the tool in one period, m: at 10 Hz the speed that bruises fruit, along one axis."""
+LARGEST = 0.03
+"""Step of the tool in one period that an action of 1 adds, m; at 10 Hz 0.3 m/s."""
 
-NEAR = 0.1
+NEAR = 0.05
 """Gap below which steps shrink with it, m."""
+
+SERVO = 0.5
+"""Share of the largest step by which the tool goes straight to the fruit where an action is zero."""
 
 ARRIVED = 2e-4
 """Gap below which the arm is left to stand still, m."""
@@ -144,9 +147,10 @@ class ToolSteps:
         far, aside = _length(gap), _length(gap[..., :2])
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         share = np.where(holding, 1.0, np.where(far < ARRIVED, 0.0, np.minimum(far / NEAR, 1.0)))
-        sideways = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR)) * steps[..., :1]
+        sideways = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR)) * (SERVO + steps[..., :1])
+        upwards = share * (np.where(holding, 0.0, SERVO * gap[..., 2:] / np.maximum(far, ARRIVED)) + steps[..., 1:])
         tilt = np.clip(values[..., n + 9 : n + 11], -0.2, 0.2)
-        wanted = np.concatenate([LARGEST * sideways, LARGEST * share * steps[..., 1:], UPRIGHT * tilt * (share > 0)], -1)
+        wanted = np.concatenate([LARGEST * sideways, LARGEST * upwards, UPRIGHT * tilt * (share > 0)], -1)
         jacobian = joint_jacobian(self.geometry, q)[..., :5, :] * self.increment
         jacobian = jacobian * np.array([1.0, 1.0, 1.0, UPRIGHT, UPRIGHT])[:, None]
         centring = CENTRING * share * ((low + high) / 2.0 - q) / self.increment
@@ -158,39 +162,41 @@ class ToolSteps:
         return np.asarray(moved / np.maximum(1.0, np.abs(moved).max(axis=-1, keepdims=True)))
 
     def potential(self, values: NDArray[Any]) -> Any:
-        """Nearness of a collected fruit, from 0 to 2.4 ``(...)``: the gap's decades, then in hand, off, and down."""
+        """Nearness of a collected fruit, from 0 to 0.8 ``(...)``: the gap's decades, then in hand, off, and down."""
         n = self.joints
         gap = np.asarray(values[..., n + 6 : n + 9], dtype=float)
-        seeking = np.clip(1.0 - np.log10(1.0 + 1e3 * _length(gap)[..., 0]) / 3.0, 0.0, 1.0)
+        seeking = 0.35 * np.clip(1.0 - np.log10(1.0 + 1e3 * _length(gap)[..., 0]) / 3.0, 0.0, 1.0)
         down = np.clip(gap[..., 2] / COLLECTING, 0.0, 1.0)
         hanging, off = values[..., n + 14] > 0.5, values[..., n + 15] > 0.5
-        return np.where(off, 1.6 + 0.8 * down, np.where(hanging, 1.3, seeking))
+        return np.where(off, 0.6 + 0.2 * down, np.where(hanging, 0.5, seeking))
 
 
 class ToolStepping(ScaledEnv, RecordConstructorArgs):
     """Pick with steps of the tool: what lets plain PPO learn to pick.
 
-    An action has three numbers from -1 to 1. The first moves the believed tool sideways to below or above the fruit, in
-    shares of 40 mm (below 100 mm, of as much less as there is left); the second moves it up, likewise by what is left
-    of the whole gap, or of 40 mm with a fruit in the gripper; the third is the gripper, which does not close more than
-    15 mm from the fruit. The tool is kept upright, and where 0.2 mm are left the arm stands still. With n joints the
+    An action of zero brings the believed tool straight to the fruit, and that is all: how to come from below, how fast,
+    when to grasp, twist and retreat is to be learnt (a residual policy; Silver et al. 2018). An action has three numbers
+    from -1 to 1. The first adds to the way sideways, the second to the way up, in steps of 30 mm where zero goes 15, below
+    50 mm in shares of what is left; with a fruit in the gripper there is nothing but the second, in steps of 30 mm. The
+    third is the gripper, which does not close more than 15 mm from the fruit. The tool is kept upright, and where 0.2 mm
+    are left the arm stands still. With n joints the
     observation is `Box(float32)` of n + 12 numbers:
 
     | Num          | Observation                                                        | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------------|-----|-----|--------------|
     | 0 to n-1     | joint readings, scaled to the limits                               | -1  | 1   | 1            |
     | n, n+1       | gap to the fruit, sideways and up, over its length (at least 0.2)  | -1  | 1   | mm           |
-    | n+2, n+3     | each of the two, c, as c / sqrt(c^2 + 100^2)                       | -1  | 1   | mm           |
-    | n+4, n+5     | half the logarithm of the gap, and of it sideways, over 100 mm     | -2  | 2   | two decimals |
+    | n+2, n+3     | each of the two, c, as c / sqrt(c^2 + 50^2)                        | -1  | 1   | mm           |
+    | n+4, n+5     | half the logarithm of the gap, and of it sideways, over 50 mm      | -2  | 2   | two decimals |
     | n+6          | square of the tilt, at most 1                                      | 0   | 1   | rad^2        |
     | n+7 to n+11  | the last five numbers of `pickenv/Pick-v0`                         | 0   | 1   |              |
 
     Args:
         env: A `pickenv/Pick-v0`.
-        shaping: The learner's discount g: each step is rewarded with g P' - P besides, where P is 1 - log10(1 + gap in
-            mm) / 3 before the grasp, at least 0, then 1.3 with the fruit in hand, 1.6 off its stem and up to 2.4 on its
-            way down, and 0 at the end. What is best does not change (Ng, Harada and Russell 1999). None,
-            the default, leaves the reward as it is.
+        shaping: A discount g: each step is rewarded with g P' - P besides, where P is 0.35 (1 - log10(1 + gap in mm) / 3)
+            before the grasp, at least 0, then 0.5 with the fruit in hand, 0.6 off its stem and up to 0.8 on its way
+            down, and 0 once no fruit is left. Which policy gets most, by rewards discounted with g, does not change (Ng,
+            Harada and Russell 1999); 1 is for the sum of rewards. None, the default, leaves the reward as it is.
 
     Example:
         >>> import gymnasium as gym
@@ -262,7 +268,7 @@ def _steps_of(env: Any, space: spaces.Space[Any]) -> tuple[ToolSteps, float]:
 
 def _discount(shaping: float | None) -> float | None:
     if shaping is not None and not 0.0 < shaping <= 1.0:
-        raise InputError(f"shaping is {shaping}; give the learner's discount, above 0 and at most 1, or None")
+        raise InputError(f"shaping is {shaping}; give a discount above 0 and at most 1, or None")
     return shaping
 
 

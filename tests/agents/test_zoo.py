@@ -31,7 +31,7 @@ EARLY = {"n_envs": 2, "learning_starts": 130, "batch_size": 16, "gradient_steps"
 def test_every_file_has_parameters_for_every_environment_that_it_can_learn() -> None:
     flat = {"pickenv/Reach-v0", "pickenv/ReachIdeal-v0", "pickenv/ReachScaled-v0"}
     found = {name: {env_id for each, env_id in ENTRIES if each == name} for name in FILES}
-    assert found == {"ppo": flat, "sac": {*flat, "pickenv/ReachGoal-v0"}, "tqc": {*flat, "pickenv/ReachGoal-v0"}}
+    assert found == {"ppo": {*flat, "pickenv/Pick-v0"}, "sac": {*flat, "pickenv/ReachGoal-v0"}, "tqc": {*flat, "pickenv/ReachGoal-v0"}}
 
 
 @pytest.mark.parametrize(("name", "env_id"), ENTRIES)
@@ -40,8 +40,10 @@ def test_parameters_start_a_training_in_single_environments(name: str, env_id: s
     given = tuned(name, env_id) | SHORT.get(name, EARLY)
     wrapper, arguments = given.pop("env_wrapper", None), given.pop("env_kwargs", {})
     given.pop("n_timesteps")
+    ((wrapper, settings),) = wrapper[0].items() if isinstance(wrapper, list) else ((wrapper, {}),)
+    kind = wrapper and class_named(wrapper)
     envs = make_vec_env(
-        env_id, given.pop("n_envs"), wrapper_class=wrapper and class_named(wrapper), env_kwargs=arguments, seed=0
+        env_id, given.pop("n_envs"), wrapper_class=kind, wrapper_kwargs=settings, env_kwargs=arguments, seed=0
     )
     if "replay_buffer_class" in given:
         assert given["replay_buffer_class"] == "HerReplayBuffer"
@@ -51,9 +53,9 @@ def test_parameters_start_a_training_in_single_environments(name: str, env_id: s
     model.learn(140)
     after = [value.detach() for value in model.policy.parameters()]
     assert any(not np.array_equal(one.detach(), other) for one, other in zip(before, after, strict=True))
-    joints = gym.spec(env_id).make().action_space.shape
+    numbers = envs.action_space.shape if wrapper else gym.spec(env_id).make().action_space.shape
     action, _ = model.predict(envs.reset(), deterministic=True)
-    assert action.shape == (envs.num_envs, *joints) and np.isfinite(action).all()
+    assert action.shape == (envs.num_envs, *numbers) and np.isfinite(action).all()
 
 
 @pytest.mark.slow
