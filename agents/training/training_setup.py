@@ -163,7 +163,8 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     from pickenv.wrappers.sb3 import Sb3Vec
 
     chosen = training.chosen
-    for key in ("n_timesteps", "env_kwargs", "env_wrapper"):
+    wrapper = chosen.pop("env_wrapper", None)
+    for key in ("n_timesteps", "env_kwargs"):
         chosen.pop(key, None)
     inner = make_environment(training, int(chosen.pop("n_envs")), "SameStep")
     logs = str(out / "logs") if out is not None and importlib.util.find_spec("tensorboard") is not None else None
@@ -171,8 +172,9 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     goals = isinstance(inner, ReachVectorEnv) and inner.goal_dict
     if goals and training.algorithm == "ppo":
         raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
-    if isinstance(inner, PickVectorEnv):  # the shaping is the learner's own, so that what is best stays so
-        env = Sb3Vec(ToolSteppingVector(inner, shaping=float(chosen["gamma"])))
+    if isinstance(inner, PickVectorEnv):
+        ((settings,),) = (each.values() for each in wrapper)
+        env = Sb3Vec(ToolSteppingVector(inner, **settings))
     else:
         env = Sb3Vec(inner if goals else GapScalingVector(inner, training.scaled_actions))
     if goals:
@@ -213,11 +215,11 @@ def judge(policy: LearnedPolicy, training: Training, episodes: int | None = None
     """A policy without noise on held-out episodes of its own environment.
 
     Returns:
-        Of reaching, mean_mm, p95_mm and success_rate at the end of 256 episodes; of picking, what became of the fruit of
-        32 canopies: collected, damaged, attempted and reachable, means per canopy.
+        Of reaching, mean_mm, p95_mm and success_rate at the end of 256 episodes; of picking, what became of the fruit
+        of 16 canopies: collected, damaged, attempted and reachable, means per canopy.
     """
     if training.env_id == "pickenv/Pick-v0":
-        return _judged_picking(policy, training, episodes or 32)
+        return _judged_picking(policy, training, episodes or 16)
     env = make_environment(training, episodes or 256, "Disabled")
     observation, infos = env.reset(seed=HELD_OUT)
     for _ in range(60):

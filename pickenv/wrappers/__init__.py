@@ -19,6 +19,15 @@ if _TYPE_CHECKING:
     from pickenv.wrappers.tool_steps import ToolStepping, ToolSteppingVector
 
 __all__ = ["Compensate", "CompensationVectorWrapper", "CompensationWrapper", "GapScaling", "GapScalingVector"]
-__all__ += ["Miscalibrate", "Sb3Vec", "ToolStepping", "ToolSteppingVector", "geometry_in_mujoco", "make_sb3_vec", "scaled_reach", "scaled_reach_vector"]
+__all__ += [
+    "Miscalibrate",
+    "Sb3Vec",
+    "ToolStepping",
+    "ToolSteppingVector",
+    "geometry_in_mujoco",
+    "make_sb3_vec",
+    "scaled_reach",
+    "scaled_reach_vector",
+]
 
 __getattr__, __dir__ = _offered(__name__)

@@ -121,7 +121,7 @@ class Scaling:
         return actions * self.share(values, np)
 
     def potential(self, values: NDArray[Any]) -> Any:
-        """Logarithm of the gap's size, turned round; the environment's own reward is as dense, so nobody asks for it."""
+        """The gap's size as a logarithm, turned round; rewards of reaching are as dense already."""
         return -np.log10(self.size(values, np))[..., 0]
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:

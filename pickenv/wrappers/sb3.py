@@ -43,8 +43,8 @@ class Sb3Vec(VecEnv):
     """A vector environment that begins episodes in the step that ends them, or when told to, as a `VecEnv`.
 
     `infos` of an episode's last step hold `terminal_observation`, `TimeLimit.truncated`, all numbers of the last `info`
-    (such as `is_success` and `position_error_mm`), and `episode` with the sum of rewards "r" and the length "l", so that no monitor is needed; those of
-    other steps are empty.
+    (`is_success`, errors in mm and degrees, or what became of the fruit), and `episode` with the sum of rewards "r" and
+    the length "l", so that no monitor is needed; those of other steps are empty.
 
     Args:
         envs: The environments.

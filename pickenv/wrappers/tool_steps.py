@@ -1,7 +1,7 @@
 """Picking with the tool: steps of the believed tool in place of joint increments, and the gap by size and direction.
 
-A policy that moves joints must learn the arm's kinematics before it can learn to pick. Here the nominal Jacobian turns a
-step of the tool, kept upright, into joint increments; near the fruit a step is a share of what is left, as in
+A policy that moves joints must learn the arm's kinematics before it can learn to pick. Here the nominal Jacobian turns
+a step of the tool, kept upright, into joint increments; near the fruit a step is a share of what is left, as in
 `pickenv.wrappers.GapScaling`. Nothing is used but what the controller knows. Units: m, rad.
 """
 
@@ -147,7 +147,9 @@ class ToolSteps:
         far, aside = _length(gap), _length(gap[..., :2])
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         share = np.where(holding, 1.0, np.where(far < ARRIVED, 0.0, np.minimum(far / NEAR, 1.0)))
-        sideways = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR)) * (SERVO + steps[..., :1])
+        sideways = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR)) * (
+            SERVO + steps[..., :1]
+        )
         upwards = share * (np.where(holding, 0.0, SERVO * gap[..., 2:] / np.maximum(far, ARRIVED)) + steps[..., 1:])
         tilt = np.clip(values[..., n + 9 : n + 11], -0.2, 0.2)
         wanted = np.concatenate([LARGEST * sideways, LARGEST * upwards, UPRIGHT * tilt * (share > 0)], -1)
@@ -175,12 +177,12 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
     """Pick with steps of the tool: what lets plain PPO learn to pick.
 
     An action of zero brings the believed tool straight to the fruit, and that is all: how to come from below, how fast,
-    when to grasp, twist and retreat is to be learnt (a residual policy; Silver et al. 2018). An action has three numbers
-    from -1 to 1. The first adds to the way sideways, the second to the way up, in steps of 30 mm where zero goes 15, below
-    50 mm in shares of what is left; with a fruit in the gripper there is nothing but the second, in steps of 30 mm. The
-    third is the gripper, which does not close more than 15 mm from the fruit. The tool is kept upright, and where 0.2 mm
-    are left the arm stands still. With n joints the
-    observation is `Box(float32)` of n + 12 numbers:
+    when to grasp, twist and retreat is to be learnt (a residual policy; Silver et al. 2018). An action has three
+    numbers from -1 to 1. The first adds to the way sideways, the second to the way up, in steps of 30 mm where zero
+    goes 15, below 50 mm in shares of what is left; with a fruit in the gripper there is nothing but the second, in
+    steps of 30 mm. The third is the gripper, which does not close more than 15 mm from the fruit. The tool is kept
+    upright, and where 0.2 mm are left the arm stands still. With n joints the observation is `Box(float32)` of n + 12
+    numbers:
 
     | Num          | Observation                                                        | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------------|-----|-----|--------------|
@@ -193,10 +195,10 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
 
     Args:
         env: A `pickenv/Pick-v0`.
-        shaping: A discount g: each step is rewarded with g P' - P besides, where P is 0.35 (1 - log10(1 + gap in mm) / 3)
-            before the grasp, at least 0, then 0.5 with the fruit in hand, 0.6 off its stem and up to 0.8 on its way
-            down, and 0 once no fruit is left. Which policy gets most, by rewards discounted with g, does not change (Ng,
-            Harada and Russell 1999); 1 is for the sum of rewards. None, the default, leaves the reward as it is.
+        shaping: A discount g: each step is rewarded with g P' - P besides, where P is 0.35 (1 - log10(1 + gap in mm) /
+            3) before the grasp, at least 0, then 0.5 with the fruit in hand, 0.6 off its stem and up to 0.8 on its way
+            down, and 0 once no fruit is left. Which policy gets most, by rewards discounted with g, does not change
+            (Ng, Harada and Russell 1999); 1 is for the sum of rewards. None, the default, leaves the reward as it is.
 
     Example:
         >>> import gymnasium as gym

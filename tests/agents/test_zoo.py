@@ -31,7 +31,11 @@ EARLY = {"n_envs": 2, "learning_starts": 130, "batch_size": 16, "gradient_steps"
 def test_every_file_has_parameters_for_every_environment_that_it_can_learn() -> None:
     flat = {"pickenv/Reach-v0", "pickenv/ReachIdeal-v0", "pickenv/ReachScaled-v0"}
     found = {name: {env_id for each, env_id in ENTRIES if each == name} for name in FILES}
-    assert found == {"ppo": {*flat, "pickenv/Pick-v0"}, "sac": {*flat, "pickenv/ReachGoal-v0"}, "tqc": {*flat, "pickenv/ReachGoal-v0"}}
+    assert found == {
+        "ppo": {*flat, "pickenv/Pick-v0"},
+        "sac": {*flat, "pickenv/ReachGoal-v0"},
+        "tqc": {*flat, "pickenv/ReachGoal-v0"},
+    }
 
 
 @pytest.mark.parametrize(("name", "env_id"), ENTRIES)

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import forward
 from pickenv.envs.picking.pick import PickEnv
-from pickenv.envs.picking.pick_reach import reach_of
 from pickenv.envs.picking.pick_arm import upright_turn
+from pickenv.envs.picking.pick_reach import reach_of
 from pickenv.envs.picking.pick_scene import draw_scene, looked_at, make_setting, to_base, to_orchard
 from pickenv.errors import InputError
 from pickenv.orchard import load_canopy, occlusion, sample_fruit, shipped

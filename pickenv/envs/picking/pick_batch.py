@@ -158,9 +158,7 @@ class PickBatch(NumpyArms):
         number = self.fruit.scenes[row].nearest(self.sight[BELIEVED][9:, row])
         self.number[row] = self.number[row] if number is None else number
 
-    def _look(
-        self, where: Any, motion: PickMotion, plant: Plant, compensate: Compensate | None, dt: Scalar
-    ) -> None:
+    def _look(self, where: Any, motion: PickMotion, plant: Plant, compensate: Compensate | None, dt: Scalar) -> None:
         x, task = self.x, self.task
         command = self.commands(compensate, list(motion.target))
         motion, sight = look_at_arm(x, task, plant, motion, command, self.keys[where], self.moments[where], dt)

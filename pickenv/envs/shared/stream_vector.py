@@ -98,7 +98,12 @@ class StreamVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArra
         if self._over.any() and self.autoreset_mode is AutoresetMode.SAME_STEP:
             over = self._over.copy()
             last = final_rows(self._observation(), np.flatnonzero(over), self.num_envs)
-            extra = {"final_obs": last, "_final_obs": over, "final_info": self._masked(over), "_final_info": over.copy()}
+            extra = {
+                "final_obs": last,
+                "_final_obs": over,
+                "final_info": self._masked(over),
+                "_final_info": over.copy(),
+            }
             self._restart(np.flatnonzero(over))
         everywhere = np.ones(self.num_envs, dtype=np.bool_)
         return self._observation(), rewards, terminated, truncated, self._masked(everywhere) | extra
