@@ -1,4 +1,4 @@
-"""Commands about policies: `pickenv train` and `pickenv evaluate`."""
+"""Commands about policies: `pickenv train`, `pickenv evaluate` and `pickenv datasets`."""
 
 from __future__ import annotations
 
@@ -234,3 +234,43 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
             f"{line['policy']}, {line['feedback']}, {line['plant']}: {line['from']} to {line['to']} "
             f"{difference} mm ({ends}), significant: {significant}"
         )
+
+
+def datasets(
+    task: Annotated[list[str] | None, typer.Option(help="reach, pick; may be repeated. Reach if left out.")] = None,
+    quality: Annotated[
+        list[str] | None, typer.Option(help="expert, medium, random; may be repeated. All if left out.")
+    ] = None,
+    episodes: Annotated[
+        int | None, typer.Option(help="Episodes of each; 256 reaches or 32 canopies if left out.", min=1)
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the cards to this file.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder to write, as Minari's.")] = Path("runs/datasets"),
+) -> None:
+    """Record Minari data sets of good, middling and random policies; those that are there are kept."""
+    from pickenv.agents.training.data_sets import QUALITIES
+    from pickenv.agents.training.data_sets import datasets as record
+
+    separate({}, {"--out": out, "--json": json_file})
+    with progress_bars() as report:
+        cards = record(out, task or ("reach",), quality or QUALITIES, episodes=episodes, seed=seed, progress=report)
+    deliver([(json_file, lambda path: write_json(path, cards))], lambda: _print_cards(cards, out))
+
+
+def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:
+    """Print what was recorded, and how it is read."""
+    numbers = {
+        "final_error_mm": "error at the end, mean (mm)",
+        "success": "success (%)",
+        "collected": "fruit collected",
+    }
+    shown = [key for key in numbers if any(key in card for card in cards)]
+    rows = []
+    for card in cards:
+        found = {key: card.get(key) for key in shown} | {"success": 100.0 * card.get("success", 0.0)}
+        said = ["" if found[key] is None or key not in card else f"{found[key]:.2f}" for key in shown]
+        rows.append([card["name"], str(card["episodes"]), str(card["steps"]), f"{card['mean_return']:.2f}", *said])
+    heads = ("data set", "episodes", "steps", "return, mean", *(numbers[key] for key in shown))
+    caption = f"simulated; MINARI_DATASETS_PATH={out} lets Minari find them by name"
+    print_table(f"Recorded with seed {cards[0]['seed']}", heads, rows, words=("data set",), caption=caption)

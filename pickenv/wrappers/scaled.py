@@ -101,6 +101,12 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
         """The observations as the environments gave them."""
         self._idle = np.zeros(self.num_envs, dtype=np.bool_)
 
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """The environments' mode, which torchrl asks the outermost wrapper for."""
+        mode: AutoresetMode = self.metadata["autoreset_mode"]
+        return mode
+
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:

@@ -6,7 +6,7 @@ training, and where arms, readings and clocks are those of the rung "orchard" th
 paired by canopy, and their 95 % intervals cross trainings and canopies. What is done is kept in the folder, so that a
 run that was cut off goes on.
 
-Run: python scripts/policies/findings_picking.py [--steps 120000] [--canopies 60] [--brief] [--out runs/findings_picking]
+Run: python scripts/policies/findings_picking.py [--steps 120000] [--brief] [--out runs/findings_picking]
 """
 
 from __future__ import annotations
@@ -98,11 +98,10 @@ def training(out: Path, seed: int, steps: int) -> Path:
 def judged(out: Path, steps: int, canopies: int, brief: bool) -> dict[str, dict[str, Any]]:
     """By place and policy, `NUMBERS` of each canopy; of several trainings, one row each."""
     policies: list[tuple[str, Any]] = [*list(SCRIPTS.items())[: 1 if brief else None], *((LEARNT, s) for s in SEEDS)]
-    places = dict(list(PLACES.items())[: 1 if brief else None])
-    found: dict[str, dict[str, Any]] = {place: {} for place in places}
+    found: dict[str, dict[str, Any]] = {place: {} for place in PLACES}
     for name, given in track(policies, "policies"):
         folder = training(out, given, steps) if name == LEARNT else out
-        for number, (place, arguments) in enumerate(places.items()):
+        for number, (place, arguments) in enumerate(PLACES.items()):
 
             def run(given: Any = given, arguments: Any = arguments, name: str = name, folder: Path = folder) -> Any:
                 envs = PickVectorEnv(canopies, **arguments)
@@ -191,9 +190,7 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder for trainings, canopies, table and figure.")] = Path(
         "runs/findings_picking"
     ),
-    brief: Annotated[
-        bool, typer.Option("--brief", help="The training's environment and the gentle script alone.")
-    ] = False,
+    brief: Annotated[bool, typer.Option("--brief", help="Leave the hasty script out.")] = False,
     figure: Annotated[Path | None, typer.Option(help="Learning curve, in place of one in the folder.")] = None,
 ) -> None:
     """Train, judge, print; with a table in picking.json."""

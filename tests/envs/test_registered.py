@@ -288,6 +288,18 @@ def test_arguments_survive_json(arguments):
     assert alike(rollout(env, 4), rollout(again, 4))
 
 
+@pytest.mark.parametrize("name", [name for name in IDS if "Harvest" not in name and "Ideal" not in name])
+def test_a_plant_by_path_stands_in_the_specification(name):
+    """Where paths are taken, `pathlib.Path` is one, and what it makes can be written down and made again."""
+    plant = PLANTS / "qiao2026.toml"
+    env = gym.make(name, plant=plant)
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec.kwargs == {"plant": str(plant)}
+    assert alike(env.reset(seed=1), again.reset(seed=1))
+    if gym.spec(name).vector_entry_point:
+        assert str(plant) in gym.make_vec(name, num_envs=2, plant=plant).spec.to_json()
+
+
 @pytest.mark.parametrize("module", [pickenv.envs.reaching.reach, pickenv.wrappers.compensation])
 def test_examples_in_docstrings_run(module):
     result = doctest.testmod(module)

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
+from pickenv.envs.shared.plain_spec import PlainSpec
 from pickenv.envs.shared.spaces import final_rows, given_mask, given_options, given_seeds
 from pickenv.envs.shared.task import check_choice, check_count
 from pickenv.errors import InputError
@@ -24,7 +25,7 @@ Flags = NDArray[np.bool_]
 Rows = NDArray[np.intp]
 
 
-class StreamVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+class StreamVectorEnv(PlainSpec, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
     """N environments; the i-th is seeded with ``seed + i`` and does not depend on how many there are.
 
     Attributes:
