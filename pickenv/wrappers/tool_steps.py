@@ -18,7 +18,7 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, joint_jacobian
-from pickenv.envs.picking.pick_scene import PickSetting
+from pickenv.envs.picking.pick_scene import CLOSE, PickSetting
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
 from pickenv.errors import InputError
 from pickenv.wrappers.scaled import ScaledEnv, ScaledVector
@@ -135,7 +135,7 @@ class ToolSteps:
         n = self.joints
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         away = ~holding & (_length(values[..., n + 6 : n + 9]) > CLOSING)
-        gripper = actions[..., MOVES:]
+        gripper = np.clip(CLOSE + actions[..., MOVES:], -1.0, 1.0)
         moved = self.joint_steps(np.asarray(values, dtype=float), actions[..., :MOVES])
         return np.concatenate([moved, np.where(away, np.minimum(gripper, 0.0), gripper)], axis=-1)
 
@@ -180,9 +180,9 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
     when to grasp, twist and retreat is to be learnt (a residual policy; Silver et al. 2018). An action has three
     numbers from -1 to 1. The first adds to the way sideways, the second to the way up, in steps of 30 mm where zero
     goes 15, below 50 mm in shares of what is left; with a fruit in the gripper there is nothing but the second, in
-    steps of 30 mm. The third is the gripper, which does not close more than 15 mm from the fruit. The tool is kept
-    upright, and where 0.2 mm are left the arm stands still. With n joints the observation is `Box(float32)` of n + 12
-    numbers:
+    steps of 30 mm. The third is the gripper: it closes above zero, but not more than 15 mm from the fruit, and twists
+    by 0.25 N m more than it says; it never lets go. The tool is kept upright, and where 0.2 mm are left the arm stands
+    still. With n joints the observation is `Box(float32)` of n + 12 numbers:
 
     | Num          | Observation                                                        | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------------|-----|-----|--------------|

@@ -6,7 +6,7 @@ training, and where arms, readings and clocks are those of the rung "orchard" th
 paired by canopy, and their 95 % intervals cross trainings and canopies. What is done is kept in the folder, so that a
 run that was cut off goes on.
 
-Run: python scripts/policies/findings_picking.py [--steps 120000] [--brief] [--out runs/findings_picking]
+Run: python scripts/policies/findings_picking.py [--steps 90000] [--brief] [--out runs/findings_picking]
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ def _with(value: float, ends: list[float] | None, form: str) -> str:
 
 
 def main(
-    steps: Annotated[int, typer.Option(help="Steps of each training.", min=2048)] = 120_000,
+    steps: Annotated[int, typer.Option(help="Steps of each training.", min=2048)] = 90_000,
     canopies: Annotated[int, typer.Option(help="Canopies to judge by.", min=8)] = 60,
     out: Annotated[Path, typer.Option(help="Folder for trainings, canopies, table and figure.")] = Path(
         "runs/findings_picking"
