@@ -268,6 +268,15 @@ def main(
         add("CartPole-v1 native 4096", 4096, "numpy", vector("CartPole-v1", 4096, seconds), WHAT["CartPole-v1 native"])
     add("Reach single", 1, "floats", single("pickenv/Reach-v0", seconds), "plant qiao2026, gym.make")
     add("Harvest single", 1, "numpy", single("pickenv/Harvest-v0", seconds), "three slaves, eight fruit, gym.make")
+    add("Pick single", 1, "floats", single("pickenv/Pick-v0", seconds), "plant orchard, ten fruit, gym.make")
+    for count in (1, 16, 256, 1024):
+        add(
+            f"Pick native {count}",
+            count,
+            "numpy",
+            vector("pickenv/Pick-v0", count, seconds),
+            "plant orchard, ten fruit",
+        )
     for count in (16, 256, 1024, 4096) if quick else (16, 256, 1024, 4096, 65_536, 1_048_576):
         add(f"Reach native {count}", count, "numpy", vector("pickenv/Reach-v0", count, seconds), "plant qiao2026")
     for count in () if quick else (131_072,) if device == "cpu" else (131_072, 4_194_304):
@@ -289,6 +298,8 @@ def main(
     ratios = {
         "single_vs_fetchreach": ratio("Reach single", "FetchReach-v4"),
         "harvest_single_vs_fetchreach": ratio("Harvest single", "FetchReach-v4"),
+        "pick_single_vs_fetchreach": ratio("Pick single", "FetchReach-v4"),
+        "pick_native_256_vs_fetchreach": ratio("Pick native 256", "FetchReach-v4"),
         "single_vs_pandareach": ratio("Reach single", "PandaReach-v3"),
         "native_4096_vs_fetchreach": ratio("Reach native 4096", "FetchReach-v4"),
         "native_4096_vs_cartpole": ratio("Reach native 4096", "CartPole-v1 native 4096"),
