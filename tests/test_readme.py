@@ -17,6 +17,7 @@ BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 RUN = ("README.md", "docs/commands.md")
 """Pages whose blocks are run, one after the other in one folder; other pages have tests of their own."""
 LONG_WINDED = (
+    "changelog",
     "findings",
     "harvester-sight",
     "papers",
