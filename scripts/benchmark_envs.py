@@ -292,6 +292,15 @@ def main(
         add("CartPole-v1 native 4096", 4096, "numpy", vector("CartPole-v1", 4096, seconds), WHAT["CartPole-v1 native"])
     add("Reach single", 1, "floats", single("pickenv/Reach-v0", seconds), "plant qiao2026, gym.make")
     add("Harvest single", 1, "numpy", single("pickenv/Harvest-v0", seconds), "three slaves, eight fruit, gym.make")
+    add("Pick single", 1, "floats", single("pickenv/Pick-v0", seconds), "plant orchard, ten fruit, gym.make")
+    for count in (1, 16, 256, 1024):
+        add(
+            f"Pick native {count}",
+            count,
+            "numpy",
+            vector("pickenv/Pick-v0", count, seconds),
+            "plant orchard, ten fruit",
+        )
     for count in (16, 64, 256, 4096) if quick else (16, 64, 256, 1024, 4096, 65_536, 1_048_576):
         for executor in EXECUTORS:
             value = vector("pickenv/Reach-v0", count, seconds, executor=executor)
@@ -316,6 +325,8 @@ def main(
     ratios = {
         "single_vs_fetchreach": ratio("Reach single", "FetchReach-v4"),
         "harvest_single_vs_fetchreach": ratio("Harvest single", "FetchReach-v4"),
+        "pick_single_vs_fetchreach": ratio("Pick single", "FetchReach-v4"),
+        "pick_native_256_vs_fetchreach": ratio("Pick native 256", "FetchReach-v4"),
         "single_vs_pandareach": ratio("Reach single", "PandaReach-v3"),
         "native_16_vs_fetchreach": ratio("Reach native 16", "FetchReach-v4"),
         "native_256_vs_fetchreach": ratio("Reach native 256", "FetchReach-v4"),
