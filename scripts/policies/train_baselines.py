@@ -150,8 +150,8 @@ def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[
             "Trained for one arm's nominal geometry; it refuses other arms.",
             "No obstacles, no joint torques, one fruit at a time; a simulated arm, never a real one.",
             "",
-            f"Judged by `python scripts/policies/train_baselines.py --cards --compensations {names}`; trained by it without "
-            "--cards.",
+            f"Judged by `python scripts/policies/train_baselines.py --cards --compensations {names}`; trained by it "
+            "without --cards.",
             "",
         ]
     )
