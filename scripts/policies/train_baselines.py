@@ -113,6 +113,7 @@ def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[
             "limited by what the policy can see, not by its network."
         )
         use = ["from pickenv.agents.policies.learned import load_policy", "", f'policy = load_policy("{name}")']
+    names = " ".join(row["compensation"] for row in found)
     goal = isinstance(policy, LearnedPolicy) and policy.scaling.goal
     return "\n".join(
         [
@@ -149,7 +150,8 @@ def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[
             "Trained for one arm's nominal geometry; it refuses other arms.",
             "No obstacles, no joint torques, one fruit at a time; a simulated arm, never a real one.",
             "",
-            "Judged by `python scripts/policies/train_baselines.py --cards`; trained by it without that option.",
+            f"Judged by `python scripts/policies/train_baselines.py --cards --compensations {names}`; trained by it "
+            "without --cards.",
             "",
         ]
     )
