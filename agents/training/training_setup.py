@@ -11,6 +11,7 @@ import numpy as np
 
 from pickenv.agents.evaluation.calibrated import load_compensator
 from pickenv.agents.policies.learned import LearnedPolicy
+from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.agents.training.hyperparams import check_algorithm, class_named, tuned
 from pickenv.arm.files.content import content_sha256
 from pickenv.envs.picking.pick_vector import PickVectorEnv
@@ -20,6 +21,7 @@ from pickenv.files import write_json
 from pickenv.limits import check_limit
 from pickenv.provenance import file_sha256, versions
 from pickenv.wrappers.gap import GapScalingVector, Scaling
+from pickenv.wrappers.same_arm import SameArmVector
 from pickenv.wrappers.tool_steps import ToolSteppingVector, ToolSteps, tool_steps_of
 
 Native = ReachVectorEnv | PickVectorEnv
@@ -39,7 +41,8 @@ class Training:
     """What is trained, and how.
 
     Attributes:
-        algorithm: "ppo", "sac" or "tqc".
+        algorithm: One of `pickenv.agents.training.hyperparams.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
+            `pickenv.wrappers.SameArmVector`.
         env_id: Id of the environment.
         steps: Environment steps; the tuned number when None.
         seed: Seed of everything random.
@@ -76,6 +79,19 @@ class Training:
     def chosen(self) -> dict[str, Any]:
         """Tuned parameters with the replacements."""
         return tuned(self.algorithm, self.env_id) | self.parameters
+
+    @property
+    def wrapper(self) -> tuple[str | None, dict[str, Any]]:
+        """Name of the wrapper that the algorithm learns behind, as RL Zoo names it, and its arguments."""
+        named = self.chosen.get("env_wrapper")
+        ((name, settings),) = named.items() if isinstance(named, dict) else [(named, {})]
+        return name, settings
+
+    @property
+    def remembering(self) -> dict[str, Any] | None:
+        """Arguments of the `pickenv.wrappers.SameArmVector` that the algorithm learns on, or None for the bare task."""
+        name, settings = self.wrapper
+        return settings if name == "pickenv.wrappers.SameArm" else None
 
     @property
     def total(self) -> int:
@@ -157,14 +173,13 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     Raises:
         InputError: If PPO is asked for in a goal environment.
     """
-    from sb3_contrib import TQC
+    from sb3_contrib import TQC, RecurrentPPO
     from stable_baselines3 import PPO, SAC, HerReplayBuffer
 
     from pickenv.wrappers.sb3 import Sb3Vec
 
-    chosen = training.chosen
-    wrapper = chosen.pop("env_wrapper", None)
-    for key in ("n_timesteps", "env_kwargs"):
+    chosen, remembering, settings = training.chosen, training.remembering, training.wrapper[1]
+    for key in ("n_timesteps", "env_kwargs", "env_wrapper"):
         chosen.pop(key, None)
     inner = make_environment(training, int(chosen.pop("n_envs")), "SameStep")
     logs = str(out / "logs") if out is not None and importlib.util.find_spec("tensorboard") is not None else None
@@ -172,64 +187,94 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     goals = isinstance(inner, ReachVectorEnv) and inner.goal_dict
     if goals and training.algorithm == "ppo":
         raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
-    if isinstance(inner, PickVectorEnv):
-        ((settings,),) = (each.values() for each in wrapper)
+    if remembering is not None:
+        env = Sb3Vec(SameArmVector(inner, **remembering))
+    elif isinstance(inner, PickVectorEnv):
         env = Sb3Vec(ToolSteppingVector(inner, **settings))
     else:
         env = Sb3Vec(inner if goals else GapScalingVector(inner, training.scaled_actions))
     if goals:
         chosen["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
         chosen["replay_buffer_class"] = HerReplayBuffer
-    kinds: dict[str, Any] = {"ppo": PPO, "sac": SAC, "tqc": TQC}
+    kinds: dict[str, Any] = {"ppo": PPO, "sac": SAC, "tqc": TQC, "ppo_lstm": RecurrentPPO, "ppo_history": PPO}
     return kinds[training.algorithm](class_named(chosen.pop("policy")), env, **chosen, **common), env
 
 
-def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy:
+def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | RememberingPolicy:
     """The actor of a model, on NumPy."""
     import torch
 
-    on_policy = training.algorithm == "ppo"
+    on_policy = training.algorithm.startswith("ppo")
     hidden = model.policy.mlp_extractor.policy_net if on_policy else model.actor.latent_pi
     last = model.policy.action_net if on_policy else model.actor.mu
     layers = [layer for layer in (*hidden, last) if isinstance(layer, torch.nn.Linear)]
     inner = env.envs.unwrapped
     arm = inner.task.plant.arm
-    return LearnedPolicy(
-        algorithm=training.algorithm,
-        arm=arm.name,
-        arm_fingerprint=arm.fingerprint(),
-        scaling=scaling_of(training, inner),
-        activation="tanh" if on_policy else "relu",
-        squashed=not on_policy,
-        weights=tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),
-        biases=tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
-        record={
+    common: dict[str, Any] = {
+        "algorithm": training.algorithm,
+        "arm": arm.name,
+        "arm_fingerprint": arm.fingerprint(),
+        "weights": tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),
+        "biases": tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
+        "record": {
             "training": asdict(training),
             "steps": int(model.num_timesteps),
             "versions": versions("gymnasium", "stable-baselines3", "torch"),
         },
-    )
+    }
+    if training.remembering is not None:
+        return RememberingPolicy(memory=env.envs.run.memory, arrays=memory_arrays(model.policy), **common)
+    activation = "tanh" if on_policy else "relu"
+    return LearnedPolicy(scaling=scaling_of(training, inner), activation=activation, squashed=not on_policy, **common)
 
 
-def judge(policy: LearnedPolicy, training: Training, episodes: int | None = None) -> dict[str, float]:
+def memory_arrays(policy: Any) -> dict[str, Any]:
+    """What a torch policy remembers by, as `RememberingPolicy` has it."""
+    lstm = getattr(policy, "lstm_actor", None)
+    if lstm is None:
+        given = policy.features_extractor.given
+        return {name: value.detach().numpy().astype(float) for name, value in given.items()}
+    parts = (lstm.weight_ih_l0.T, lstm.bias_ih_l0, lstm.weight_hh_l0.T, lstm.bias_hh_l0)
+    return {name: part.detach().numpy().astype(float) for name, part in zip(LSTM, parts, strict=True)}
+
+
+def judge(
+    policy: LearnedPolicy | RememberingPolicy, training: Training, episodes: int | None = None
+) -> dict[str, float]:
     """A policy without noise on held-out episodes of its own environment.
 
     Returns:
-        Of reaching, mean_mm, p95_mm and success_rate at the end of 256 episodes; of picking, what became of the fruit
-        of 16 canopies: collected, damaged, attempted and reachable, means per canopy.
+        Of reaching, mean_mm, p95_mm and success_rate at the end of 256 episodes, or over all picks of as many arms of a
+        policy with a memory; of picking, what became of the fruit of 16 canopies: collected, damaged, attempted and
+        reachable, means per canopy.
     """
     if training.env_id == "pickenv/Pick-v0":
         return _judged_picking(policy, training, episodes or 16)
-    env = make_environment(training, episodes or 256, "Disabled")
-    observation, infos = env.reset(seed=HELD_OUT)
-    for _ in range(60):
-        observation, _, _, _, infos = env.step(policy.act(observation))
-    error = infos["position_error_mm"]
+    env: Any = make_environment(training, episodes or 256, "Disabled")
+    if isinstance(policy, RememberingPolicy):
+        found = _picked(policy, SameArmVector(env, **(training.remembering or {})))
+        error, success = found["position_error_mm"], found["is_success"]
+    else:
+        observation, infos = env.reset(seed=HELD_OUT)
+        for _ in range(60):
+            observation, _, _, _, infos = env.step(policy.act(observation))
+        error, success = infos["position_error_mm"], infos["is_success"]
     return {
         "mean_mm": float(error.mean()),
         "p95_mm": float(np.percentile(error, 95)),
-        "success_rate": float(infos["is_success"].mean()),
+        "success_rate": float(success.mean()),
     }
+
+
+def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:
+    """Infos ``(picks, arms)`` of one run of every arm."""
+    seen, _ = envs.reset(seed=HELD_OUT)
+    state, found = policy.begin(envs.num_envs), []
+    for _ in range(envs.run.picks):
+        action, state = policy.aim(seen, state)
+        seen, _, _, _, infos = envs.step(action)
+        found.append(infos.get("final_info", infos))
+    return {key: np.array([each[key] for each in found]) for key in ("position_error_mm", "is_success")}
 
 
 def _judged_picking(policy: LearnedPolicy, training: Training, episodes: int) -> dict[str, float]:

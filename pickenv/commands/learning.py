@@ -26,7 +26,10 @@ NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback ca
 
 def train(
     context: typer.Context,
-    algo: Annotated[Literal["ppo", "sac", "tqc"], typer.Option(help="Algorithm.")] = "ppo",
+    algo: Annotated[
+        Literal["ppo", "sac", "tqc", "ppo_lstm", "ppo_history"],
+        typer.Option(help="Algorithm; the last two remember past picks and learn on many fruit of one arm."),
+    ] = "ppo",
     env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
     compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
     allow: Annotated[

@@ -86,7 +86,7 @@ def test_native_single_and_synchronous_are_equal_to_the_bit_when_episodes_end_at
     for step in range(LONGEST + 10):
         mask = np.arange(count) == step - 4  # two of them begin anew, one after the other
         mask |= ended & (mode is AutoresetMode.DISABLED)
-        if mask.any() and step < 6 or mode is AutoresetMode.DISABLED and ended.any():
+        if (mask.any() and step < 6) or (mode is AutoresetMode.DISABLED and ended.any()):
             both = (env.reset(options={"reset_mask": mask.copy()}) for env in (sync, native))
             for one, other in zip(*both, strict=True):
                 assert_same(one, other)

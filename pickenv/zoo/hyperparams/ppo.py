@@ -33,7 +33,7 @@ _PICK = {
     "gae_lambda": 0.95,
     "ent_coef": 0.0,
     "policy_kwargs": "dict(net_arch=[64, 64], log_std_init=-0.7)",
-    "env_wrapper": [{"pickenv.wrappers.ToolStepping": {"shaping": 1.0}}],
+    "env_wrapper": {"pickenv.wrappers.ToolStepping": {"shaping": 1.0}},
 }
 
 hyperparams = {
