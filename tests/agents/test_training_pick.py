@@ -1,4 +1,4 @@
-"""Picking is learnt: the shipped parameters bring fruit in soon, a run goes on where it was cut off, a file keeps it."""
+"""Picking is learnt: parameters as shipped bring fruit in soon, a run goes on where it was cut off, a file keeps it."""
 
 import numpy as np
 import pytest
