@@ -26,7 +26,10 @@ NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback ca
 
 def train(
     context: typer.Context,
-    algo: Annotated[Literal["ppo", "sac", "tqc"], typer.Option(help="Algorithm.")] = "ppo",
+    algo: Annotated[
+        Literal["ppo", "sac", "tqc", "ppo_lstm", "ppo_history"],
+        typer.Option(help="Algorithm; the last two remember past picks and learn on many fruit of one arm."),
+    ] = "ppo",
     env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
     compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
     allow: Annotated[
@@ -53,10 +56,10 @@ def train(
         bool, typer.Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")
     ] = False,
 ) -> None:
-    """Train a policy; the folder gets its file, checkpoints, evaluations in millimetres and TensorBoard's logs."""
+    """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs."""
     from pickenv.agents.training.training import resumed
     from pickenv.agents.training.training import train as run
-    from pickenv.agents.training.training_setup import Training
+    from pickenv.agents.training.training_setup import Training, words_of
 
     written = [out / name for name in ("policy.npz", "checkpoint.pt", "evaluations.json")]
     separate({"--compensate": compensate, "--plant": plant}, {"--out": written})
@@ -97,8 +100,8 @@ def train(
         raise
     last = done.evaluations[-1]
     print(
-        f"{training.algorithm} on {training.env_id}: {last['mean_mm']:.3f} mm mean, {last['p95_mm']:.3f} mm p95 on "
-        f"held-out fruit after {last['steps']:.0f} steps, {done.steps_per_second:.0f} steps/s"
+        f"{training.algorithm} on {training.env_id}: {words_of(last)} after {last['steps']:.0f} steps, "
+        f"{done.steps_per_second:.0f} steps/s"
     )
     for path in written:
         print(f"wrote {path}")

@@ -177,8 +177,13 @@ def test_the_solver_needs_no_good_start(monkeypatch):
     first = np.flatnonzero(work.reached[0]).tolist()
     start = (tuple(first), tuple(j for j in range(5) if j not in first))
     monkeypatch.setattr(optimiser, "local_search", lambda *_, **__: start)
-    best = least_makespan(work)
+    plans = {timetable(work, plan).makespan: plan for plan in every_plan(work)}
+    best = min(plans)
     assert timetable(work, start).makespan > 1.2 * best
+    assert timetable(work, cp_sat(work, seconds=5.0)).makespan == pytest.approx(best, rel=1.1e-2)
+    near = min(value for value in plans if value > 1.03 * best)
+    start = plans[near]  # better, but not as good as the bound allows
+    assert 1.05 * lower_bound(work) < near < 1.5 * lower_bound(work)
     assert timetable(work, cp_sat(work, seconds=5.0)).makespan == pytest.approx(best, rel=1.1e-2)
 
 
