@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pickenv.errors import InputError
+from pickenv.inspect.films import make_film
 from pickenv.inspect.films.film_plan import Attempt, FilmPlan, attempts_of, grasp_offset, plan_film
 from pickenv.inspect.films.film_stage import FilmSet, film_stage, seen_along, tool_axis
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
@@ -195,6 +197,7 @@ def test_each_fruit_hangs_is_held_gone_or_missed_as_the_policy_left_it(
     np.testing.assert_allclose(drawn.centre.reshape(-1, 3), np.reshape(hanging, (-1, 3)), atol=1e-12)
     np.testing.assert_allclose(loose.centre.reshape(-1, 3), np.reshape(held, (-1, 3)), atol=1e-12)
     assert len(crate.centre) == frame.stated[side].picked and (drawn.radius == 0.03).all()
+    assert sum(len(rods.radius) for rods in stage.rods if (rods.radius == 0.004).all()) == len(hanging)  # their stems
     colours = [tuple(colour) for colour in drawn.colour[:, :3].tolist()]
     assert colours.count(tuple(MISSED_FRUIT)) == missed and colours.count(tuple(RIPE)) == len(hanging) - missed
     assert len(stage.dial.marks_mm) == marks and stage.dial.tolerance_mm == 5.0
@@ -220,3 +223,19 @@ def test_an_offset_is_seen_across_the_tool_from_where_the_eye_stands():
     turned = np.zeros((1, 4, 3, 3))
     turned[0, 1] = np.arange(9.0).reshape(3, 3)
     np.testing.assert_array_equal(tool_axis(replace(policy, tool_rotation=turned), 0, 1), [2.0, 5.0, 8.0])
+
+
+def test_a_film_goes_into_folders_that_are_made_or_there_and_says_what_it_states(film_set, tmp_path, monkeypatch):
+    kinds = iter(["comparison", "comparison", "demo"])
+    monkeypatch.setattr(make_film, "read_run", lambda path: SimpleNamespace(kind=next(kinds)))
+    monkeypatch.setattr(make_film, "load_part", lambda run, part: film_set.episodes)
+    monkeypatch.setattr(make_film, "write_film", lambda pictures, path, fps: path.write_text(f"{fps}"))
+    out = tmp_path / "some" / "where" / "film.mp4"
+    for fps in (5, 20):
+        made = make_film.film(tmp_path, out, policies=["LS"], seconds=2.0, frames_per_second=fps)
+        assert made.path == out and out.read_text() == str(fps)
+        assert made.plan == plan_film(film_set.episodes, ["LS"], 2.0, fps)
+    with pytest.raises(InputError, match="is a run of kind 'demo'"):
+        make_film.film(tmp_path, out)
+    with pytest.raises(InputError, match=r"let it end in \.gif or \.mp4"):
+        make_film.film(tmp_path, "film.avi")
