@@ -25,6 +25,7 @@ if _TYPE_CHECKING:
     from pickenv.agents.policies.oracle import OracleReach
     from pickenv.agents.policies.pick_policy import ScriptedPick
     from pickenv.agents.policies.policy import Policy
+    from pickenv.agents.policies.remembering import RememberingPolicy, RememberingReach, load_remembering
     from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
     from pickenv.agents.policies.servo import ServoReach
     from pickenv.agents.training.data_sets import datasets
@@ -34,18 +35,9 @@ if _TYPE_CHECKING:
 
 __all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GridSettings", "LearnedPolicy", "OracleReach"]
 __all__ += ["Policy", "PolicyComparison", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]
-__all__ += [
-    "ScriptedPick",
-    "ScriptedReach",
-    "ServoReach",
-    "Trained",
-    "Training",
-    "calibrate_arm",
-    "compare",
-    "datasets",
-]
-__all__ += ["episode_seeds", "load_policy", "reaches_behind", "roll_out", "run_grid", "run_reaches"]
-__all__ += ["shipped_baselines", "train"]
+__all__ += ["RememberingPolicy", "RememberingReach", "ScriptedPick", "ScriptedReach", "ServoReach", "Trained"]
+__all__ += ["Training", "calibrate_arm", "compare", "datasets", "episode_seeds", "load_policy", "load_remembering"]
+__all__ += ["reaches_behind", "roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
 
 __getattr__, __dir__ = _offered(__name__)
 

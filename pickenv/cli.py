@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +25,7 @@ from pickenv.commands.showing import WIDTH, print_table, progress_bars
 from pickenv.commands.studies import study
 from pickenv.commands.twins import twin
 from pickenv.commands.verify import verify
+from pickenv.extras import absent_extras, command_for
 from pickenv.locks import locked
 from pickenv.texts import folded, screen_width
 
@@ -55,15 +57,22 @@ def demo(
     out: Annotated[Path, typer.Option(help="Run folder to write.")] = Path("runs/demo"),
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer reaches and epochs; worse figures, sooner.")] = False,
+    no_network: Annotated[
+        bool, typer.Option("--no-network", help="Least squares alone, as where torch is missing.")
+    ] = False,
 ) -> None:
     """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording."""
     from pickenv.demo import DemoSettings, run_demo, summarise, write_run
 
     settings = DemoSettings.quick(seed) if quick else DemoSettings(seed=seed)
+    absent = absent_extras("learn", "inspect")
     with locked(out), progress_bars() as report:
-        result = run_demo(settings, report)
+        result = run_demo(replace(settings, network=not no_network and "learn" not in absent), report)
         written = write_run(result, out, report)
     _print_demo(summarise(result), written)
+    if absent:
+        brings = " and ".join({"learn": "the network", "inspect": "figures, page and recording"}[e] for e in absent)
+        print(f"this was made without {brings}; get them with: {command_for(*absent)}")
 
 
 def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
@@ -99,7 +108,8 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     print_table(title, heads, rows, words=("policy",), caption=caption)
     for sentence in summary["matters"]:
         print(*folded(sentence, screen_width(WIDTH)), sep="\n")
-    _print_gains(summary["blocked"])
+    if summary["blocked"]["simulated"]:
+        _print_gains(summary["blocked"])
     dropped = ", ".join(found["dropped"])
     print(f"identifiable: {found['rank']} of {found['parameters']} parameters; dropped as redundant: {dropped}")
     print("wrote:", *written, sep="\n  ")

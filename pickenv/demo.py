@@ -7,7 +7,7 @@ seeded fruit raw, with least squares (LS) and with least squares and network (LS
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ from pickenv.calibration import (
     random_joints,
     simulated_tracker,
 )
+from pickenv.extras import absent_extras
 from pickenv.files import write_json, write_text
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
@@ -47,7 +48,7 @@ from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors
 from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.inspect.runs.gripping import gripped
 from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
-from pickenv.inspect.runs.run_folder import MATTERS_FILE
+from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, recorded_run, save_part
 from pickenv.intervals import share_interval
 from pickenv.orchard.gripper import misalignment
 from pickenv.wrappers import CompensationWrapper
@@ -76,6 +77,7 @@ class DemoSettings:
         attitude_tolerance_deg: Attitude error that a success may have.
         grid_step: Cell size of the error field, m.
         gain_poses: Poses of the grid on which gains are judged by blocks held out; none are judged when 0.
+        network: Whether a network learns what least squares leave, for which torch is needed.
     """
 
     seed: int = 0
@@ -89,16 +91,23 @@ class DemoSettings:
     attitude_tolerance_deg: float = 10.0
     grid_step: float = 0.1
     gain_poses: int = ROWS
+    network: bool = True
 
     @staticmethod
     def quick(seed: int) -> DemoSettings:
         """A shorter run for trying things out; its figures are worse than the paper protocol's."""
         return DemoSettings(seed=seed, reaches=20, epochs=100, grid_step=0.2)
 
+    @property
+    def is_quick(self) -> bool:
+        """Whether this is the shorter run."""
+        return replace(self, network=True) == DemoSettings.quick(self.seed)
+
     def command(self) -> str:
         """The command line, or the call, that makes the same numbers."""
-        lines = {DemoSettings(self.seed): "", DemoSettings.quick(self.seed): " --quick"}
-        return f"pickenv demo --seed {self.seed}{lines[self]}" if self in lines else f"run_demo({self!r})"
+        if not self.is_quick and replace(self, network=True) != DemoSettings(self.seed):
+            return f"run_demo({self!r})"
+        return f"pickenv demo --seed {self.seed}" + " --quick" * self.is_quick + " --no-network" * (not self.network)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +121,7 @@ class DemoResult:
         identification: Poses used for least squares.
         network: Poses used for the network.
         test: Held-out poses.
-        predicted_r2: Held-out R^2 of the network per axis (x, y, z, rx, ry, rz).
+        predicted_r2: Held-out R^2 of the network per axis (x, y, z, rx, ry, rz); None without one.
         test_errors: Per policy, true against wanted pose at the test poses ``(N, 6)``, m and rad.
         reaches: Per policy, the reaches.
         comparison: For recording and figures.
@@ -126,7 +135,7 @@ class DemoResult:
     identification: Measurements
     network: Measurements
     test: Measurements
-    predicted_r2: Array
+    predicted_r2: Array | None
     test_errors: dict[str, Array]
     reaches: dict[str, Reaches]
     comparison: Comparison
@@ -158,22 +167,22 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         test=test,
         choices=Choices(
             terms="none",
-            residual="bpnn",
+            residual="bpnn" if settings.network else "none",
             frames="known",
-            learn_from=network,
+            learn_from=network if settings.network else None,
             settings=BpnnSettings(epochs=settings.epochs),
         ),
         rng=network_rng,
         progress=report,
     )
-    calibration = result.calibration
-    assert calibration.learnt is not None
-    r2 = held_out_r2(test.difference(calibration.identified), calibration.learnt.predict(test.joints))
+    calibration, r2 = result.calibration, None
     compensators: dict[str, Compensator | None] = {
         "raw": None,
         "ls": calibration.compensator(with_residual=False),
-        "ls_bpnn": calibration.compensator(),
     }
+    if calibration.learnt is not None:
+        compensators["ls_bpnn"] = calibration.compensator()
+        r2 = held_out_r2(test.difference(calibration.identified), calibration.learnt.predict(test.joints))
     seeds = episode_seeds(settings.seed, settings.reaches)
     reaches = {}
     for key, compensator in compensators.items():
@@ -189,7 +198,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         reaches[key] = run_reaches(env, ScriptedReach(env), seeds, lambda done, s=stage: report(s, done, len(seeds)))  # type: ignore[misc]
         env.close()
     gains: list[BlockedGain] = []
-    if settings.gain_poses:
+    if settings.gain_poses and settings.network:
         joints = grid_joints(nominal, settings.gain_poses, gain_rngs[0])
         for each, rng in zip((plant, load_plant(FIELD)), gain_rngs[1:], strict=True):
             gains.append(blocked_gain(each, joints, rng))
@@ -275,7 +284,8 @@ def summarise(result: DemoResult) -> dict[str, Any]:
     axes = ("x", "y", "z", "rx", "ry", "rz")
     return {
         "seed": result.settings.seed,
-        "quick": result.settings == DemoSettings.quick(result.settings.seed),
+        "quick": result.settings.is_quick,
+        "network": result.settings.network,
         "pickenv": pickenv.__version__,
         "plant": result.settings.plant,
         "simulated": True,
@@ -303,7 +313,9 @@ def summarise(result: DemoResult) -> dict[str, Any]:
             "simulated": [asdict(gain) for gain in result.gains],
             "measured": [asdict(arm) for arm in measured_gains()],
         },
-        "bpnn_r2": {axis: float(v) for axis, v in zip(axes, result.predicted_r2, strict=True)},
+        "bpnn_r2": None
+        if result.predicted_r2 is None
+        else {axis: float(v) for axis, v in zip(axes, result.predicted_r2, strict=True)},
     }
 
 
@@ -316,13 +328,11 @@ def _figures(error: Array, impossible: Array) -> dict[str, Any]:
 
 
 def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -> list[Path]:
-    """Write the run folder: data, calibration, summary, figures and the Rerun recording; returns what was written."""
-    from pickenv.inspect.figures.run_drawings import comparison_drawings, trace_drawings, write_drawings
-    from pickenv.inspect.recordings.comparison_recording import record_comparison
-    from pickenv.inspect.reports.demo_report import page
-    from pickenv.inspect.runs.run_folder import recorded_run, save_part
+    """Write the run folder and return what was written.
 
-    report = progress or (lambda stage, done, total: None)
+    It holds data, calibration and summary. Figures, page and recording are made where the extra `inspect` is there;
+    `pickenv report` and `pickenv inspect` make them of the folder later on.
+    """
     found = trace(result)
     with recorded_run(out, "demo", result.settings.command(), result.settings.seed) as run:
         written = [
@@ -334,12 +344,23 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
             save_part(out, found, result.settings.seed),
             write_json(out / MATTERS_FILE, {name: [asdict(c) for c in case] for name, case in result.cases.items()}),
         ]
-        drawings = [*comparison_drawings(result.comparison), *trace_drawings(found)]
-        written += write_drawings(drawings, out / "figures", ("png",), report)
-        written.append(record_comparison(result.comparison, out / "errors.rrd"))
-        report("recording", 1, 1)
-        written.append(write_text(out / "report.html", page(run)))
+        if not absent_extras("inspect"):
+            written += _shown(result, found, run, progress or (lambda stage, done, total: None))
         written.append(write_json(out / "summary.json", summarise(result)))
+    return written
+
+
+def _shown(result: DemoResult, found: CalibrationTrace, run: Run, report: Progress) -> list[Path]:
+    """Figures, recording and page."""
+    from pickenv.inspect.figures.run_drawings import comparison_drawings, trace_drawings, write_drawings
+    from pickenv.inspect.recordings.comparison_recording import record_comparison
+    from pickenv.inspect.reports.demo_report import page
+
+    drawings = [*comparison_drawings(result.comparison), *trace_drawings(found)]
+    written = write_drawings(drawings, run.folder / "figures", ("png",), report)
+    written.append(record_comparison(result.comparison, run.folder / "errors.rrd"))
+    report("recording", 1, 1)
+    written.append(write_text(run.folder / "report.html", page(run)))
     return written
 
 

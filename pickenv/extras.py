@@ -1,7 +1,8 @@
-"""What does not come with `pip install pickenv`, and the sentence that says how to get it.
+"""What does not come with the core, and the sentence that says how to get it.
 
-The core calibrates, compensates and makes environments. Everything heavier is an extra, loaded when it is first used:
-`pip install 'pickenv[learn]'` brings networks, `pickenv[all]` everything.
+The core calibrates, compensates and makes environments. Everything heavier is an extra, loaded when it is first used.
+Where pickenv is installed, wherever it came from, `pip install 'pickenv[learn]'` adds networks, `pickenv[all]`
+everything.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "harvest": ("skimage", "ortools", "pettingzoo"),
         "export": ("onnx",),
         "data": ("minari",),
+        "compiled": ("llvmlite",),
     }
 )
 """Extras by name, and what programs import of each."""
@@ -43,8 +45,17 @@ def extra_of(module: str) -> str | None:
 def missing(module: str) -> MissingExtra:
     """What to raise where a module of an extra is not there."""
     top = module.partition(".")[0]
-    command = f"pip install 'pickenv[{extra_of(top)}]'"
-    return MissingExtra(f"this needs {top}, which is not installed; get it with: {command}")
+    return MissingExtra(f"this needs {top}, which is not installed; get it with: {command_for(str(extra_of(top)))}")
+
+
+def command_for(*extras: str) -> str:
+    """The command that adds extras to the pickenv that is installed."""
+    return f"pip install 'pickenv[{','.join(extras)}]'"
+
+
+def absent_extras(*extras: str) -> tuple[str, ...]:
+    """Those of these extras of which a package is not installed."""
+    return tuple(extra for extra in extras if not all(map(is_there, EXTRAS[extra])))
 
 
 def require(*modules: str) -> None:

@@ -2,7 +2,7 @@
 
     python scripts/docs_screenshots.py runs/browser/screenshots
 
-Writes docs/images/inspection-*.png for every tab of the recording and for both reports, light and dark, and
+Writes docs/images/inspection-*.webp for every tab of the recording and for both reports, light and dark, and
 docs/images/comparing-policies-*.png.
 """
 
@@ -14,9 +14,9 @@ from pathlib import Path
 from PIL import Image
 
 OUT = Path(__file__).parents[1] / "docs/images"
-COLOURS = (256, 192, 128, 96)
+COLOURS = (128, 96, 64)
 """Sizes of the palette; the first one that gives a file small enough is taken."""
-LARGEST = 240_000
+LARGEST = 110_000
 """Bytes."""
 LEFT_OUT = ("whole", "phone")
 
@@ -27,7 +27,10 @@ def shrink(source: Path, target: Path) -> None:
     for colours in COLOURS:
         # The other methods follow what is frequent, and a colour bar is not.
         palette = picture.quantize(colours, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE)
-        palette.save(target, optimize=True)
+        if target.suffix == ".webp":  # a page shows a dozen of them
+            palette.convert("RGB").save(target, lossless=True, quality=100, method=6)
+        else:
+            palette.save(target, optimize=True)
         if target.stat().st_size <= LARGEST:
             return
     raise SystemExit(f"{target} is larger than {LARGEST} bytes even with {COLOURS[-1]} colours")
@@ -41,12 +44,12 @@ def name_of(source: Path) -> str | None:
     if kind not in ("web", "report", "calibration") or rest.endswith(LEFT_OUT):
         return None
     theme, _, tab = rest.partition("-")
-    return f"inspection-{tab if kind == 'web' else kind}-{theme}.png"
+    return f"inspection-{tab if kind == 'web' else kind}-{theme}.webp"
 
 
 def main(folder: Path) -> None:
     """Replace all pictures by those in ``folder``."""
-    for old in OUT.glob("inspection-*.png"):
+    for old in OUT.glob("inspection-*.webp"):
         old.unlink()
     for source in sorted(folder.glob("*.png")):
         if name := name_of(source):

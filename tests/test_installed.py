@@ -1,10 +1,12 @@
 """What is built and installed: one package, whose names nobody else's packages can take away."""
 
 import os
+import re
 import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -75,6 +77,23 @@ def test_wheel_and_source_hold_one_package_and_every_file_of_it(built: Path) -> 
     names = [member.name.partition("/")[2] for member in members]
     assert sorted(name for name in names if name.startswith("pickenv/")) == sorted(inside)
     assert not [name for name in names if name.split("/")[0] in ("calibration", "agents")]
+
+
+@pytest.mark.slow
+def test_an_index_is_given_the_readme_with_addresses_of_this_version(built: Path) -> None:
+    (wheel,) = (built / "dist").glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        _, _, shown = archive.read(name).decode().partition("\n\n")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    home, tag = project["urls"]["Homepage"], f"v{project['version']}"
+    links = re.findall(r"\]\(([^)\s]+)\)", shown)
+    own = re.findall(r"\]\(([^)\s]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert len(links) == len(own) > 30
+    for link, local in zip(links, own, strict=True):
+        assert link in (local, f"{home}/raw/{tag}/{local}", f"{home}/blob/{tag}/{local}")
+        assert link.startswith("https://")
+        assert ("/raw/" in link) == local.endswith((".gif", ".png", ".webp"))
 
 
 @pytest.mark.slow

@@ -23,9 +23,12 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 ELSEWHERE = {
     "make test": "it runs this very test",
     "make demo": "`pickenv demo --quick` stands above it; .ci/run types it",
+    "python3 -m venv .venv": "scripts/walks.py types it",
+    ". .venv/bin/activate": "scripts/walks.py types it",
     'pip install ".[rl,inspect]"': "what runs this has it; tests/journeys/test_core_install.py installs",
+    "pip install .": "likewise",
 }
-COMMANDS = ("make", "pickenv", "pip")
+COMMANDS = ("make", "pickenv", "pip", "python3", ".")
 
 ENVIRONMENT = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))} | {
     "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",

@@ -107,20 +107,28 @@ def load_policy(name: str | Path, arm: Arm | None = None) -> LearnedPolicy:
     Raises:
         InputError: If it is missing, damaged, newer than this program, or of another arm.
     """
-    path = Path(name)
-    if path.suffix != ".npz":
-        path = BASELINES / f"{name}.npz"
-    if not path.is_file():
-        raise InputError(
-            f"unknown policy '{name}'; give one of {', '.join(shipped_baselines()) or 'none shipped'}, or a file "
-            "(.npz) that `pickenv train` wrote"
-        )
+    path = policy_path(name)
     found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
     with refusing_damage(path, f"a {KIND} file", REMAKE):
         policy = _from_parts(found.header, found.arrays)
     if arm is not None and policy.arm_fingerprint != arm.fingerprint():
         raise InputError(f"{path} was trained for arm '{policy.arm}', not for '{arm.name}'; train one for this arm")
     return policy
+
+
+def policy_path(name: str | Path) -> Path:
+    """File of a shipped baseline, or the path that was given.
+
+    Raises:
+        InputError: If there is neither.
+    """
+    path = Path(name) if Path(name).suffix == ".npz" else BASELINES / f"{name}.npz"
+    if path.is_file():
+        return path
+    raise InputError(
+        f"unknown policy '{name}'; give one of {', '.join(shipped_baselines()) or 'none shipped'}, or a file "
+        "(.npz) that `pickenv train` wrote"
+    )
 
 
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> LearnedPolicy:

@@ -9,6 +9,7 @@ from typing import Any
 from stable_baselines3.common.callbacks import BaseCallback
 
 from pickenv.agents.policies.learned import LearnedPolicy
+from pickenv.agents.policies.remembering import RememberingPolicy
 from pickenv.agents.training.checkpoints import save_checkpoint
 from pickenv.agents.training.training_setup import Inputs, Training, actor_of, check_inputs, judge, write_evaluations
 from pickenv.wrappers.sb3 import Sb3Vec
@@ -65,7 +66,7 @@ def judged(
     inputs: Inputs,
     out: Path,
     rows: list[dict[str, float]],
-    policy: LearnedPolicy,
+    policy: LearnedPolicy | RememberingPolicy,
     steps: int,
 ) -> dict[str, float]:
     """Judge a policy, and add its row to those of the training and of its folder.

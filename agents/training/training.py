@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pickenv.agents.policies.learned import LearnedPolicy
+from pickenv.agents.policies.remembering import RememberingPolicy
 from pickenv.agents.training.callbacks import checkpoints, evaluations, judged
 from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint, take_checkpoint
 from pickenv.agents.training.training_setup import Training, actor_of, check_inputs, inputs_of, make_model
@@ -33,7 +34,7 @@ class Trained:
         out: The run's folder.
     """
 
-    policy: LearnedPolicy
+    policy: LearnedPolicy | RememberingPolicy
     evaluations: tuple[dict[str, float], ...]
     steps_per_second: float
     out: Path

@@ -26,7 +26,10 @@ NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback ca
 
 def train(
     context: typer.Context,
-    algo: Annotated[Literal["ppo", "sac", "tqc"], typer.Option(help="Algorithm.")] = "ppo",
+    algo: Annotated[
+        Literal["ppo", "sac", "tqc", "ppo_lstm", "ppo_history"],
+        typer.Option(help="Algorithm; the last two remember past picks and learn on many fruit of one arm."),
+    ] = "ppo",
     env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
     compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
     allow: Annotated[
@@ -237,11 +240,9 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
 
 
 def datasets(
-    task: Annotated[
-        list[Literal["reach", "pick"]] | None, typer.Option(help="reach, pick; may be repeated. Reach if left out.")
-    ] = None,
+    task: Annotated[list[str] | None, typer.Option(help="reach, pick; may be repeated. Reach if left out.")] = None,
     quality: Annotated[
-        list[Literal["expert", "medium", "random"]] | None, typer.Option(help="May be repeated. All if left out.")
+        list[str] | None, typer.Option(help="expert, medium, random; may be repeated. All if left out.")
     ] = None,
     episodes: Annotated[
         int | None, typer.Option(help="Episodes of each; 256 reaches or 32 canopies if left out.", min=1)

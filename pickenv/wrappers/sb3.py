@@ -131,8 +131,8 @@ class Sb3Vec(VecEnv):
         seen = self.seen if scaled is None else scaled.raw
         seen = seen if isinstance(seen, dict) else {"flat": seen}
         own = {"returns": self._returns, "lengths": self._lengths} | {f"raw/{key}": part for key, part in seen.items()}
-        inner: Any = self.envs.unwrapped
-        kept = own | {f"env/{key}": value for key, value in inner.state_arrays().items()}
+        outer: Any = self.envs
+        kept = own | {f"env/{key}": value for key, value in outer.state_arrays().items()}
         return {key: np.array(value) for key, value in kept.items()}
 
     def take_state(self, state: dict[str, NDArray[Any]]) -> None:
@@ -143,8 +143,8 @@ class Sb3Vec(VecEnv):
         scaled = self._scaled()
         if scaled is not None:
             scaled.raw, self.seen = self.seen, scaled.scaling.shown(self.seen)
-        inner: Any = self.envs.unwrapped
-        inner.take_state_arrays({key[4:]: value for key, value in state.items() if key.startswith("env/")})
+        outer: Any = self.envs
+        outer.take_state_arrays({key[4:]: value for key, value in state.items() if key.startswith("env/")})
 
     def _scaled(self) -> GapScalingVector | None:
         """The scaling around the environments."""

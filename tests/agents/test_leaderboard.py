@@ -1,6 +1,8 @@
 """The leaderboard: every row from arms that no two seeds share, made again from what is kept; a stranger's one file."""
 
 import json
+import pickle
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,13 +11,15 @@ import pytest
 from scipy.stats import trim_mean
 from typer.testing import CliRunner
 
-from pickenv.agents.evaluation import leaderboard
+from pickenv.agents.evaluation import leaderboard, pick_board
+from pickenv.agents.evaluation.grid import GridSettings
 from pickenv.agents.evaluation.leaderboard import (
     LeaderboardSettings,
     leaderboard_cells,
     leaderboard_tables,
     run_leaderboard,
 )
+from pickenv.agents.evaluation.pick_board import PickTally, pick_rows, pick_tallies
 from pickenv.agents.evaluation.statistics import interquartile_mean
 from pickenv.cli import app
 from pickenv.errors import InputError
@@ -46,11 +50,18 @@ def make_policy(env, seed):
 """
 
 
+def backwards(numbers, work):
+    """As far away as another machine: the work is sent, the last comes first, and what was found is sent back."""
+    sent = pickle.loads(pickle.dumps(work))
+    for number in reversed(numbers):
+        yield number, pickle.loads(pickle.dumps(sent(number)))
+
+
 @pytest.fixture
 def small(monkeypatch) -> LeaderboardSettings:
     """Seconds: without residual models, whose calibrations take the time."""
     monkeypatch.setattr(leaderboard, "COMPENSATIONS", ("raw", "ls"))
-    return LeaderboardSettings(("scripted",), ("qiao2026",), arms=2, episodes=3)
+    return LeaderboardSettings(("scripted",), ("qiao2026",), arms=2, episodes=3, canopies=0)
 
 
 def test_the_interquartile_mean_forgets_the_best_and_the_worst_quarter():
@@ -149,7 +160,8 @@ def test_a_leaderboards_grid_has_its_seed_for_arms_and_calibrations():
     assert (grid.seed, grid.protocol.seed, grid.protocol.epochs) == (6, 6, 9)
     assert (grid.compensations, grid.grippers) == (leaderboard.COMPENSATIONS, ("li_cup", "compliant_hand"))
     usual, quick = LeaderboardSettings(), LeaderboardSettings.quick()
-    assert (usual.seeds, usual.arms, usual.episodes, usual.epochs) == ((0, 1, 2, 3, 4), 8, 16, 100)
+    assert (usual.seeds, usual.arms, usual.episodes, usual.epochs) == ((0, 1, 2, 3, 4), 2, 16, 100)
+    assert (usual.canopies, quick.canopies) == (2, 0)
     assert (quick.seeds, quick.arms, quick.episodes, quick.epochs) == ((0, 1, 2, 3, 4), 1, 4, 20)
 
 
@@ -174,7 +186,7 @@ def test_rows_are_of_all_seeds_and_a_run_goes_on_where_it_was_cut(small, tmp_pat
     victim = kept[0].parent
     for path in victim.iterdir():
         path.unlink()
-    assert run_leaderboard(small, tmp_path) == rows
+    assert run_leaderboard(small, tmp_path, runner=backwards) == rows
     remade = {path for path in kept if path.stat().st_mtime_ns != times[path]}
     assert remade == {kept[0]}
 
@@ -198,8 +210,40 @@ def test_a_stranger_enters_by_one_file_and_is_judged_on_the_same_arms(small, tmp
     assert page.count("| scripted |") == 2 and page.count("| still |") == 4
 
     file.write_text(STILL.replace("zeros", "ones"))
-    run_leaderboard(LeaderboardSettings((str(file),), ("qiao2026",), arms=2, episodes=3), out)
+    run_leaderboard(replace(small, policies=(str(file),)), out)
     assert len(list(out.glob("still-*"))) == 10  # another policy by the same name is run anew
+
+
+def test_picks_per_hour_are_counted_per_arm_and_gripper():
+    rng = np.random.default_rng(0)
+
+    def tallies(collected: int) -> dict[str, list[PickTally]]:
+        errors = tuple(rng.uniform(1.0, 3.0, 10).tolist())
+        tally = PickTally(10, collected, 36.0, errors, (1.0,) * 10)
+        worse = PickTally(10, collected - 4, 36.0, errors, (1.0,) * 10)
+        return {"scripted/ls/li_cup": [tally] * 2, "scripted/ls/compliant_hand": [worse] * 2}
+
+    slow = [{key.replace("ls", "raw"): some for key, some in tallies(5).items()} for _ in range(5)]
+    rows = pick_rows(range(5), [a | b for a, b in zip(slow, [tallies(n) for n in (8, 8, 9, 8, 8)], strict=True)])
+    best, worst = rows
+    assert (best["compensation"], worst["compensation"]) == ("ls", "raw") and best.keys() >= KEYS
+    assert best["picks_per_hour"] == pytest.approx({"li_cup": 820.0, "compliant_hand": 420.0})
+    assert best["success_by_gripper"] == pytest.approx({"li_cup": 0.82, "compliant_hand": 0.42})
+    low, high = best["picks_per_hour_ci95"]["li_cup"]
+    assert low < 820.0 < high and best["arms"] == 10 and 1.0 < best["iqm_mm"] < 3.0
+    page = leaderboard_tables(rows)
+    assert "picks per hour, li_cup | picks per hour, compliant_hand" in page and "| 820 (" in page
+
+
+@pytest.mark.slow
+def test_scripted_picking_is_tallied_on_the_same_canopies(monkeypatch):
+    monkeypatch.setattr(pick_board, "COMPENSATIONS", ("raw",))
+    settings = GridSettings(arms=1, grippers=("li_cup",), seed=3)
+    found = pick_tallies(settings, 1, None)
+    gentle, hasty = found["scripted/raw/li_cup"][0], found["hasty/raw/li_cup"][0]
+    assert gentle.attempted == hasty.attempted == len(gentle.errors_mm) > 0
+    assert 0 <= gentle.collected <= gentle.attempted and hasty.seconds < gentle.seconds
+    assert pick_tallies(settings, 1, None) == found
 
 
 def test_impossible_leaderboards_end_with_one_sentence(tmp_path):

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/inspection.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```sh\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 LINES = [line for block in BLOCKS for line in block.splitlines()]
-PICTURES = sorted((ROOT / "docs/images").glob("inspection-*.png"))
+PICTURES = sorted((ROOT / "docs/images").glob("inspection-*.webp"))
 CONTAINER = "ContainerBlueprint:display_name"
 
 
@@ -26,8 +26,8 @@ def test_every_link_and_script_exists() -> None:
 
 def test_every_picture_is_shown_and_small() -> None:
     assert {path.name for path in PICTURES} == set(re.findall(r"images/(inspection-[^)]+)\)", PAGE))
-    assert max(path.stat().st_size for path in PICTURES) <= 250_000
-    assert sum(path.stat().st_size for path in PICTURES) < 5_000_000
+    assert max(path.stat().st_size for path in PICTURES) <= 110_000
+    assert sum(path.stat().st_size for path in PICTURES) < 2_500_000
     for path in PICTURES:
         with Image.open(path) as picture:
             assert picture.size == (1600, 900), path

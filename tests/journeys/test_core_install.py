@@ -67,6 +67,9 @@ def test_the_core_calibrates_and_one_extra_after_the_other_brings_the_rest(tmp_p
     assert core.returncode == 0, core.stderr
     assert "verdict: GOOD" in core.stdout
     assert "bpnn" in core.stdout and "pip install 'pickenv[learn]'" in core.stdout
+    shown = say(pickenv, "demo", "--quick", cwd=tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    assert "pip install 'pickenv[learn,inspect]'" in shown.stdout and "LS+BPNN" not in shown.stdout
     for extra, words in STEPS.items():
         missed = say(pickenv, *words, cwd=tmp_path)
         assert missed.returncode == 2
@@ -76,7 +79,7 @@ def test_the_core_calibrates_and_one_extra_after_the_other_brings_the_rest(tmp_p
         if extra == "export":
             missed = say(pickenv, *words, cwd=tmp_path)
             assert missed.stderr.endswith("pip install 'pickenv[export]'\n"), missed.stderr
-        install(f"{ROOT}[{extra}]")
+        install(f"pickenv[{extra}]")  # as the sentence says: it adds to what is installed, and asks no index for us
         done = say(pickenv, *words, cwd=tmp_path)
         assert done.returncode == 0, (extra, done.stderr)
     for written in ("a.html", "n.npz", "n.onnx", "board.svg", "study", "policy"):

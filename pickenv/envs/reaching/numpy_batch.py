@@ -63,17 +63,21 @@ class NumpyBatch(Batch):
             actions = actions * live
             rested = np.flatnonzero(~live) if self.remembers else rested
         before = [column[rested] for column in self.columns] if len(rested) else []
-        for block, plant in zip(self._blocks, self._plants, strict=True):
-            state = self.state_of([column[block] for column in self.columns])
-            state = act(self.x, self.task, state, list(actions[:, block]))
-            period = self.task.situation.value("period", state.drawn)
-            self._show(out, block, block, state, plant, compensate, moments[block], period)
+        self.step(out, actions, moments, compensate)
         if len(rested):  # a plant with memory must not live through a step that never was
             self.write(self.columns, rested, before)
             self.scatter(out, rested, self.show(rested, compensate))
         if live is not None:
             out.reward[~live] = 0.0
         return out
+
+    def step(self, out: Views, actions: Array, moments: Words, compensate: Compensate | None) -> None:
+        """Act in all environments, and put what they show into ``out``."""
+        for block, plant in zip(self._blocks, self._plants, strict=True):
+            state = self.state_of([column[block] for column in self.columns])
+            state = act(self.x, self.task, state, list(actions[:, block]))
+            period = self.task.situation.value("period", state.drawn)
+            self._show(out, block, block, state, plant, compensate, moments[block], period)
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
         """What the environments ``rows`` show at the beginning of their episodes."""

@@ -289,8 +289,10 @@ class ReachEnv(ArmEnv):
         """What the drives get for a joint target."""
         if self.compensator is None:
             return target
-        command: list[float] = self.compensator(np.array(self._plain(target))).tolist()
-        return self._numbers(command)
+        wanted = np.array(self._plain(target))
+        # As one of many, which is corrected in another order of operations than one alone.
+        command = self.compensator(wanted) if self._x is FLOATS else self.compensator(wanted[None])[0]
+        return self._numbers(command.tolist())
 
     def _take_arm(self, asked: int | None) -> None:
         """Choose the true arm of this episode."""

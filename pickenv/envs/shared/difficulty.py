@@ -24,7 +24,7 @@ _ORCHARD: dict[str, Any] = {
 _DAY: dict[str, Any] = {**_ORCHARD, "hours_on": [0.0, 8.0]}
 
 LADDER_VERSION = 2
-"""Say it beside results. Version 1 had 2 and 8 mm in "own_eyes" of Reach, which had no source."""
+"""Say it beside results. In version 1 the sizes of "own_eyes" in Reach had no source."""
 
 LADDER: dict[str, dict[str, Any]] = {
     "ideal": {"plant": "ideal"},

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from pickenv.calibration.assessment.quality import AxisErrors
-from pickenv.inspect.reports.report_page import PageTable
+
+if TYPE_CHECKING:
+    from pickenv.inspect.reports.report_page import PageTable
 
 LINK_WORDS = {
     "alpha": "twist between the axes of {before} and {after}",
@@ -66,6 +69,8 @@ def axis_table(caption: str, stages: Mapping[str, Sequence[AxisErrors]], say: Ca
         stages: For each stage, by label, its errors along and about each axis.
         say: How a number is written.
     """
+    from pickenv.inspect.reports.report_page import PageTable  # pages need Jinja, numbers on a terminal do not
+
     heads = ["axis", *(f"{label} {what}" for label in stages for what in ("mean", "std", "RMSE", "max"))]
     rows = [
         [
