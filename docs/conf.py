@@ -206,7 +206,7 @@ REPAIRS = (
     (r'<p class="caption" role="heading">', r'<p class="caption" role="heading" aria-level="2">'),
     (r'<aside class="sidebar-drawer">', r'<aside class="sidebar-drawer" aria-label="Pages of the site">'),
     (r'<aside class="(toc-drawer[^"]*)">', r'<aside class="\1" aria-label="Parts of this page">'),
-    (r'<pre>(?=<span></span>)', r'<pre tabindex="0">'),
+    (r"<pre>(?=<span></span>)", r'<pre tabindex="0">'),
 )
 """What the theme leaves out of its pages, and who reads them by ear or by keyboard needs."""
 

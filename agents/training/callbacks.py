@@ -55,8 +55,8 @@ def evaluations(training: Training, inputs: Inputs, out: Path, rows: list[dict[s
     def evaluate(at: BaseCallback) -> None:
         env: Any = at.training_env
         row = judged(training, inputs, out, rows, actor_of(at.model, training, env), at.model.num_timesteps)
-        for key in ("mean_mm", "p95_mm", "success_rate"):
-            at.logger.record(f"eval/{key}", row[key])
+        for key, value in row.items():
+            at.logger.record(f"eval/{key}", value)
 
     return EverySoOften(training.evaluate_every, evaluate)
 

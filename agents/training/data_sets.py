@@ -7,6 +7,7 @@ the hashes of its files; those that are there are kept, so that a run that was c
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -50,6 +51,8 @@ POLICIES = {
     ("pick", "random"): "actions drawn evenly",
 }
 """What acts in each data set."""
+
+COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
 
 LICENCE = "MIT"
 CARD = "card.json"
@@ -134,7 +137,7 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
     envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled")
     policy = load_policy("ppo_encoders", envs.unwrapped.task.plant.arm)
     seen, _ = envs.reset(seed=list(seeds))
-    observations, actions, rewards, terminations, truncations = [seen], [], [], [], []
+    rows: dict[str, list[Any]] = {"observations": [seen]} | {name: [] for name in COLUMNS[1:]}
     for _ in range(envs.unwrapped.max_episode_steps):
         drawn = rng.uniform(-1.0, 1.0, envs.action_space.shape).astype(np.float32)
         known = policy.act(envs.raw) / envs.scaling.share(envs.raw, np)
@@ -142,14 +145,12 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
         chosen = rng.random(len(seeds)) < odds
         action = np.clip(np.where(chosen[:, None], drawn, known), -1.0, 1.0).astype(np.float32)
         seen, reward, terminated, truncated, infos = envs.step(action)
-        steps = (observations, seen), (actions, action), (rewards, reward)
-        for rows, row in (*steps, (terminations, terminated), (truncations, truncated)):
-            rows.append(np.array(row))
-    names = ("observations", "actions", "rewards", "terminations", "truncations")
-    columns = [np.stack(rows, axis=1) for rows in (observations, actions, rewards, terminations, truncations)]
+        for name, values in zip(COLUMNS, (seen, action, reward, terminated, truncated), strict=True):
+            rows[name].append(np.array(values))
+    columns = {name: np.stack(values, axis=1) for name, values in rows.items()}
     for i, seed in enumerate(seeds):
         said = {"final_error_mm": infos["position_error_mm"][i], "success": infos["is_success"][i]}
-        yield {"seed": seed, "said": said} | {name: column[i] for name, column in zip(names, columns, strict=True)}
+        yield {"seed": seed, "said": said} | {name: column[i] for name, column in columns.items()}
 
 
 def _canopies(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
@@ -159,14 +160,13 @@ def _canopies(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> I
     for seed in seeds:
         seen, info = env.reset(seed=seed)
         policy.reset()
-        rows: dict[str, list[Any]] = {"observations": [seen], "actions": [], "rewards": []}
-        rows |= {"terminations": [], "truncations": []}
+        rows: dict[str, list[Any]] = {"observations": [seen]} | {name: [] for name in COLUMNS[1:]}
         while not rows["actions"] or not (rows["terminations"][-1] or rows["truncations"][-1]):
             drawn = quality == "random"
             action = rng.uniform(-1.0, 1.0, env.action_space.shape or ()) if drawn else policy.act(seen)
             action = np.clip(action, -1.0, 1.0).astype(np.float32)
             seen, reward, terminated, truncated, info = env.step(action)
-            for name, value in zip(rows, (seen, action, reward, terminated, truncated), strict=True):
+            for name, value in zip(COLUMNS, (seen, action, reward, terminated, truncated), strict=True):
                 rows[name].append(value)
         said = {"collected": info["collected"]}
         yield {"seed": seed, "said": said} | {name: np.array(column) for name, column in rows.items()}
@@ -195,7 +195,7 @@ def _write(folder: Path, name: str, found: Sequence[dict[str, Any]], card: dict[
                 requirements=[f"pickenv=={card['versions']['pickenv']}"],
             )
         made = Path(temporary) / name
-        card |= {"sha256": _hashes(made), "content_sha256": content_hash(found)}
+        card |= {"sha256": _hashes(made), "content_sha256": _content_hash(found)}
         write_json(made / CARD, card)
         for inner in (folder.parent, folder.parent.parent):  # Minari finds what stands in a folder that says it is one
             inner.mkdir(parents=True, exist_ok=True)
@@ -219,13 +219,11 @@ def _minari_folder(folder: str) -> Iterator[None]:
             os.environ["MINARI_DATASETS_PATH"] = before
 
 
-def content_hash(found: Sequence[dict[str, NDArray[Any]]]) -> str:
+def _content_hash(found: Sequence[dict[str, NDArray[Any]]]) -> str:
     """SHA-256 over the numbers of all episodes, which a run with the same seed gives again."""
-    import hashlib
-
     total = hashlib.sha256()
     for each in found:
-        for name in ("observations", "actions", "rewards", "terminations", "truncations"):
+        for name in COLUMNS:
             total.update(np.ascontiguousarray(each[name]).tobytes())
     return total.hexdigest()
 

@@ -1,4 +1,4 @@
-"""Training with stable-baselines3 on the native vector environments: seeded, resumable, judged in millimetres.
+"""Training with stable-baselines3 on the native vector environments: seeded, resumable, judged.
 
 A run's folder holds `checkpoint.pt` (everything to go on from), `policy.npz` (the actor alone, see
 `pickenv.agents.policies.learned`), `evaluations.json` and TensorBoard's logs. One seed gives one set of weights,
@@ -29,7 +29,7 @@ class Trained:
 
     Attributes:
         policy: The actor.
-        evaluations: One dict per evaluation: steps, mean_mm, p95_mm, success_rate.
+        evaluations: One dict per evaluation: steps, and what `judge` says.
         steps_per_second: Environment steps per second, updates and evaluations included.
         out: The run's folder.
     """

@@ -56,10 +56,10 @@ def train(
         bool, typer.Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")
     ] = False,
 ) -> None:
-    """Train a policy; the folder gets its file, checkpoints, evaluations in millimetres and TensorBoard's logs."""
+    """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs."""
     from pickenv.agents.training.training import resumed
     from pickenv.agents.training.training import train as run
-    from pickenv.agents.training.training_setup import Training
+    from pickenv.agents.training.training_setup import Training, words_of
 
     written = [out / name for name in ("policy.npz", "checkpoint.pt", "evaluations.json")]
     separate({"--compensate": compensate, "--plant": plant}, {"--out": written})
@@ -100,8 +100,8 @@ def train(
         raise
     last = done.evaluations[-1]
     print(
-        f"{training.algorithm} on {training.env_id}: {last['mean_mm']:.3f} mm mean, {last['p95_mm']:.3f} mm p95 on "
-        f"held-out fruit after {last['steps']:.0f} steps, {done.steps_per_second:.0f} steps/s"
+        f"{training.algorithm} on {training.env_id}: {words_of(last)} after {last['steps']:.0f} steps, "
+        f"{done.steps_per_second:.0f} steps/s"
     )
     for path in written:
         print(f"wrote {path}")

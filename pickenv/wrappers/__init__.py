@@ -17,6 +17,7 @@ if _TYPE_CHECKING:
     from pickenv.wrappers.mujoco_arm import geometry_in_mujoco
     from pickenv.wrappers.same_arm import PickMemory, SameArm, SameArmVector
     from pickenv.wrappers.sb3 import Sb3Vec, make_sb3_vec
+    from pickenv.wrappers.tool_steps import ToolStepping, ToolSteppingVector
 
 __all__ = ["Compensate", "CompensationVectorWrapper", "CompensationWrapper", "GapScaling", "GapScalingVector"]
 __all__ += [
@@ -25,6 +26,8 @@ __all__ += [
     "SameArm",
     "SameArmVector",
     "Sb3Vec",
+    "ToolStepping",
+    "ToolSteppingVector",
     "geometry_in_mujoco",
     "make_sb3_vec",
     "scaled_reach",

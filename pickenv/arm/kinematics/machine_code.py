@@ -1,4 +1,4 @@
-"""A trace as machine code: each stage is one loop over the poses, between two calls of NumPy's functions.
+"""A trace as machine code: each phase is one loop over the poses, between two calls of NumPy's functions.
 
 Code is generated with LLVM (llvmlite), without any licence to reorder, contract or approximate: results have the bits
 of the NumPy operations that the trace stands for.
@@ -25,16 +25,16 @@ from pickenv.arm.kinematics.tracing import (
     WORD,
     Operation,
     Outputs,
-    Stage,
+    Phase,
     Trace,
-    stages,
+    phases,
 )
 
 LANES = 4
 """Poses that one instruction works on."""
 
 NUMBERS, LEAST = 2**16, 64
-"""Intermediate results that stay in a core's second cache, and how many poses at least go through stages together."""
+"""Intermediate results that a core's own cache holds, and how many poses at least go through all phases together."""
 
 THOROUGH = 1024
 """From so many poses on, code that takes four times as long to generate and runs a third faster is worth it."""
@@ -57,12 +57,12 @@ BY_KIND = {
 INTRINSICS = {"sqrt": "sqrt", "round": "rint", "abs": "fabs"}
 
 
-class Layout(NamedTuple):
+class Arrangement(NamedTuple):
     """Where intermediate results lie.
 
     Attributes:
-        stored: Operation and row of what each stage stores.
-        home: By operation, a row that holds it, and the first stage that finds it there.
+        stored: Operation and row of what each phase stores.
+        home: By operation, a row that holds it, and the first phase that finds it there.
         groups: First rows of the operands and results of calls.
         height: Number of rows.
     """
@@ -73,32 +73,32 @@ class Layout(NamedTuple):
     height: int
 
 
-def laid_out(plan: Sequence[Stage]) -> Layout:
-    """Rows for what stages keep; those of a call's operands lie side by side, and so do its results'."""
+def laid_out(plan: Sequence[Phase]) -> Arrangement:
+    """Rows for what phases keep; those of a call's operands lie side by side, and so do its results'."""
     stored: list[list[tuple[int, int]]] = []
     home: dict[int, tuple[int, int]] = {}
     groups: dict[tuple[int, ...], int] = {}
     height = 0
-    for at, stage in enumerate(plan):
+    for at, phase in enumerate(plan):
         own = []
-        for numbers in (part for call in stage.calls for part in call.operands):
+        for numbers in (part for call in phase.calls for part in call.operands):
             if numbers not in groups:
                 groups[numbers] = height
                 own += [(number, height + i) for i, number in enumerate(numbers)]
                 height += len(numbers)
         here = dict(own)
-        for number in stage.kept:
+        for number in phase.kept:
             if number not in here:
                 own.append((number, height))
                 here[number] = height
                 height += 1
             home[number] = (here[number], at + 1)
-        for call in stage.calls:
+        for call in phase.calls:
             groups[call.results] = height
             home |= {number: (height + i, at + 1) for i, number in enumerate(call.results)}
             height += len(call.results)
         stored.append(own)
-    return Layout(stored, home, groups, height)
+    return Arrangement(stored, home, groups, height)
 
 
 Called = tuple[Any, list[NDArray[Any]]]
@@ -115,14 +115,14 @@ class Compiled:
     """
 
     def __init__(self, trace: Trace, outputs: Sequence[Outputs], count: int) -> None:
-        self._plan = stages(trace, outputs)
+        self._plan = phases(trace, outputs)
         self._layout = laid_out(self._plan)
         self._width = max(LEAST, NUMBERS // max(self._layout.height, 1) // LEAST * LEAST)
         read = (operation.detail[0] for operation in trace.operations if operation.name == "input")
         self._arrays = (KEPT, *dict.fromkeys((*read, *(out.array for out in outputs))))
-        code = (_loop(trace, self._layout, i, stage, self._arrays) for i, stage in enumerate(self._plan))
+        code = (_loop(trace, self._layout, i, phase, self._arrays) for i, phase in enumerate(self._plan))
         text = "\n".join((*DECLARED, *code))
-        names = tuple(f"stage{i}" for i in range(len(self._plan)))
+        names = tuple(f"phase{i}" for i in range(len(self._plan)))
         self._engine, addresses = machine(text, names, count >= THOROUGH)
         self._functions = [FUNCTION(address) for address in addresses]
         self._calls: dict[int, list[tuple[list[Called], list[Called]]]] = {}
@@ -138,7 +138,7 @@ class Compiled:
         for first in range(0, count, width):
             here = min(width, count - first)
             if here not in self._calls:
-                self._calls[here] = [self._called(stage, here) for stage in self._plan]
+                self._calls[here] = [self._called(phase, here) for phase in self._plan]
             for function, (calls, fills) in zip(self._functions, self._calls[here], strict=True):
                 function(bases, width, count, first, here)
                 for called, rows in calls:
@@ -146,11 +146,11 @@ class Compiled:
                 for fill, (given, found) in fills:
                     fill(given, found, slice(first, first + here))
 
-    def _called(self, stage: Stage, here: int) -> tuple[list[Called], list[Called]]:
-        """NumPy's functions of a stage, and ours, with the rows that they read and write, for a block of so many."""
+    def _called(self, phase: Phase, here: int) -> tuple[list[Called], list[Called]]:
+        """NumPy's functions of a phase, and ours, with the rows that they read and write, for a block of so many."""
         numpys: list[Called] = []
         ours: list[Called] = []
-        for call in stage.calls:
+        for call in phase.calls:
             parts = ((self._layout.groups[part], len(part)) for part in (*call.operands, call.results))
             rows = [self._kept[first : first + size, :here] for first, size in parts]
             if isinstance(call.function, str):
@@ -167,11 +167,11 @@ DECLARED = tuple(
 )
 
 
-def _loop(trace: Trace, layout: Layout, number: int, stage: Stage, arrays: Sequence[str]) -> str:
-    """The function of one stage: a loop by lanes, and one for what is left."""
-    wide, narrow = (_Body(trace, layout, number, stage, arrays, lanes).text for lanes in (LANES, 1))
+def _loop(trace: Trace, layout: Arrangement, number: int, phase: Phase, arrays: Sequence[str]) -> str:
+    """The function of one phase: a loop by lanes, and one for what is left."""
+    wide, narrow = (_Body(trace, layout, number, phase, arrays, lanes).text for lanes in (LANES, 1))
     return f"""
-define void @stage{number}(ptr noalias %bases, i64 %width, i64 %count, i64 %first, i64 %here) {{
+define void @phase{number}(ptr noalias %bases, i64 %width, i64 %count, i64 %first, i64 %here) {{
 entry:
   br label %wide_head
 wide_head:
@@ -196,10 +196,10 @@ done:
 
 
 class _Body:
-    """The instructions of one stage for some poses at once; `text` is they."""
+    """The instructions of one phase for some poses at once; `text` is they."""
 
     def __init__(
-        self, trace: Trace, layout: Layout, number: int, stage: Stage, arrays: Sequence[str], lanes: int
+        self, trace: Trace, layout: Arrangement, number: int, phase: Phase, arrays: Sequence[str], lanes: int
     ) -> None:
         self._lines: list[str] = []
         self._operations, self._layout, self._number = trace.operations, layout, number
@@ -207,7 +207,7 @@ class _Body:
         self._loop = "wide" if lanes > 1 else "narrow"
         self._bases: dict[str, str] = {}
         goals = [(value, KEPT, row) for value, row in layout.stored[number]]
-        goals += [(value, array, row) for value, (array, row) in stage.written]
+        goals += [(value, array, row) for value, (array, row) in phase.written]
         self._all = self._new(f"add i64 %{self._loop}_at, %first")
         self._values: dict[int, str] = {}
         for value in self._needed([value for value, _, _ in goals]):
@@ -224,7 +224,7 @@ class _Body:
         return number in self._layout.home and self._layout.home[number][1] <= self._number
 
     def _needed(self, waiting: list[int]) -> list[int]:
-        """What this stage loads or computes, in order."""
+        """What this phase loads or computes, in order."""
         needed: set[int] = set()
         while waiting:
             number = waiting.pop()

@@ -225,11 +225,11 @@ class Call(NamedTuple):
     results: tuple[int, ...]
 
 
-class Stage(NamedTuple):
+class Phase(NamedTuple):
     """Arithmetic, and the functions that need nothing but what was computed up to here.
 
     Attributes:
-        kept: Operations whose results are kept for later stages, or for the functions.
+        kept: Operations whose results are kept for later phases, or for the functions.
         written: Operation and place (array, row) of each result that goes out.
         calls: The functions.
     """
@@ -255,8 +255,8 @@ class Outputs(NamedTuple):
     first: int = 0
 
 
-def stages(trace: Trace, outputs: Sequence[Outputs]) -> list[Stage]:
-    """What is to be computed, one stage after the other; all is written in the last, for inputs are read until then."""
+def phases(trace: Trace, outputs: Sequence[Outputs]) -> list[Phase]:
+    """What is to be computed, one phase after the other; all is written in the last, for inputs are read until then."""
     operations = trace.operations
     goals = [
         (trace.of(value, out.kind), (out.array, i)) for out in outputs for i, value in enumerate(out.rows, out.first)
@@ -268,7 +268,7 @@ def stages(trace: Trace, outputs: Sequence[Outputs]) -> list[Stage]:
         if number not in needed:
             needed.add(number)
             waiting += _with_siblings(operations, number)
-    ready: dict[int, int] = {}  # by operation, the first stage that can use it
+    ready: dict[int, int] = {}  # by operation, the first phase that can use it
     for number in sorted(needed):
         operation = operations[number]
         ready[number] = max((ready[i] for i in operation.operands), default=0) + operation.called
@@ -286,12 +286,12 @@ def stages(trace: Trace, outputs: Sequence[Outputs]) -> list[Stage]:
         if ready[number] < last:
             kept[ready[number]].add(number)
     return [
-        Stage(
-            kept=tuple(i for i in sorted(kept[stage]) if not (operations[i].free or operations[i].called)),
-            written=tuple(goals) if stage == last else (),
-            calls=_calls(operations, called[stage]),
+        Phase(
+            kept=tuple(i for i in sorted(kept[phase]) if not (operations[i].free or operations[i].called)),
+            written=tuple(goals) if phase == last else (),
+            calls=_calls(operations, called[phase]),
         )
-        for stage in range(last + 1)
+        for phase in range(last + 1)
     ]
 
 

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant
 from pickenv.arm.plant.named_plants import IDEAL
-from pickenv.envs.reaching.batch import Batch, Flags, Start, Views
+from pickenv.envs.reaching.batch import Batch, Start, Views
 from pickenv.envs.reaching.numpy_batch import NumpyBatch
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared import spaces
+from pickenv.envs.shared.arm_batch import Flags
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
 from pickenv.envs.shared.given_goals import given_goals
