@@ -17,6 +17,7 @@ if _TYPE_CHECKING:
     from pickenv.agents.evaluation.compare import PolicyComparison, compare
     from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
     from pickenv.agents.evaluation.reaches import episode_seeds, run_reaches
+    from pickenv.agents.evaluation.reaches_behind import reaches_behind
     from pickenv.agents.evaluation.rollout import Rollout, roll_out
     from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
     from pickenv.agents.policies.harvest_policy import ScriptedHarvest
@@ -24,16 +25,19 @@ if _TYPE_CHECKING:
     from pickenv.agents.policies.oracle import OracleReach
     from pickenv.agents.policies.pick_policy import ScriptedPick
     from pickenv.agents.policies.policy import Policy
+    from pickenv.agents.policies.remembering import RememberingPolicy, RememberingReach, load_remembering
     from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
     from pickenv.agents.policies.servo import ServoReach
+    from pickenv.agents.training.data_sets import datasets
     from pickenv.agents.training.training import Trained, train
     from pickenv.agents.training.training_setup import Training
     from pickenv.inspect.runs.episode_ends import Reaches
 
 __all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GridSettings", "LearnedPolicy", "OracleReach"]
 __all__ += ["Policy", "PolicyComparison", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]
-__all__ += ["ScriptedPick", "ScriptedReach", "ServoReach", "Trained", "Training", "calibrate_arm", "compare"]
-__all__ += ["episode_seeds", "load_policy", "roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
+__all__ += ["RememberingPolicy", "RememberingReach", "ScriptedPick", "ScriptedReach", "ServoReach", "Trained"]
+__all__ += ["Training", "calibrate_arm", "compare", "datasets", "episode_seeds", "load_policy", "load_remembering"]
+__all__ += ["reaches_behind", "roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
 
 __getattr__, __dir__ = _offered(__name__)
 

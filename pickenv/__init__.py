@@ -67,7 +67,12 @@ def _register() -> None:
         vector_entry_point="pickenv.envs.harvesting.harvest_vector:HarvestVectorEnv",
         max_episode_steps=600,
     )
-    _gymnasium.register(id="pickenv/Pick-v0", entry_point="pickenv.envs.picking.pick:PickEnv", max_episode_steps=400)
+    _gymnasium.register(
+        id="pickenv/Pick-v0",
+        entry_point="pickenv.envs.picking.pick:PickEnv",
+        vector_entry_point="pickenv.envs.picking.pick_vector:PickVectorEnv",
+        max_episode_steps=400,
+    )
 
 
 try:

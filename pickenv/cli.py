@@ -153,6 +153,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         conditions,
         learning.train,
         learning.evaluate,
+        learning.datasets,
         compare,
         study,
     ),

@@ -25,6 +25,8 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "ray": ("ray",),
         "harvest": ("skimage", "ortools", "pettingzoo"),
         "export": ("onnx",),
+        "data": ("minari",),
+        "compiled": ("llvmlite",),
     }
 )
 """Extras by name, and what programs import of each."""

@@ -10,8 +10,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from pickenv.errors import InputError
+
 Purpose = Literal[
-    "arms", "fruit", "policy", "calibration", "training", "camera", "picks", "day", "grasps", "leaderboard"
+    "arms", "fruit", "policy", "calibration", "training", "camera", "picks", "day", "grasps", "leaderboard", "datasets"
 ]
 """What a stream is drawn for."""
 
@@ -30,3 +32,24 @@ def stream(seed: int, purpose: Purpose, *numbers: int) -> np.random.SeedSequence
 def seed_words(sequence: np.random.SeedSequence, count: int) -> list[int]:
     """Seeds for what takes whole numbers, below 2^62; a longer list begins with the shorter."""
     return [int(word) >> 2 for word in sequence.generate_state(count, np.uint64)]
+
+
+RUN = 2**16
+"""Environments that a run of `run_seed` has to itself, and number of such runs."""
+
+
+def run_seed(run: int) -> int:
+    """A seed for a client that takes one number and counts on from it, as Gymnasium does: environment i gets seed + i.
+
+    Runs 0, 1, 2 … begin 65,536 apart, so that none of their environments share an episode. Below 2^32, as NumPy's old
+    generators and most clients want it.
+
+    Args:
+        run: Number of the run, below 65,536.
+
+    Raises:
+        InputError: If there is no such run.
+    """
+    if isinstance(run, bool) or not isinstance(run, int | np.integer) or not 0 <= run < RUN:
+        raise InputError(f"run is {run!r}; give a whole number from 0 to {RUN - 1}")
+    return int(run) * RUN

@@ -2,8 +2,8 @@
 
 Fair reading: pickenv's step is kinematics with the plant's physics (compliance, bending, drives), no contacts and no
 collisions; FetchReach runs 20 MuJoCo substeps a step and PandaReach 20 Bullet substeps. Random fresh actions, resets,
-rewards and observations are included everywhere. What a calibration between policy and arm costs, and what single
-precision does to positions, is measured too.
+rewards and observations are included everywhere. What runs on one core is timed by the processor's clock. What a
+calibration between policy and arm costs, and what single precision does to positions, is measured too.
 
 Run: python scripts/benchmark_envs.py [--json FILE] [--no-peers] [--quick] [--device cuda]
 """
@@ -37,6 +37,9 @@ ROLLOUT = 8192
 TRAINED = (16, 64, 256)
 """Numbers of environments in that comparison."""
 
+EXECUTORS = ("numpy", "compiled")
+"""Of native vectors on NumPy's arrays: with every operation a call of NumPy, and as machine code."""
+
 PEER_PACKAGES = ("gymnasium-robotics==1.4.2", "mujoco<3.12", "panda-gym==3.0.7")
 WHAT = {
     "FetchReach-v4": "20 MuJoCo substeps, contacts",
@@ -45,15 +48,20 @@ WHAT = {
 }
 
 
-def rate(step: Callable[[], int], seconds: float, rounds: int = 3) -> float:
-    """Best of some rounds of environment steps per second: other work on the machine only ever slows a round."""
+def rate(
+    step: Callable[[], int], seconds: float, rounds: int = 3, clock: Callable[[], float] = time.process_time
+) -> float:
+    """Best of some rounds of environment steps per second: other work on the machine only ever slows a round.
+
+    ``clock`` counts seconds: of the processor, for what runs on one core, or of the wall.
+    """
     step()
     best = 0.0
     for _ in range(rounds):
-        steps, begin = 0, time.perf_counter()
-        while time.perf_counter() - begin < seconds / rounds:
+        steps, begin = 0, clock()
+        while clock() - begin < seconds / rounds:
             steps += step()
-        best = max(best, steps / (time.perf_counter() - begin))
+        best = max(best, steps / (clock() - begin))
     return best
 
 
@@ -118,7 +126,7 @@ def torch_vector(count: int, seconds: float, device: str, dtype: str, compiled: 
         return count
 
     step()
-    return rate(step, seconds)
+    return rate(step, seconds, clock=time.perf_counter)
 
 
 def inference(count: int, seconds: float) -> float:
@@ -137,14 +145,16 @@ def inference(count: int, seconds: float) -> float:
     return vector("pickenv/Reach-v0", count, seconds, policy)
 
 
-def fastest(steps: dict[str, Callable[[], Any]], seconds: float) -> dict[str, float]:
+def fastest(
+    steps: dict[str, Callable[[], Any]], seconds: float, clock: Callable[[], float] = time.perf_counter
+) -> dict[str, float]:
     """Least time of each, s; taken in turns, so that other work on the machine meets all alike."""
     best, begin = dict.fromkeys(steps, float("inf")), time.perf_counter()
     while time.perf_counter() - begin < seconds:
         for name, step in steps.items():
-            before = time.perf_counter()
+            before = clock()
             step()
-            best[name] = min(best[name], time.perf_counter() - before)
+            best[name] = min(best[name], clock() - before)
     return best
 
 
@@ -162,22 +172,36 @@ def compensators() -> dict[str, Compensator | None]:
 
 
 def compensation(count: int, seconds: float) -> dict[str, dict[str, float]]:
-    """What a calibration adds to a single step, us, and by what it multiplies a step of a vector environment."""
+    """What a calibration adds to a single step, us, and to a step of a vector environment.
+
+    `vector_ratio` is by how much a step on NumPy takes longer, `compiled_ratio` a compiled one, and
+    `compiled_steps_per_s` how many environment steps a second are left of it.
+    """
     rng = np.random.default_rng(0)
     single, many = {}, {}
     for name, compensator in compensators().items():
         env: Any = gym.make("pickenv/Reach-v0", max_episode_steps=-1).unwrapped
-        envs: Any = gym.make_vec("pickenv/Reach-v0", num_envs=count, max_episode_steps=None).unwrapped
-        for made in (env, envs):
-            made.compensator = compensator
-            made.reset(seed=0)
         action, actions = (rng.uniform(-1, 1, size).astype(np.float32) for size in (6, (count, 6)))
         single[name] = lambda env=env, action=action: [env.step(action) for _ in range(20)]
-        many[name] = lambda envs=envs, actions=actions: envs.step(actions)
-    one, all_ = fastest(single, seconds), fastest(many, seconds)
+        made = {None: env}
+        for executor in EXECUTORS:
+            made[executor] = envs = gym.make_vec(
+                "pickenv/Reach-v0", num_envs=count, max_episode_steps=None, executor=executor
+            ).unwrapped
+            many[f"{name} {executor}"] = lambda envs=envs, actions=actions: envs.step(actions)
+        for one in made.values():
+            one.compensator = compensator
+            one.reset(seed=0)
+            one.step(action if one is env else actions)  # what is compiled is compiled
+    alone, all_ = (fastest(steps, seconds, time.process_time) for steps in (single, many))
     return {
-        name: {"single_us": 1e6 * (one[name] - one["none"]) / 20, "vector_ratio": all_[name] / all_["none"]}
-        for name in one
+        name: {
+            "single_us": 1e6 * (alone[name] - alone["none"]) / 20,
+            "vector_ratio": all_[f"{name} numpy"] / all_["none numpy"],
+            "compiled_ratio": all_[f"{name} compiled"] / all_["none compiled"],
+            "compiled_steps_per_s": count / all_[f"{name} compiled"],
+        }
+        for name in alone
         if name != "none"
     }
 
@@ -268,8 +292,20 @@ def main(
         add("CartPole-v1 native 4096", 4096, "numpy", vector("CartPole-v1", 4096, seconds), WHAT["CartPole-v1 native"])
     add("Reach single", 1, "floats", single("pickenv/Reach-v0", seconds), "plant qiao2026, gym.make")
     add("Harvest single", 1, "numpy", single("pickenv/Harvest-v0", seconds), "three slaves, eight fruit, gym.make")
-    for count in (16, 256, 1024, 4096) if quick else (16, 256, 1024, 4096, 65_536, 1_048_576):
-        add(f"Reach native {count}", count, "numpy", vector("pickenv/Reach-v0", count, seconds), "plant qiao2026")
+    add("Pick single", 1, "floats", single("pickenv/Pick-v0", seconds), "plant orchard, ten fruit, gym.make")
+    for count in (1, 16, 256, 1024):
+        add(
+            f"Pick native {count}",
+            count,
+            "numpy",
+            vector("pickenv/Pick-v0", count, seconds),
+            "plant orchard, ten fruit",
+        )
+    for count in (16, 64, 256, 4096) if quick else (16, 64, 256, 1024, 4096, 65_536, 1_048_576):
+        for executor in EXECUTORS:
+            value = vector("pickenv/Reach-v0", count, seconds, executor=executor)
+            name = f"Reach native {count}" + (", NumPy alone" if executor == "numpy" else "")
+            add(name, count, executor, value, "plant qiao2026")
     for count in () if quick else (131_072,) if device == "cpu" else (131_072, 4_194_304):
         value = torch_vector(count, seconds, device, "float32", True)
         add(f"Reach torch.compile {count}", count, f"torch {device} float32 compiled", value, "plant qiao2026")
@@ -289,7 +325,11 @@ def main(
     ratios = {
         "single_vs_fetchreach": ratio("Reach single", "FetchReach-v4"),
         "harvest_single_vs_fetchreach": ratio("Harvest single", "FetchReach-v4"),
+        "pick_single_vs_fetchreach": ratio("Pick single", "FetchReach-v4"),
+        "pick_native_256_vs_fetchreach": ratio("Pick native 256", "FetchReach-v4"),
         "single_vs_pandareach": ratio("Reach single", "PandaReach-v3"),
+        "native_16_vs_fetchreach": ratio("Reach native 16", "FetchReach-v4"),
+        "native_256_vs_fetchreach": ratio("Reach native 256", "FetchReach-v4"),
         "native_4096_vs_fetchreach": ratio("Reach native 4096", "FetchReach-v4"),
         "native_4096_vs_cartpole": ratio("Reach native 4096", "CartPole-v1 native 4096"),
     }
@@ -311,7 +351,8 @@ def main(
     for name, cost in added.items():
         console.print(
             f"{name} in between: {cost['single_us']:.0f} us more per single step, a step of 4096 takes "
-            f"{cost['vector_ratio']:.1f} times as long"
+            f"{cost['vector_ratio']:.1f} times as long on NumPy, {cost['compiled_ratio']:.1f} times compiled, which is "
+            f"{cost['compiled_steps_per_s']:,.0f} steps/s"
         )
     console.print(f"float32 on {device} against float64: the tools are at most {apart:.2f} um apart")
     if json_file is not None:

@@ -12,7 +12,7 @@ from importlib.metadata import Distribution
 from packaging.requirements import Requirement
 
 OURS = "pickenv"
-FOR_USERS = ("", "learn", "rl", "inspect", "camera", "study", "ray", "harvest", "export")
+FOR_USERS = ("", "learn", "rl", "inspect", "camera", "study", "ray", "harvest", "export", "compiled")
 """Extras whose packages users install; "" is the core."""
 
 

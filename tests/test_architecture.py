@@ -83,6 +83,7 @@ HEAVY = (
         "ortools",
         "onnx",
         "onnxruntime",
+        "llvmlite",
         "tensorboard",
         "pettingzoo",
         "vtkmodules",

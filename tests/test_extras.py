@@ -111,6 +111,7 @@ def test_a_missing_package_is_one_sentence_with_the_command_that_installs_it(
         (("stable_baselines3",), ("train", "--out", "run")),
         (("rerun",), ("inspect", "errors.rrd")),
         (("matplotlib",), ("board", "charuco_a4", "--out", "board.pdf")),
+        (("minari",), ("datasets", "--out", "sets")),
     ],
 )
 def test_a_command_says_so_and_ends_as_after_bad_input(

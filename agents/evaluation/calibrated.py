@@ -137,7 +137,7 @@ def _calibrated(
     plant = plants if plant_count(plants) is None else plant_at(plants, number)
     if folder is None:
         return calibrate_arm(plant, compensation, protocol, number)
-    return _kept(folder, plant, compensation, protocol, number)
+    return kept_calibration(folder, plant, compensation, protocol, number)
 
 
 def check_compensation(compensation: str) -> None:
@@ -162,10 +162,22 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
     return calibration.compensator()
 
 
-def _kept(folder: Path, plant: Plant, compensation: str, protocol: CalibrationPlan, number: int) -> Calibration:
+def kept_calibration(
+    folder: Path, plant: Plant, compensation: str, protocol: CalibrationPlan, number: int
+) -> Calibration:
     """The calibration of an arm from a folder, where it is made if it is not there.
 
     A file belongs to the arm's own numbers, to the protocol and to the code that fits; its record says so as well.
+
+    Args:
+        folder: The folder.
+        plant: The arm.
+        compensation: As in `calibrate_arm`.
+        protocol: How it is measured and fitted.
+        number: The arm's number in its population.
+
+    Raises:
+        InputError: If the kept file is damaged, or of another arm or protocol than its name says.
     """
     instrument = load_instrument(protocol.instrument)
     origin = content_sha256(plant, compensation, protocol, instrument, number, code_fingerprint())

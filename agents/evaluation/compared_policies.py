@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,19 @@ from pickenv.agents.evaluation.rollout import PolicyMaker
 from pickenv.agents.policies import foreign
 from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
 from pickenv.agents.policies.harvest_policy import ScriptedHarvest
-from pickenv.agents.policies.learned import load_policy
+from pickenv.agents.policies.learned import LearnedPolicy, load_policy
 from pickenv.agents.policies.oracle import OracleReach
 from pickenv.agents.policies.pick_policy import ScriptedPick
 from pickenv.agents.policies.policy import Policy
+from pickenv.agents.policies.remembering import (
+    RememberingPolicy,
+    RememberingReach,
+    load_remembering,
+    remembers,
+)
 from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
 from pickenv.agents.policies.servo import ServoReach
+from pickenv.arm import Arm
 from pickenv.envs.shared.task import FEEDBACK
 from pickenv.errors import InputError
 
@@ -91,16 +98,21 @@ def kind_of(name: str) -> Kind:
         return Kind(files=(name,))
     if Path(name).is_dir():
         files = tuple(str(path) for path in sorted(Path(name).glob("*/policy.npz")))
-        return Kind(_feedback_of(name, files), files=files)
+        return replace(_kind_of_files(name, files), files=files)
     try:
-        policy = load_policy(name)
+        policy = load_any(name)
     except InputError as error:
         if name.endswith(".npz"):
             raise
         raise InputError(
             f"unknown policy '{name}'; give {', '.join(KINDS)}, a shipped baseline, a file or a folder of trainings"
         ) from error
-    return Kind(("camera",) if policy.scaling.camera else ("encoders",), files=(name,))
+    return replace(_kind_of_policy(policy), files=(name,))
+
+
+def load_any(name: str, arm: Arm | None = None) -> LearnedPolicy | RememberingPolicy:
+    """A shipped policy or a policy file, with or without a memory; errors as of `load_policy`."""
+    return load_remembering(name, arm) if remembers(name) else load_policy(name, arm)
 
 
 def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw") -> PolicyMaker:
@@ -122,7 +134,8 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
             return AdaptiveReach(env, AdaptiveSettings(camera_std=camera_noise_mm * 1e-3, prior=prior))
         if Path(name).suffix in foreign.SUFFIXES:
             return foreign.foreign_policy(name, env, seed)
-        return load_policy(name, env.unwrapped.task.plant.arm)
+        policy = load_any(name, env.unwrapped.task.plant.arm)
+        return policy if isinstance(policy, LearnedPolicy) else RememberingReach(env, policy)
 
     return make
 
@@ -137,11 +150,11 @@ def policy_name(name: str) -> str:
     return path.name if len(path.parts) > 1 else name
 
 
-def _feedback_of(folder: str, files: tuple[str, ...]) -> tuple[str, ...]:
-    """What the trainings of a folder can use; they must differ in their seeds alone."""
+def _kind_of_files(folder: str, files: tuple[str, ...]) -> Kind:
+    """The kind of a folder's trainings; they must differ in their seeds alone."""
     if not files:
         raise InputError(f"{folder} holds no trainings; give a folder whose folders hold a policy.npz each, one a seed")
-    policies = [load_policy(file) for file in files]
+    policies = [load_any(file) for file in files]
     trainings = [dict(policy.record.get("training", {})) for policy in policies]
     seeds = [training.pop("seed", None) for training in trainings]
     if len(set(seeds)) < len(seeds) or any(training != trainings[0] for training in trainings):
@@ -149,4 +162,10 @@ def _feedback_of(folder: str, files: tuple[str, ...]) -> tuple[str, ...]:
             f"{folder} holds trainings that differ in more than their seeds, or two of one seed; give one training "
             "with several seeds, each in a folder of its own"
         )
-    return ("camera",) if policies[0].scaling.camera else ("encoders",)
+    return _kind_of_policy(policies[0])
+
+
+def _kind_of_policy(policy: LearnedPolicy | RememberingPolicy) -> Kind:
+    if isinstance(policy, RememberingPolicy):
+        return Kind(("camera",), sequential=True)
+    return Kind(("camera",) if policy.scaling.camera else ("encoders",))

@@ -1,29 +1,36 @@
 """The leaderboard: policies × feedback × compensations on reaching tasks, over seeds that share neither arms nor fruit.
 
 Every seed and policy is one comparison of `grid`, kept in a run folder of its own, so that a run that was cut off goes
-on, and another policy joins without the others being run again. Arms count once each: their interquartile mean leaves
+on, and another policy joins without the others being run again; every seed of the picking task (`pick_board`) is one
+file. Who works on them changes no number. Arms count once each: their interquartile mean leaves
 out the best and the worst quarter (Agarwal et al. 2021), with a bootstrap interval over arms.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.calibrated import COMPENSATIONS, CalibrationPlan
+from pickenv.agents.evaluation.calibrated import COMPENSATIONS, CalibrationPlan, kept_calibration
 from pickenv.agents.evaluation.compared_policies import kind_of, maker_of
-from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
-from pickenv.agents.evaluation.grid_tables import interval_words, read_grid, write_grid
+from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, population, run_grid
+from pickenv.agents.evaluation.grid_tables import interval_words, read_grid, with_interval, write_grid
+from pickenv.agents.evaluation.pick_board import PICK_PLANT, PickTally, pick_rows, pick_tallies
 from pickenv.agents.evaluation.statistics import interquartile_mean
 from pickenv.agents.policies.learned import BASELINES, shipped_baselines
 from pickenv.arm.files.content import content_sha256
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.container import refusing_damage
 from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
+from pickenv.files import write_json
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.run_folder import RECORD, read_run
 from pickenv.provenance import code_fingerprint, file_sha256
@@ -34,6 +41,8 @@ LEAST_SEEDS = 5
 
 GRIPPERS = ("li_cup", "compliant_hand")
 """Who takes the fruit; success is the first one's."""
+
+WORDS = ("policy", "feedback", "compensation")
 
 HEADS = ("mean (mm)", "interquartile mean (mm)", "attitude (deg)", *(f"success, {name}" for name in GRIPPERS))
 
@@ -49,14 +58,16 @@ class LeaderboardSettings:
         arms: Arms drawn for each seed and plant.
         episodes: Fruits per arm.
         epochs: Epochs of each arm's network.
+        canopies: Canopies for each arm of the picking task; 0 leaves the task out.
     """
 
     policies: tuple[str, ...] = ("scripted", "servo", "adaptive", *shipped_baselines())
     plants: tuple[str, ...] = ("qiao2026", "field")
     seeds: tuple[int, ...] = tuple(range(LEAST_SEEDS))
-    arms: int = 8
+    arms: int = 2
     episodes: int = 16
     epochs: int = 100
+    canopies: int = 2
 
     def __post_init__(self) -> None:
         if len(set(self.seeds)) < max(LEAST_SEEDS, len(self.seeds)):
@@ -66,7 +77,7 @@ class LeaderboardSettings:
     def quick() -> LeaderboardSettings:
         """Minutes less, to try things out."""
         policies = ("scripted", "servo", "ppo_encoders")
-        return LeaderboardSettings(policies, ("qiao2026",), arms=1, episodes=4, epochs=20)
+        return LeaderboardSettings(policies, ("qiao2026",), arms=1, episodes=4, epochs=20, canopies=0)
 
     def grid(self, policy: str, feedback: tuple[str, ...], seed: int) -> GridSettings:
         """The comparison of one policy with one seed."""
@@ -83,11 +94,22 @@ class LeaderboardSettings:
         )
 
 
+Work = Callable[[int], Any]
+Runner = Callable[[Sequence[int], Work], Iterator[tuple[int, Any]]]
+"""Does the work for each number, in any order and anywhere, as the executors of `pickenv.study.running.runners` do."""
+
+
+def in_turn(numbers: Sequence[int], work: Work) -> Iterator[tuple[int, Any]]:
+    """One after the other, in this process."""
+    for number in numbers:
+        yield number, work(number)
+
+
 def run_leaderboard(
     settings: LeaderboardSettings,
     out: Path,
     progress: Callable[[str, int, int], None] | None = None,
-    workers: int = 1,
+    runner: Runner = in_turn,
 ) -> list[dict[str, Any]]:
     """Run what was not run yet, and give the rows.
 
@@ -95,19 +117,47 @@ def run_leaderboard(
         settings: What is run.
         out: Folder that keeps calibrations and comparisons.
         progress: Called with (stage, done, in all).
-        workers: Processes that fit residual models.
+        runner: Who works; the rows are the same whoever does.
 
     Raises:
         InputError: If a policy is unknown or cannot be run, or a kept file was edited.
     """
     report = progress or (lambda stage, done, total: None)
     feedback = {policy: fitting_feedback(policy) for policy in settings.policies}
-    jobs = [(policy, seed) for policy in settings.policies for seed in settings.seeds]
-    grids = []
-    for done, (policy, seed) in enumerate(jobs):
-        grids.append(_kept_grid(settings.grid(policy, feedback[policy], seed), out, workers))
-        report("policies and seeds", done + 1, len(jobs))
-    return leaderboard_rows(grids)
+    grids = [settings.grid(policy, feedback[policy], seed) for policy in settings.policies for seed in settings.seeds]
+    reaching = [_grid_folder(each, out) for each in grids]
+    picking = [_tally_file(settings, seed, out) for seed in settings.seeds] if settings.canopies else []
+    todo_reach = [i for i, folder in enumerate(reaching) if not (folder / RECORD).is_file()]
+    todo_pick = [i for i, file in enumerate(picking) if not file.is_file()]
+
+    # Calibrations first, arm by arm: every policy of a seed stands behind the same ones.
+    seeds = {grids[i].seed for i in todo_reach} | {settings.seeds[i] for i in todo_pick}
+    plants = dict.fromkeys((*settings.plants, *([PICK_PLANT] if todo_pick else ())))
+    arms = [
+        (seed, plant, compensation, arm)
+        for seed in sorted(seeds)
+        for plant in plants
+        for compensation in COMPENSATIONS
+        if compensation != "raw"
+        for arm in range(settings.arms)
+    ]
+    kept = out / "calibrations"
+    for done, _ in enumerate(runner(range(len(arms)), partial(_calibrate, settings, tuple(arms), kept))):
+        report("calibrations", done + 1, len(arms))
+    total = len(reaching) + len(picking)
+    done = total - len(todo_reach) - len(todo_pick)
+    for number, grid in runner(todo_reach, partial(_reach, tuple(grids), kept)):
+        write_grid(grid, reaching[number])
+        done += 1
+        report("policies and seeds", done, total)
+    for number, tallies in runner(todo_pick, partial(_pick, settings, kept)):
+        write_json(picking[number], {key: [asdict(tally) for tally in each] for key, each in tallies.items()})
+        done += 1
+        report("policies and seeds", done, total)
+    rows = leaderboard_rows(
+        [replace(read_grid(read_run(folder)), settings=grid) for folder, grid in zip(reaching, grids, strict=True)]
+    )
+    return rows + (pick_rows(settings.seeds, [_read_tallies(file) for file in picking]) if picking else [])
 
 
 def fitting_feedback(policy: str) -> tuple[str, ...]:
@@ -166,8 +216,18 @@ def leaderboard_rows(grids: Sequence[PolicyGrid]) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (row["task"], row["iqm_mm"]))
 
 
+def leaderboard_heads(row: Mapping[str, Any]) -> list[str]:
+    """Heads of the table that a row belongs to: `WORDS`, then numbers."""
+    if "picks_per_hour" not in row:
+        return [*WORDS, *HEADS]
+    mean, middle, attitude, *success = HEADS
+    rates = (f"picks per hour, {name}" for name in row["picks_per_hour"])
+    return [*WORDS, f"{mean} at the grasp", middle, attitude, *success, *rates]
+
+
 def leaderboard_cells(row: Mapping[str, Any]) -> list[str]:
-    """What people are shown of a row: policy, feedback, compensation, then `HEADS`."""
+    """What people are shown of a row, in the order of its heads."""
+    rates, ends = row.get("picks_per_hour", {}), row.get("picks_per_hour_ci95", {})
     return [
         row["policy"],
         row["feedback"],
@@ -176,6 +236,7 @@ def leaderboard_cells(row: Mapping[str, Any]) -> list[str]:
         f"{row['iqm_mm']:.3f} ({interval_words(row['ci95_mm'], 3) or 'no interval'})",
         f"{row['attitude_deg']:.3f}",
         *(f"{100 * row['success_by_gripper'][name]:.0f} %" for name in GRIPPERS),
+        *(with_interval(rate, ends[name], 0) for name, rate in rates.items()),
     ]
 
 
@@ -184,15 +245,15 @@ def leaderboard_tables(rows: Sequence[Mapping[str, Any]]) -> str:
     parts = []
     for task, each in groupby(rows, lambda row: row["task"]):
         some = list(each)
-        arms, fruit, seeds = some[0]["arms"], some[0]["fruit_per_arm"], ", ".join(map(str, some[0]["seeds"]))
-        heads = ("policy", "feedback", "compensation", *HEADS)
+        first, heads = some[0], leaderboard_heads(some[0])
+        each_arm = f"{first['fruit_per_arm']} fruit each" if "fruit_per_arm" in first else f"{first['attempts']} grasps"
         lines = [
             " | ".join(heads),
             "|".join(["---"] * len(heads)),
             *(" | ".join(leaderboard_cells(row)) for row in some),
         ]
         parts += [
-            f"{task}: {arms} arms over seeds {seeds}, {fruit} fruit each",
+            f"{task}: {first['arms']} arms over seeds {', '.join(map(str, first['seeds']))}, {each_arm}",
             "",
             *(f"| {line} |" for line in lines),
             "",
@@ -200,14 +261,41 @@ def leaderboard_tables(rows: Sequence[Mapping[str, Any]]) -> str:
     return "\n".join(parts)
 
 
-def _kept_grid(settings: GridSettings, out: Path, workers: int) -> PolicyGrid:
-    """A comparison from its folder, where it is made if it is not there; a changed policy or program has another."""
+def _calibrate(settings: LeaderboardSettings, arms: Sequence[Any], kept: Path, number: int) -> None:
+    """Fit one arm and keep it, where it is not kept yet."""
+    seed, plant, compensation, arm = arms[number]
+    grid = settings.grid("scripted", ("encoders",), seed)
+    kept_calibration(kept, plant_at(population(grid, plant), arm), compensation, grid.protocol, arm)
+
+
+def _reach(grids: Sequence[GridSettings], kept: Path, number: int) -> PolicyGrid:
+    """One comparison."""
+    return run_grid(grids[number], kept)
+
+
+def _pick(settings: LeaderboardSettings, kept: Path, number: int) -> dict[str, list[PickTally]]:
+    """The picking task of one seed."""
+    grid = settings.grid("scripted", ("encoders",), settings.seeds[number])
+    return pick_tallies(grid, settings.canopies, kept)
+
+
+def _grid_folder(settings: GridSettings, out: Path) -> Path:
+    """Where a comparison is kept; a changed policy or program has another place."""
     names = [file for name in settings.policies for file in kind_of(name).files]
     paths = [path for name in names for path in (Path(name), BASELINES / f"{name}.npz") if path.is_file()]
     files = [file_sha256(path) for path in paths]
     key = content_sha256(settings, files, code_fingerprint())
-    folder = out / f"{Path(settings.policies[0]).stem}-{settings.seed}-{key[:12]}"
-    if not (folder / RECORD).is_file():
-        write_grid(run_grid(settings, out / "calibrations", None, workers), folder)
-    grid = read_grid(read_run(folder))
-    return replace(grid, settings=settings)
+    return out / f"{Path(settings.policies[0]).stem}-{settings.seed}-{key[:12]}"
+
+
+def _tally_file(settings: LeaderboardSettings, seed: int, out: Path) -> Path:
+    """Where the picking task of a seed is kept."""
+    grid = settings.grid("scripted", ("encoders",), seed)
+    key = content_sha256(grid, settings.canopies, PICK_PLANT, code_fingerprint())
+    return out / f"picking-{seed}-{key[:12]}.json"
+
+
+def _read_tallies(file: Path) -> dict[str, list[PickTally]]:
+    with refusing_damage(file, "a tally of picks", "delete it, and it is made anew"):
+        content = json.loads(file.read_text(encoding="utf-8"))
+        return {key: [PickTally(**each) for each in some] for key, some in content.items()}

@@ -62,18 +62,33 @@ class Moment(NamedTuple):
     info: Mapping[str, Any]
 
 
-def moments_of(env: gym.Env[Any, Any], policy: Policy, seed: int) -> Iterator[Moment]:
+def moments_of(
+    env: gym.Env[Any, Any],
+    policy: Policy,
+    seed: int,
+    options: dict[str, Any] | None = None,
+    steps: int | None = None,
+) -> Iterator[Moment]:
     """Run one episode, moment by moment from the reset on.
+
+    Args:
+        env: An environment; with its time limit, where ``steps`` is None.
+        policy: The policy.
+        seed: Of the episode.
+        options: Of the reset.
+        steps: After which the episode is left.
 
     Raises:
         InputError: If the episode does not end.
     """
-    observation, info = env.reset(seed=seed)
+    observation, info = env.reset(seed=seed, options=options)
     policy.reset()
     yield Moment(0.0, info)
-    for _ in range(LONGEST_EPISODE):
+    for _ in range(LONGEST_EPISODE if steps is None else steps):
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
         yield Moment(float(reward), info)
         if terminated or truncated:
             return
+    if steps is not None:
+        return
     raise InputError(f"an episode did not end within {LONGEST_EPISODE} steps; give the environment a time limit")

@@ -45,11 +45,68 @@ class AdaptiveSettings:
     gate: float | None = None
 
 
-class AdaptiveReach(ScriptedReach):
+class LookingReach(ScriptedReach):
+    """Reach where a correction says, look while standing there, and learn from it when the next episode begins.
+
+    Rows of a batch are arms. What is believed of them, and how it corrects and learns, is for others to say.
+    """
+
+    called = "remembering"
+    """Its name in sentences."""
+
+    def __init__(self, env: Any) -> None:
+        """``env`` gives the nominal arm."""
+        super().__init__(env)
+        self._count: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+
+    def reset(self) -> None:
+        """Learn from the last episode."""
+        super().reset()
+        rows = np.flatnonzero(self._count)
+        if len(rows):
+            self._learn(rows, self._joints[rows], self._sum[rows] / self._count[rows, None])
+        self._count = np.zeros(len(self._count), dtype=np.int64)
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The next action.
+
+        Raises:
+            InputError: If the observation holds no camera.
+        """
+        reading = read_observation(self.geometry, np.atleast_2d(observation))
+        camera = camera_of(reading, self.called)
+        if len(self._count) != len(camera):
+            self._count = np.zeros(len(camera), dtype=np.int64)
+        if self._wanted is None:
+            self._wanted = self._corrected(self.wanted_joints(reading))
+            self._joints: Array = np.zeros_like(reading.joints)
+            self._sum: Array = np.zeros_like(camera)
+        action = self.action(self._wanted - reading.joints)
+        self._note(reading, camera, np.abs(action).max(axis=-1) < ARRIVED)
+        return action[0] if np.ndim(observation) == 1 else action
+
+    def _corrected(self, joints: Array) -> Array:
+        """Joint targets that bring each arm, as it is believed to be, to the nominal arm's place at ``joints``."""
+        raise NotImplementedError
+
+    def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:
+        """Take note that the arms ``rows`` stood at ``joints`` with their tools ``seen (rows, 3)``, m, on average."""
+        raise NotImplementedError
+
+    def _note(self, reading: ObservationParts, camera: Array, arrived: NDArray[np.bool_]) -> None:
+        """Add one picture to the averages of the arms that stand."""
+        self._joints = np.where(arrived[:, None], reading.joints, self._joints)
+        self._sum += np.where(arrived[:, None], reading.seen - camera, 0.0)
+        self._count += arrived
+
+
+class AdaptiveReach(LookingReach):
     """Reach with an arm model that every pick improves; rows of a batch are arms, each with its own filter.
 
     Behind a compensator it learns what the compensator leaves: the arm that it sees is the compensated one.
     """
+
+    called = "adaptive"
 
     def __init__(self, env: Any, settings: AdaptiveSettings | None = None) -> None:
         """``env`` gives the nominal arm that the filters start from."""
@@ -61,46 +118,18 @@ class AdaptiveReach(ScriptedReach):
             model, self.geometry, typical, full_pose=False, prior=self.settings.prior
         )
         self.filters: list[extended_kalman_filter.FilterState] = []
-        self._count: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
-
-    def reset(self) -> None:
-        """Learn from the last episode."""
-        super().reset()
-        for i in np.flatnonzero(self._count):
-            self.filters[i] = self._learnt(self.filters[i], self._joints[i], self._sum[i], int(self._count[i]))
-        self._count = np.zeros(len(self.filters), dtype=np.int64)
-
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action.
-
-        Raises:
-            InputError: If the observation holds no camera.
-        """
-        reading = read_observation(self.geometry, np.atleast_2d(observation))
-        camera = camera_of(reading, "adaptive")
-        if not self.filters:
-            self.filters = [self.start] * len(camera)
-            self._count = np.zeros(len(camera), dtype=np.int64)
-        if self._wanted is None:
-            self._wanted = self._corrected(self.wanted_joints(reading))
-            self._joints: Array = np.zeros_like(reading.joints)
-            self._sum: Array = np.zeros_like(camera)
-        action = self.action(self._wanted - reading.joints)
-        self._note(reading, camera, np.abs(action).max(axis=-1) < ARRIVED)
-        return action[0] if np.ndim(observation) == 1 else action
-
-    def _note(self, reading: ObservationParts, camera: Array, arrived: NDArray[np.bool_]) -> None:
-        """Add one picture to the averages of the arms that stand."""
-        self._joints = np.where(arrived[:, None], reading.joints, self._joints)
-        self._sum += np.where(arrived[:, None], reading.seen - camera, 0.0)
-        self._count += arrived
 
     def _corrected(self, joints: Array) -> Array:
-        """Joint targets that bring each arm, as its filter knows it, to the nominal arm's place at ``joints``."""
+        if len(self.filters) != len(joints):
+            self.filters = [self.start] * len(joints)
         return aimed(self.geometry, self.filters, joints)
 
+    def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:
+        for i, at, tool in zip(rows, joints, seen, strict=True):
+            self.filters[i] = self._learnt(self.filters[i], at, tool, int(self._count[i]))
+
     def _learnt(
-        self, state: extended_kalman_filter.FilterState, joints: Array, total: Array, count: int
+        self, state: extended_kalman_filter.FilterState, joints: Array, seen: Array, count: int
     ) -> extended_kalman_filter.FilterState:
         chosen = self.settings
         if chosen.drift:
@@ -109,4 +138,4 @@ class AdaptiveReach(ScriptedReach):
             )
         # The fruit is seen once per episode, the gap in every picture.
         std = float(np.sqrt(chosen.camera_std**2 * (1.0 + 1.0 / count) + chosen.unmodelled_std**2))
-        return extended_kalman_filter.update(state, joints, total / count, MeasurementNoise(std, 0.0), gate=chosen.gate)
+        return extended_kalman_filter.update(state, joints, seen, MeasurementNoise(std, 0.0), gate=chosen.gate)

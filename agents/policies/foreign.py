@@ -35,6 +35,9 @@ TELLING: Mapping[str, tuple[str, str]] = {
 }
 """A setting that only this algorithm, or it first in this order, keeps in its zip; and where the algorithm is."""
 
+RECURRENT = ("sb3_contrib", "RecurrentPPO")
+"""Of a zip whose policy's class is of a module for recurrent ones; its other settings are PPO's."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sb3Policy:
@@ -57,6 +60,33 @@ class Sb3Policy:
             return np.asarray(self.model.predict(observation, deterministic=True)[0], dtype=np.float32)
         action = self.model.predict(self.scaling.shown(observation), deterministic=True)[0]
         return self.scaling.act(observation, action)
+
+
+@dataclass(eq=False)
+class RecurrentSb3Policy:
+    """A recurrent model of sb3-contrib, acting without noise; it remembers within an episode.
+
+    Attributes:
+        model: The model.
+        scaling: As in `Sb3Policy`.
+    """
+
+    model: Any
+    scaling: Scaling | None = None
+
+    def __post_init__(self) -> None:
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self._state: Any = None
+
+    def act(self, observation: Any) -> NDArray[np.float32]:
+        """The next action, or actions."""
+        seen = observation if self.scaling is None else self.scaling.shown(observation)
+        begun = np.full(len(seen) if np.ndim(seen) == 2 else 1, self._state is None)
+        action, self._state = self.model.predict(seen, self._state, begun, deterministic=True)
+        return np.asarray(action if self.scaling is None else self.scaling.act(observation, action), dtype=np.float32)
 
 
 def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
@@ -107,23 +137,25 @@ def _faults_of(path: Path) -> Iterator[None]:
         raise InputError(f"{where}: {type(error).__name__}: {said}; mend the policy") from error
 
 
-def _trained(path: Path, env: Any) -> Sb3Policy:
+def _trained(path: Path, env: Any) -> Sb3Policy | RecurrentSb3Policy:
     require("stable_baselines3")
     try:
         with zipfile.ZipFile(path) as archive:
             settings = json.loads(archive.read("data"))
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise InputError(f"{path} is no model of Stable-Baselines3 ({error}); give what its save wrote") from error
-    home = next((found for key, found in TELLING.items() if key in settings), None)
+    recurrent = "recurrent" in str(dict(settings.get("policy_class") or {}).get("__module__"))
+    home = RECURRENT if recurrent else next((found for key, found in TELLING.items() if key in settings), None)
     if home is None:
-        names = ", ".join(name for _, name in TELLING.values())
+        names = ", ".join(name for _, name in (*TELLING.values(), RECURRENT))
         raise InputError(f"{path} is of an algorithm that is not known here; give one of {names}, or a Python file")
     require(home[0])
     model = getattr(importlib.import_module(home[0]), home[1]).load(path, device="cpu")
     task = getattr(env.unwrapped, "task", None)
+    kind = RecurrentSb3Policy if recurrent else Sb3Policy
     scaling = None if task is None else Scaling(task.joints, task.camera)
     if scaling is not None and model.observation_space.shape == (scaling.features,):
-        return Sb3Policy(model, scaling)
+        return kind(model, scaling)
     spaces = (
         ("observations", model.observation_space, getattr(env, "single_observation_space", env.observation_space)),
         ("actions", model.action_space, getattr(env, "single_action_space", env.action_space)),
@@ -131,4 +163,4 @@ def _trained(path: Path, env: Any) -> Sb3Policy:
     for what, trained, given in spaces:
         if trained.shape != given.shape or type(trained) is not type(given):
             raise InputError(f"{path} was trained on {what} {trained}, but the environment has {given}; give its own")
-    return Sb3Policy(model)
+    return kind(model)

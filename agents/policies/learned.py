@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm
+from pickenv.arm import Arm, load_arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 from pickenv.wrappers.gap import Scaling, joined_observation
+from pickenv.wrappers.tool_steps import ToolSteps
 
 KIND = "policy"
 FORMAT = 2
@@ -46,7 +47,7 @@ class LearnedPolicy:
     algorithm: str
     arm: str
     arm_fingerprint: str
-    scaling: Scaling
+    scaling: Scaling | ToolSteps
     activation: str
     squashed: bool
     weights: tuple[Array, ...]
@@ -62,9 +63,9 @@ class LearnedPolicy:
         Raises:
             InputError: If the observation is not of the kind that it was trained on.
         """
-        values = joined_observation(observation)
-        # a flat observation holds the gap that its goal observation would
-        scaling = self.scaling if isinstance(observation, dict) else replace(self.scaling, goal=False)
+        values, scaling = joined_observation(observation), self.scaling
+        if isinstance(scaling, Scaling) and not isinstance(observation, dict):
+            scaling = replace(scaling, goal=False)  # a flat observation holds the gap that its goal observation would
         scaling.check(values.shape[-1])
         layer = np.asarray(scaling.observe(values, np), dtype=float)
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -72,7 +73,7 @@ class LearnedPolicy:
             if i + 1 < len(self.weights):
                 layer = ACTIVATIONS[self.activation](layer)
         action = np.tanh(layer) if self.squashed else layer.clip(-1.0, 1.0)
-        return np.asarray(action * scaling.share(values, np), dtype=np.float32)
+        return np.asarray(scaling.commands(values, action), dtype=np.float32)
 
     def save(self, path: str | Path) -> Path:
         """Write one verified file (see `pickenv.container`), whole or not at all; ``.npz`` is appended if missing."""
@@ -80,7 +81,7 @@ class LearnedPolicy:
             "algorithm": self.algorithm,
             "arm": self.arm,
             "arm_fingerprint": self.arm_fingerprint,
-            "scaling": asdict(self.scaling),
+            "scaling": asdict(self.scaling) if isinstance(self.scaling, Scaling) else self.scaling.header,
             "activation": self.activation,
             "squashed": self.squashed,
             "record": dict(self.record),
@@ -107,14 +108,7 @@ def load_policy(name: str | Path, arm: Arm | None = None) -> LearnedPolicy:
     Raises:
         InputError: If it is missing, damaged, newer than this program, or of another arm.
     """
-    path = Path(name)
-    if path.suffix != ".npz":
-        path = BASELINES / f"{name}.npz"
-    if not path.is_file():
-        raise InputError(
-            f"unknown policy '{name}'; give one of {', '.join(shipped_baselines()) or 'none shipped'}, or a file "
-            "(.npz) that `pickenv train` wrote"
-        )
+    path = policy_path(name)
     found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
     with refusing_damage(path, f"a {KIND} file", REMAKE):
         policy = _from_parts(found.header, found.arrays)
@@ -123,14 +117,33 @@ def load_policy(name: str | Path, arm: Arm | None = None) -> LearnedPolicy:
     return policy
 
 
+def policy_path(name: str | Path) -> Path:
+    """File of a shipped baseline, or the path that was given.
+
+    Raises:
+        InputError: If there is neither.
+    """
+    path = Path(name) if Path(name).suffix == ".npz" else BASELINES / f"{name}.npz"
+    if path.is_file():
+        return path
+    raise InputError(
+        f"unknown policy '{name}'; give one of {', '.join(shipped_baselines()) or 'none shipped'}, or a file "
+        "(.npz) that `pickenv train` wrote"
+    )
+
+
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> LearnedPolicy:
     """The policy that a file's parts make; raises anything at all where they make none."""
     layers = len(arrays) // 2
-    scaling = Scaling(**header["scaling"])
+    scaling: Scaling | ToolSteps
+    if "increment" in header["scaling"]:  # a picking policy moves the tool of an arm that has a name
+        scaling = ToolSteps(load_arm(header["arm"]).nominal, np.array(header["scaling"]["increment"], dtype=float))
+    else:
+        scaling = Scaling(**header["scaling"])
     weights, biases = ([arrays[f"{name}{i}"] for i in range(layers)] for name in ("weight", "bias"))
     widths = [scaling.features, *(len(bias) for bias in biases)]
-    if layers == 0 or len(arrays) != 2 * layers or widths[-1] != scaling.joints:
-        raise InputError(f"its layers have {widths} numbers, but must lead to {scaling.joints} joints")
+    if layers == 0 or len(arrays) != 2 * layers or widths[-1] != scaling.outputs:
+        raise InputError(f"its layers have {widths} numbers, but must lead to {scaling.outputs}")
     for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         if weight.shape != (widths[i], widths[i + 1]) or bias.shape != (widths[i + 1],):
             raise InputError(f"its layer {i + 1} does not fit to the layer before")

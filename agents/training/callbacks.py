@@ -9,6 +9,7 @@ from typing import Any
 from stable_baselines3.common.callbacks import BaseCallback
 
 from pickenv.agents.policies.learned import LearnedPolicy
+from pickenv.agents.policies.remembering import RememberingPolicy
 from pickenv.agents.training.checkpoints import save_checkpoint
 from pickenv.agents.training.training_setup import Inputs, Training, actor_of, check_inputs, judge, write_evaluations
 from pickenv.wrappers.sb3 import Sb3Vec
@@ -54,8 +55,8 @@ def evaluations(training: Training, inputs: Inputs, out: Path, rows: list[dict[s
     def evaluate(at: BaseCallback) -> None:
         env: Any = at.training_env
         row = judged(training, inputs, out, rows, actor_of(at.model, training, env), at.model.num_timesteps)
-        for key in ("mean_mm", "p95_mm", "success_rate"):
-            at.logger.record(f"eval/{key}", row[key])
+        for key, value in row.items():
+            at.logger.record(f"eval/{key}", value)
 
     return EverySoOften(training.evaluate_every, evaluate)
 
@@ -65,7 +66,7 @@ def judged(
     inputs: Inputs,
     out: Path,
     rows: list[dict[str, float]],
-    policy: LearnedPolicy,
+    policy: LearnedPolicy | RememberingPolicy,
     steps: int,
 ) -> dict[str, float]:
     """Judge a policy, and add its row to those of the training and of its folder.

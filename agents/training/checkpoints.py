@@ -21,7 +21,7 @@ from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 from pickenv.wrappers.sb3 import Sb3Vec
 
-KIND, FORMAT = "checkpoint", 2
+KIND, FORMAT = "checkpoint", 3
 STATE = "state.pt"
 AGAIN = "start the training again"
 
@@ -34,7 +34,7 @@ BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", "_
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 PARTS = {
     *("parameters", "variables", "counts", "torch_random", "numpy_random", "action_random"),
-    *("last", "starts", "env", "buffer"),
+    *("last", "starts", "env", "buffer", "memory"),
 }
 """What a state consists of."""
 
@@ -83,6 +83,7 @@ def save_checkpoint(
         "starts": _tensor(model._last_episode_starts),
         "env": _tensors(env.state()),
         "buffer": _buffer(model),
+        "memory": _memory(model),
     }
     stored = io.BytesIO()
     torch.save(state, stored)
@@ -146,10 +147,18 @@ def _take(content: dict[str, Any], model: Any, env: Sb3Vec) -> None:
     model._last_episode_starts = content["starts"].numpy().copy()
     env.take_state(_arrays(content["env"]))
     _take_buffer(model, content["buffer"])
+    if content["memory"]:
+        kept = model._last_lstm_states
+        model._last_lstm_states = type(kept)(*(tuple(part) for part in content["memory"]))
     model.action_space.np_random.bit_generator.state = json.loads(content["action_random"])
     name, keys, position, has_gauss, gauss = content["numpy_random"]
     np.random.set_state((name, keys.numpy(), position, has_gauss, gauss))
     torch.set_rng_state(content["torch_random"])
+
+
+def _memory(model: Any) -> list[list[torch.Tensor]]:
+    """States of a recurrent policy's actor and critic; nothing of one that has none."""
+    return [[part.detach().clone() for part in parts] for parts in getattr(model, "_last_lstm_states", None) or ()]
 
 
 def _buffer(model: Any) -> dict[str, Any]:

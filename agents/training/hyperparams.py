@@ -8,7 +8,7 @@ from typing import Any
 
 from pickenv.errors import InputError
 
-ALGORITHMS = ("ppo", "sac", "tqc")
+ALGORITHMS = ("ppo", "sac", "tqc", "ppo_lstm", "ppo_history")
 
 
 def check_algorithm(algorithm: str) -> None:

@@ -1,4 +1,4 @@
-"""Training with stable-baselines3 on the native vector environments: seeded, resumable, judged in millimetres.
+"""Training with stable-baselines3 on the native vector environments: seeded, resumable, judged.
 
 A run's folder holds `checkpoint.pt` (everything to go on from), `policy.npz` (the actor alone, see
 `pickenv.agents.policies.learned`), `evaluations.json` and TensorBoard's logs. One seed gives one set of weights,
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pickenv.agents.policies.learned import LearnedPolicy
+from pickenv.agents.policies.remembering import RememberingPolicy
 from pickenv.agents.training.callbacks import checkpoints, evaluations, judged
 from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint, take_checkpoint
 from pickenv.agents.training.training_setup import Training, actor_of, check_inputs, inputs_of, make_model
@@ -28,12 +29,12 @@ class Trained:
 
     Attributes:
         policy: The actor.
-        evaluations: One dict per evaluation: steps, mean_mm, p95_mm, success_rate.
+        evaluations: One dict per evaluation: steps, and what `judge` says.
         steps_per_second: Environment steps per second, updates and evaluations included.
         out: The run's folder.
     """
 
-    policy: LearnedPolicy
+    policy: LearnedPolicy | RememberingPolicy
     evaluations: tuple[dict[str, float], ...]
     steps_per_second: float
     out: Path

@@ -11,20 +11,27 @@ import numpy as np
 
 from pickenv.agents.evaluation.calibrated import load_compensator
 from pickenv.agents.policies.learned import LearnedPolicy
+from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.agents.training.hyperparams import check_algorithm, class_named, tuned
 from pickenv.arm.files.content import content_sha256
+from pickenv.envs.picking.pick_vector import PickVectorEnv
 from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
 from pickenv.errors import InputError
 from pickenv.files import write_json
 from pickenv.limits import check_limit
 from pickenv.provenance import file_sha256, versions
 from pickenv.wrappers.gap import GapScalingVector, Scaling
+from pickenv.wrappers.same_arm import SameArmVector
+from pickenv.wrappers.tool_steps import ToolSteppingVector, ToolSteps, tool_steps_of
 
-ENVIRONMENTS: dict[str, type[ReachVectorEnv]] = {
+Native = ReachVectorEnv | PickVectorEnv
+ENVIRONMENTS: dict[str, type[Native]] = {
     "pickenv/Reach-v0": ReachVectorEnv,
     "pickenv/ReachIdeal-v0": ReachIdealVectorEnv,
     "pickenv/ReachGoal-v0": ReachGoalVectorEnv,
+    "pickenv/Pick-v0": PickVectorEnv,
 }
+FRUIT = ("collected", "damaged", "attempted", "reachable")
 HELD_OUT = 2**62
 """Seeds of evaluation episodes start here; training seeds are below."""
 
@@ -34,7 +41,8 @@ class Training:
     """What is trained, and how.
 
     Attributes:
-        algorithm: "ppo", "sac" or "tqc".
+        algorithm: One of `pickenv.agents.training.hyperparams.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
+            `pickenv.wrappers.SameArmVector`.
         env_id: Id of the environment.
         steps: Environment steps; the tuned number when None.
         seed: Seed of everything random.
@@ -73,6 +81,19 @@ class Training:
         return tuned(self.algorithm, self.env_id) | self.parameters
 
     @property
+    def wrapper(self) -> tuple[str | None, dict[str, Any]]:
+        """Name of the wrapper that the algorithm learns behind, as RL Zoo names it, and its arguments."""
+        named = self.chosen.get("env_wrapper")
+        ((name, settings),) = named.items() if isinstance(named, dict) else [(named, {})]
+        return name, settings
+
+    @property
+    def remembering(self) -> dict[str, Any] | None:
+        """Arguments of the `pickenv.wrappers.SameArmVector` that the algorithm learns on, or None for the bare task."""
+        name, settings = self.wrapper
+        return settings if name == "pickenv.wrappers.SameArm" else None
+
+    @property
     def total(self) -> int:
         """Environment steps in all."""
         return self.steps or int(self.chosen["n_timesteps"])
@@ -91,7 +112,7 @@ class Inputs:
     calibration: str | None
 
 
-def make_environment(training: Training, count: int, mode: str) -> ReachVectorEnv:
+def make_environment(training: Training, count: int, mode: str) -> Native:
     """The environments of a training, with its calibration installed.
 
     Raises:
@@ -104,8 +125,10 @@ def make_environment(training: Training, count: int, mode: str) -> ReachVectorEn
     return env
 
 
-def scaling_of(training: Training, env: ReachVectorEnv) -> Scaling:
+def scaling_of(training: Training, env: Native) -> Scaling | ToolSteps:
     """What the networks make of an environment's observations."""
+    if isinstance(env, PickVectorEnv):
+        return tool_steps_of(env)
     return Scaling(env.task.joints, env.task.camera, env.goal_dict, training.scaled_actions)
 
 
@@ -150,66 +173,127 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     Raises:
         InputError: If PPO is asked for in a goal environment.
     """
-    from sb3_contrib import TQC
+    from sb3_contrib import TQC, RecurrentPPO
     from stable_baselines3 import PPO, SAC, HerReplayBuffer
 
     from pickenv.wrappers.sb3 import Sb3Vec
 
-    chosen = training.chosen
+    chosen, remembering, settings = training.chosen, training.remembering, training.wrapper[1]
     for key in ("n_timesteps", "env_kwargs", "env_wrapper"):
         chosen.pop(key, None)
     inner = make_environment(training, int(chosen.pop("n_envs")), "SameStep")
     logs = str(out / "logs") if out is not None and importlib.util.find_spec("tensorboard") is not None else None
     common: dict[str, Any] = {"seed": training.seed, "device": "cpu", "tensorboard_log": logs, "verbose": 0}
-    if inner.goal_dict and training.algorithm == "ppo":
+    goals = isinstance(inner, ReachVectorEnv) and inner.goal_dict
+    if goals and training.algorithm == "ppo":
         raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
-    env = Sb3Vec(inner if inner.goal_dict else GapScalingVector(inner, training.scaled_actions))
-    if inner.goal_dict:
+    if remembering is not None:
+        env = Sb3Vec(SameArmVector(inner, **remembering))
+    elif isinstance(inner, PickVectorEnv):
+        env = Sb3Vec(ToolSteppingVector(inner, **settings))
+    else:
+        env = Sb3Vec(inner if goals else GapScalingVector(inner, training.scaled_actions))
+    if goals:
         chosen["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
         chosen["replay_buffer_class"] = HerReplayBuffer
-    kinds: dict[str, Any] = {"ppo": PPO, "sac": SAC, "tqc": TQC}
+    kinds: dict[str, Any] = {"ppo": PPO, "sac": SAC, "tqc": TQC, "ppo_lstm": RecurrentPPO, "ppo_history": PPO}
     return kinds[training.algorithm](class_named(chosen.pop("policy")), env, **chosen, **common), env
 
 
-def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy:
+def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | RememberingPolicy:
     """The actor of a model, on NumPy."""
     import torch
 
-    on_policy = training.algorithm == "ppo"
+    on_policy = training.algorithm.startswith("ppo")
     hidden = model.policy.mlp_extractor.policy_net if on_policy else model.actor.latent_pi
     last = model.policy.action_net if on_policy else model.actor.mu
     layers = [layer for layer in (*hidden, last) if isinstance(layer, torch.nn.Linear)]
     inner = env.envs.unwrapped
     arm = inner.task.plant.arm
-    return LearnedPolicy(
-        algorithm=training.algorithm,
-        arm=arm.name,
-        arm_fingerprint=arm.fingerprint(),
-        scaling=scaling_of(training, inner),
-        activation="tanh" if on_policy else "relu",
-        squashed=not on_policy,
-        weights=tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),
-        biases=tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
-        record={
+    common: dict[str, Any] = {
+        "algorithm": training.algorithm,
+        "arm": arm.name,
+        "arm_fingerprint": arm.fingerprint(),
+        "weights": tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),
+        "biases": tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
+        "record": {
             "training": asdict(training),
             "steps": int(model.num_timesteps),
             "versions": versions("gymnasium", "stable-baselines3", "torch"),
         },
-    )
+    }
+    if training.remembering is not None:
+        return RememberingPolicy(memory=env.envs.run.memory, arrays=memory_arrays(model.policy), **common)
+    activation = "tanh" if on_policy else "relu"
+    return LearnedPolicy(scaling=scaling_of(training, inner), activation=activation, squashed=not on_policy, **common)
 
 
-def judge(policy: LearnedPolicy, training: Training, episodes: int = 256, steps: int = 60) -> dict[str, float]:
-    """Final errors of a policy on held-out episodes of its own environment: mean_mm, p95_mm, success_rate."""
-    env = make_environment(training, episodes, "Disabled")
-    observation, infos = env.reset(seed=HELD_OUT)
-    for _ in range(steps):
-        observation, _, _, _, infos = env.step(policy.act(observation))
-    error = infos["position_error_mm"]
+def memory_arrays(policy: Any) -> dict[str, Any]:
+    """What a torch policy remembers by, as `RememberingPolicy` has it."""
+    lstm = getattr(policy, "lstm_actor", None)
+    if lstm is None:
+        given = policy.features_extractor.given
+        return {name: value.detach().numpy().astype(float) for name, value in given.items()}
+    parts = (lstm.weight_ih_l0.T, lstm.bias_ih_l0, lstm.weight_hh_l0.T, lstm.bias_hh_l0)
+    return {name: part.detach().numpy().astype(float) for name, part in zip(LSTM, parts, strict=True)}
+
+
+def judge(
+    policy: LearnedPolicy | RememberingPolicy, training: Training, episodes: int | None = None
+) -> dict[str, float]:
+    """A policy without noise on held-out episodes of its own environment.
+
+    Returns:
+        Of reaching, mean_mm, p95_mm and success_rate at the end of 256 episodes, or over all picks of as many arms of a
+        policy with a memory; of picking, what became of the fruit of 16 canopies: collected, damaged, attempted and
+        reachable, means per canopy.
+    """
+    if training.env_id == "pickenv/Pick-v0":
+        return _judged_picking(policy, training, episodes or 16)
+    env: Any = make_environment(training, episodes or 256, "Disabled")
+    if isinstance(policy, RememberingPolicy):
+        found = _picked(policy, SameArmVector(env, **(training.remembering or {})))
+        error, success = found["position_error_mm"], found["is_success"]
+    else:
+        observation, infos = env.reset(seed=HELD_OUT)
+        for _ in range(60):
+            observation, _, _, _, infos = env.step(policy.act(observation))
+        error, success = infos["position_error_mm"], infos["is_success"]
     return {
         "mean_mm": float(error.mean()),
         "p95_mm": float(np.percentile(error, 95)),
-        "success_rate": float(infos["is_success"].mean()),
+        "success_rate": float(success.mean()),
     }
+
+
+def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:
+    """Infos ``(picks, arms)`` of one run of every arm."""
+    seen, _ = envs.reset(seed=HELD_OUT)
+    state, found = policy.begin(envs.num_envs), []
+    for _ in range(envs.run.picks):
+        action, state = policy.aim(seen, state)
+        seen, _, _, _, infos = envs.step(action)
+        found.append(infos.get("final_info", infos))
+    return {key: np.array([each[key] for each in found]) for key in ("position_error_mm", "is_success")}
+
+
+def _judged_picking(policy: LearnedPolicy, training: Training, episodes: int) -> dict[str, float]:
+    env = make_environment(training, episodes, "NextStep")
+    observation, infos = env.reset(seed=HELD_OUT)
+    over, found = np.zeros(episodes, dtype=np.bool_), np.zeros((len(FRUIT), episodes))
+    while not over.all():
+        observation, _, terminated, truncated, infos = env.step(policy.act(observation))
+        ended = (terminated | truncated) & ~over
+        found[:, ended] = [infos[name][ended] for name in FRUIT]
+        over |= ended
+    return dict(zip(FRUIT, found.mean(axis=1).tolist(), strict=True))
+
+
+def words_of(row: dict[str, float]) -> str:
+    """What an evaluation says in a line."""
+    if "mean_mm" in row:
+        return f"{row['mean_mm']:.3f} mm mean, {row['p95_mm']:.3f} mm p95 on held-out fruit"
+    return f"{row['collected']:.2f} of {row['reachable']:.2f} reachable fruit per held-out canopy"
 
 
 def write_evaluations(out: Path, rows: list[dict[str, float]]) -> None:

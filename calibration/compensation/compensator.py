@@ -28,8 +28,10 @@ from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.arm.kinematics.jacobians import jacobian_columns
 from pickenv.arm.kinematics.pose_error import frame_error
 from pickenv.arm.kinematics.task_space import attitude_weight, truncated_inverse
+from pickenv.arm.kinematics.tracing import SYMBOLS, Trace, outside
 from pickenv.calibration.compensation.truncated_solve import TruncatedSolver
 from pickenv.errors import InputError
+from pickenv.extras import require
 
 BLOCK = 2048
 """Poses worked on together: what a core's first caches hold."""
@@ -77,6 +79,15 @@ class Compensator:
             InputError: If a target is not finite.
             ValueError: If targets have another number of joints.
         """
+        joints = self.checked(joints)
+        if joints.ndim == 1:
+            return np.array(self._corrected(math, joints.tolist()))
+        rows = joints.reshape(-1, self.nominal.joints)
+        blocks = [self._block(rows[a : a + BLOCK]) for a in range(0, len(rows), BLOCK)]
+        return np.concatenate(blocks).reshape(joints.shape) if blocks else joints.copy()
+
+    def checked(self, joints: ArrayLike) -> Array:
+        """Joint targets ``(..., n)`` as an array, checked as `__call__` says."""
         joints = np.asarray(joints, dtype=float)
         split_joints(self.nominal.joints, joints)  # checks the number of joints
         if not math.isfinite(joints.sum()):  # the cheapest question; no joints are so large that they overflow
@@ -84,11 +95,27 @@ class Compensator:
             where = f" of row {', '.join(map(str, row))}" if row else ""
             name, value = self.nominal.joint_names[joint], joints[(*row, joint)]
             raise InputError(f"the target of {name}{where} is {value}; give finite joint targets, rad or m")
-        if joints.ndim == 1:
-            return np.array(self._corrected(math, joints.tolist()))
-        rows = joints.reshape(-1, self.nominal.joints)
-        blocks = [self._block(rows[a : a + BLOCK]) for a in range(0, len(rows), BLOCK)]
-        return np.concatenate(blocks).reshape(joints.shape) if blocks else joints.copy()
+        return joints
+
+    def compiled(self, count: int) -> Callable[[ArrayLike], Array]:
+        """The same for some ``count`` targets ``(count, n)`` again and again: machine code, with the same bits.
+
+        In single precision there is none, and it is this compensator itself.
+
+        Raises:
+            MissingExtra: If llvmlite is not installed.
+        """
+        require("llvmlite")
+        from pickenv.calibration.compensation.compiled_compensator import CompiledCompensator
+
+        return self if self.single_precision else CompiledCompensator(self, count)
+
+    def noted(self, trace: Trace) -> list[Scalar]:
+        """Commands for the rows of the input "targets" of a trace: what is done with many targets, written down."""
+        target = trace.inputs("targets", self.nominal.joints)
+        limits = zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
+        found = zip(target, self._corrected(SYMBOLS, target), limits, strict=True)
+        return [clipped(SYMBOLS, q + (command - q), low, high) for q, command, (low, high) in found]
 
     def predict(self, joints: ArrayLike) -> Pose:
         """Where the real tool is expected at joint commands ``(..., n)``: identified pose plus residual."""
@@ -115,8 +142,16 @@ class Compensator:
         assert self.residual is not None
         if m is math:
             return list(self.residual.predict(np.array(joints)).tolist())
+        noted = outside(self._fill, joints, 6)
+        if noted is not None:
+            return list(noted)
         rows = np.stack(joints, 1)
         return list(np.ascontiguousarray(self.residual.predict(rows).T, dtype=rows.dtype))
+
+    def _fill(self, joints: Array, found: Array, _: slice) -> None:
+        """The residual ``(6, N)`` at joints ``(n, N)``."""
+        assert self.residual is not None
+        found[:] = self.residual.predict(np.ascontiguousarray(joints.T)).T
 
 
 def corrected(

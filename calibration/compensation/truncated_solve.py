@@ -8,11 +8,14 @@ The same lines run on NumPy arrays and torch tensors.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from types import ModuleType
 
+from pickenv.arm.kinematics.backend import possible
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE
+from pickenv.arm.kinematics.tracing import Traced
 
 RIDGE = 16.0
 """Added to the diagonal of J^T J so that it can be factorised where it is singular: roundings of its trace."""
@@ -55,13 +58,14 @@ class TruncatedSolver:
         for inverse in self._factors[1]:
             inverse_determinant = inverse_determinant * inverse
         # The other eigenvalues' product is known, and the geometric mean of those above the second below their mean.
-        clear = self.lost & (inverse_determinant * cut * (trace / max(n - 2, 1)) ** (n - 2) < 1.0)
-        if not clear.all():  # no eigenvalue is less than the inverse of the inverse's trace
+        others = math.prod([trace / max(n - 2, 1)] * (n - 2))
+        clear = self.lost & (inverse_determinant * cut * others < 1.0)
+        if possible(m, ~clear):  # no eigenvalue is less than the inverse of the inverse's trace
             clear = clear | (_inverse_trace(*self._factors) * cut < 1.0)
         self.doubtful = m.where(~clear)
         self._direction = [m.where(self.lost, value / length, 0.0) for value in smallest]
         self._inverses: Scalar = None
-        if len(self.doubtful[0]):
+        if not isinstance(clear, Traced) and len(self.doubtful[0]):  # whoever runs what was traced asks for the others
             self._zeros = m.zeros_like(trace)
             rows = m.stack([self._in_doubt(column) for column in columns], 2)
             inverse = m.linalg.pinv(rows, rtol=DIRECTION_TOLERANCE)

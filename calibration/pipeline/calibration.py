@@ -124,9 +124,7 @@ class Calibration:
             iterations: See `Compensator`; one is the fastest.
             single_precision: See `Compensator`; for training in thousands of environments.
         """
-        learnt = self.learnt if with_residual else None
-        if learnt is not None and single_precision:
-            learnt = learnt.in_single_precision()
+        learnt = self.learnt.in_single_precision() if with_residual and self.learnt is not None else None
         anything = self.model.terms or learnt is not None
         residual = Remainder(self.model, learnt, conditions or Conditions()) if anything else None
         sure = uncertainty_from(self.record)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -100,25 +100,38 @@ def policies(
     plant: Annotated[list[str] | None, typer.Option(help="Plant preset, a task each; may be repeated.")] = None,
     arms: Annotated[int | None, typer.Option(help="Arms drawn for each seed.", min=1)] = None,
     episodes: Annotated[int | None, typer.Option(help="Fruits per arm.", min=1)] = None,
+    canopies: Annotated[
+        int | None, typer.Option(help="Canopies for each arm of the picking task; 0 leaves it out.", min=0)
+    ] = None,
     seeds: Annotated[int, typer.Option(help="How many seeds, from 0; at least 5.")] = 5,
     quick: Annotated[bool, typer.Option("--quick", help="Three policies on one arm a seed: a minute.")] = False,
-    workers: Annotated[int, typer.Option(help="Processes; they do not change the figures.", min=1)] = 1,
+    executor: Annotated[
+        Literal["serial", "joblib", "ray"], typer.Option(help="What computes; it does not change the figures.")
+    ] = "serial",
+    workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
+    address: Annotated[
+        str | None, typer.Option(help="Ray cluster, host:port or ray://host:port; a local one if left out.")
+    ] = None,
 ) -> None:
-    """Policies raw and calibrated, with interquartile means over arms that no two seeds share."""
+    """Policies raw and calibrated, with interquartile means over arms that no two seeds share; picks per hour too."""
     from dataclasses import replace
+    from itertools import groupby
 
     from pickenv.agents.evaluation.leaderboard import (
-        HEADS,
+        WORDS,
         LeaderboardSettings,
         leaderboard_cells,
+        leaderboard_heads,
         leaderboard_tables,
         run_leaderboard,
     )
     from pickenv.extras import require
+    from pickenv.study.running.runners import Crew, load_executor
 
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
-    require("torch", "pyarrow", *(["joblib"] if workers > 1 else []))
+    require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))
+    crew, compute = Crew(workers, address).for_executor(executor), load_executor(executor)
     usual = LeaderboardSettings.quick() if quick else LeaderboardSettings()
     settings = replace(
         usual,
@@ -127,14 +140,19 @@ def policies(
         seeds=tuple(range(seeds)),
         arms=arms or usual.arms,
         episodes=episodes or usual.episodes,
+        canopies=usual.canopies if canopies is None else canopies,
     )
+
+    def show() -> None:
+        for task, each in groupby(rows, lambda row: row["task"]):
+            some = list(each)
+            print_table(task, leaderboard_heads(some[0]), [leaderboard_cells(row) for row in some], words=WORDS)
+
     with locked(out):
         with progress_bars() as report:
-            rows = run_leaderboard(settings, out, report, workers)
-        words = ("task", "policy", "feedback", "compensation")
-        shown = [[row["task"].partition(", ")[2], *leaderboard_cells(row)] for row in rows]
+            rows = run_leaderboard(settings, out, report, lambda numbers, work: compute(numbers, work, crew))
         saves = [
             (page, lambda path: write_text(path, leaderboard_tables(rows))),
             (json_file, lambda path: write_json(path, {"rows": rows})),
         ]
-        deliver(saves, lambda: print_table("Policies", (*words, *HEADS), shown, words=words))
+        deliver(saves, show)

@@ -173,6 +173,13 @@ def _policy(path: Path) -> tuple[int | None, str]:
     return FORMAT, f"{found.algorithm} on arm '{found.arm}'"
 
 
+def _remembering(path: Path) -> tuple[int | None, str]:
+    from pickenv.agents.policies.remembering import REMEMBERING_FORMAT, load_remembering
+
+    found = load_remembering(path)
+    return REMEMBERING_FORMAT, f"{found.algorithm} on arm '{found.arm}'"
+
+
 def _checkpoint(path: Path) -> tuple[int | None, str]:
     from pickenv.agents.training.checkpoints import FORMAT, check_checkpoint
 
@@ -209,6 +216,7 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
     "calibration": _calibration,
     "twin": _twin,
     "policy": _policy,
+    "policy with a memory": _remembering,
     "checkpoint": _checkpoint,
     "chunk of a study": _chunk,
     **dict.fromkeys(("CalibrationTrace", "Comparison", "PolicyGrid", "HarvestTrace", "RecordedEpisodes"), _saved),

@@ -36,6 +36,10 @@ EXAMPLES: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
         "conditions": ("conditions.md", ("pickenv conditions orchard --out runs/conditions",)),
         "train": ("commands.md", ("pickenv train --steps 100000 --compensate my_arm.npz --out runs/policy",)),
         "evaluate": ("findings.md", ("pickenv evaluate --policy runs/policy --out runs/comparison",)),
+        "datasets": (
+            "clients.md",
+            ("pickenv datasets --out runs/datasets", "pickenv datasets --task pick --quality expert"),
+        ),
         "compare": (
             "comparing-policies.md",
             ("pickenv compare scripted scripted --compensate none my_arm.npz --episodes 20 --out runs/compare",),

@@ -1,4 +1,4 @@
-"""Commands about policies: `pickenv train` and `pickenv evaluate`."""
+"""Commands about policies: `pickenv train`, `pickenv evaluate` and `pickenv datasets`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback ca
 
 def train(
     context: typer.Context,
-    algo: Annotated[Literal["ppo", "sac", "tqc"], typer.Option(help="Algorithm.")] = "ppo",
+    algo: Annotated[
+        Literal["ppo", "sac", "tqc", "ppo_lstm", "ppo_history"],
+        typer.Option(help="Algorithm; the last two remember past picks and learn on many fruit of one arm."),
+    ] = "ppo",
     env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
     compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
     allow: Annotated[
@@ -53,10 +56,10 @@ def train(
         bool, typer.Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")
     ] = False,
 ) -> None:
-    """Train a policy; the folder gets its file, checkpoints, evaluations in millimetres and TensorBoard's logs."""
+    """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs."""
     from pickenv.agents.training.training import resumed
     from pickenv.agents.training.training import train as run
-    from pickenv.agents.training.training_setup import Training
+    from pickenv.agents.training.training_setup import Training, words_of
 
     written = [out / name for name in ("policy.npz", "checkpoint.pt", "evaluations.json")]
     separate({"--compensate": compensate, "--plant": plant}, {"--out": written})
@@ -97,8 +100,8 @@ def train(
         raise
     last = done.evaluations[-1]
     print(
-        f"{training.algorithm} on {training.env_id}: {last['mean_mm']:.3f} mm mean, {last['p95_mm']:.3f} mm p95 on "
-        f"held-out fruit after {last['steps']:.0f} steps, {done.steps_per_second:.0f} steps/s"
+        f"{training.algorithm} on {training.env_id}: {words_of(last)} after {last['steps']:.0f} steps, "
+        f"{done.steps_per_second:.0f} steps/s"
     )
     for path in written:
         print(f"wrote {path}")
@@ -234,3 +237,43 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
             f"{line['policy']}, {line['feedback']}, {line['plant']}: {line['from']} to {line['to']} "
             f"{difference} mm ({ends}), significant: {significant}"
         )
+
+
+def datasets(
+    task: Annotated[list[str] | None, typer.Option(help="reach, pick; may be repeated. Reach if left out.")] = None,
+    quality: Annotated[
+        list[str] | None, typer.Option(help="expert, medium, random; may be repeated. All if left out.")
+    ] = None,
+    episodes: Annotated[
+        int | None, typer.Option(help="Episodes of each; 256 reaches or 32 canopies if left out.", min=1)
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the cards to this file.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder to write, as Minari's.")] = Path("runs/datasets"),
+) -> None:
+    """Record Minari data sets of good, middling and random policies; those that are there are kept."""
+    from pickenv.agents.training.data_sets import QUALITIES
+    from pickenv.agents.training.data_sets import datasets as record
+
+    separate({}, {"--out": out, "--json": json_file})
+    with progress_bars() as report:
+        cards = record(out, task or ("reach",), quality or QUALITIES, episodes=episodes, seed=seed, progress=report)
+    deliver([(json_file, lambda path: write_json(path, cards))], lambda: _print_cards(cards, out))
+
+
+def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:
+    """Print what was recorded, and how it is read."""
+    numbers = {
+        "final_error_mm": "error at the end, mean (mm)",
+        "success": "success (%)",
+        "collected": "fruit collected",
+    }
+    shown = [key for key in numbers if any(key in card for card in cards)]
+    rows = []
+    for card in cards:
+        found = {key: card.get(key) for key in shown} | {"success": 100.0 * card.get("success", 0.0)}
+        said = ["" if found[key] is None or key not in card else f"{found[key]:.2f}" for key in shown]
+        rows.append([card["name"], str(card["episodes"]), str(card["steps"]), f"{card['mean_return']:.2f}", *said])
+    heads = ("data set", "episodes", "steps", "return, mean", *(numbers[key] for key in shown))
+    caption = f"simulated; MINARI_DATASETS_PATH={out} lets Minari find them by name"
+    print_table(f"Recorded with seed {cards[0]['seed']}", heads, rows, words=("data set",), caption=caption)

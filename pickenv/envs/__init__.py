@@ -5,6 +5,7 @@ from types import ModuleType as _ModuleType
 from pickenv.envs.harvesting.harvest_env import HarvestEnv as HarvestEnv
 from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv as HarvestVectorEnv
 from pickenv.envs.picking.pick import PickEnv as PickEnv
+from pickenv.envs.picking.pick_vector import PickVectorEnv as PickVectorEnv
 from pickenv.envs.reaching.reach import ReachEnv as ReachEnv
 from pickenv.envs.reaching.reach_goal import ReachGoalEnv as ReachGoalEnv
 from pickenv.envs.reaching.reach_ideal import ReachIdealEnv as ReachIdealEnv

@@ -15,9 +15,23 @@ if _TYPE_CHECKING:
     from pickenv.wrappers.gap import GapScaling, GapScalingVector, scaled_reach, scaled_reach_vector
     from pickenv.wrappers.miscalibrate import Miscalibrate
     from pickenv.wrappers.mujoco_arm import geometry_in_mujoco
+    from pickenv.wrappers.same_arm import PickMemory, SameArm, SameArmVector
     from pickenv.wrappers.sb3 import Sb3Vec, make_sb3_vec
+    from pickenv.wrappers.tool_steps import ToolStepping, ToolSteppingVector
 
 __all__ = ["Compensate", "CompensationVectorWrapper", "CompensationWrapper", "GapScaling", "GapScalingVector"]
-__all__ += ["Miscalibrate", "Sb3Vec", "geometry_in_mujoco", "make_sb3_vec", "scaled_reach", "scaled_reach_vector"]
+__all__ += [
+    "Miscalibrate",
+    "PickMemory",
+    "SameArm",
+    "SameArmVector",
+    "Sb3Vec",
+    "ToolStepping",
+    "ToolSteppingVector",
+    "geometry_in_mujoco",
+    "make_sb3_vec",
+    "scaled_reach",
+    "scaled_reach_vector",
+]
 
 __getattr__, __dir__ = _offered(__name__)

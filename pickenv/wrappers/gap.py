@@ -9,16 +9,14 @@ wrappers put them around environments.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, SupportsFloat
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import VectorEnv, VectorWrapper
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from pickenv.envs.reaching.reach import ReachEnv
@@ -26,6 +24,7 @@ from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.envs.shared.simulation import GOAL_NUMBERS, goal_gap
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
 from pickenv.errors import InputError
+from pickenv.wrappers.scaled import ScaledEnv, ScaledVector
 
 SMALLEST = 1e-6
 """Share of the near gap below which the gap shrinks no further: 0.1 um."""
@@ -65,6 +64,11 @@ class Scaling:
     def features(self) -> int:
         """Numbers that the networks see."""
         return self.joints + 7
+
+    @property
+    def outputs(self) -> int:
+        """Numbers that they answer."""
+        return self.joints
 
     def check(self, width: int) -> None:
         """Refuse observations of another length.
@@ -112,6 +116,14 @@ class Scaling:
         """`observe` as an environment shows it."""
         return np.asarray(self.observe(values, np), dtype=np.float32)
 
+    def commands(self, values: Any, actions: Any) -> Any:
+        """What the environment gets for a network's ``actions``, from -1 to 1."""
+        return actions * self.share(values, np)
+
+    def potential(self, values: NDArray[Any]) -> Any:
+        """The gap's size as a logarithm, turned round; rewards of reaching are as dense already."""
+        return -np.log10(self.size(values, np))[..., 0]
+
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """What the environment gets for a policy's ``actions`` at the observations ``values``.
 
@@ -131,7 +143,7 @@ def joined_observation(observation: Any, xp: Any = np) -> Any:
     return xp.concatenate([observation[key] for key in ("observation", "achieved_goal", "desired_goal")], -1)
 
 
-class GapScaling(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+class GapScaling(ScaledEnv, RecordConstructorArgs):
     """See the gap to the fruit by direction and logarithm, and act in shares of it: what lets plain PPO learn.
 
     `pickenv/ReachScaled-v0` is `pickenv/Reach-v0` in this wrapper, single and native. With n joints the observation is
@@ -171,24 +183,11 @@ class GapScaling(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             InputError: If its observations are not those of a reach task, flat.
         """
         RecordConstructorArgs.__init__(self, actions=actions)
-        gym.Wrapper.__init__(self, env)
-        self.scaling, self._most = _scaling_of(env, env.observation_space, actions)
-        self.observation_space = _scaled_space(self.scaling)
-        self.raw: Any = np.zeros(self.scaling.inputs, dtype=np.float32)
-        """The observation as the environment gave it."""
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode."""
-        self.raw, info = self.env.reset(seed=seed, options=options)
-        return self.scaling.shown(self.raw), info
-
-    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Act in shares of the gap."""
-        self.raw, reward, terminated, truncated, info = self.env.step(self.scaling.act(self.raw, action, self._most))
-        return self.scaling.shown(self.raw), reward, terminated, truncated, info
+        scaling, most = _scaling_of(env, env.observation_space, actions)
+        ScaledEnv.__init__(self, env, scaling, _scaled_space(scaling), most)
 
 
-class GapScalingVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
+class GapScalingVector(ScaledVector, RecordConstructorArgs):
     """`GapScaling` for the native vector environments, on NumPy.
 
     Example:
@@ -210,32 +209,10 @@ class GapScalingVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructor
             InputError: If its observations are not those of a reach task, flat, in NumPy's arrays.
         """
         RecordConstructorArgs.__init__(self, actions=actions)
-        VectorWrapper.__init__(self, env)
         if env.metadata.get("torch"):
             raise InputError("GapScalingVector works on NumPy; make the environments with executor='numpy'")
-        self.scaling, self._most = _scaling_of(env, env.single_observation_space, actions)
-        self.single_observation_space = _scaled_space(self.scaling)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.raw: Any = np.zeros((self.num_envs, self.scaling.inputs), dtype=np.float32)
-        """The observations as the environments gave them."""
-
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Begin episodes."""
-        self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
-        return self.scaling.shown(self.raw), infos
-
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Act in shares of the gaps."""
-        given = self.scaling.act(self.raw, actions, self._most)
-        self.raw, rewards, terminations, truncations, infos = self.env.step(given)
-        if "final_obs" in infos:
-            final = infos["final_obs"].copy()
-            for i in np.flatnonzero(infos["_final_obs"]):
-                final[i] = self.scaling.shown(final[i])
-            infos = infos | {"final_obs": final}
-        return self.scaling.shown(self.raw), rewards, terminations, truncations, infos
+        scaling, most = _scaling_of(env, env.single_observation_space, actions)
+        ScaledVector.__init__(self, env, scaling, _scaled_space(scaling), most)
 
 
 def scaled_reach(**arguments: Any) -> GapScaling:

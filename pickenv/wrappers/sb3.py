@@ -15,9 +15,7 @@ import pickenv  # noqa: F401  (registers the environments)
 from pickenv.errors import InputError
 from pickenv.seeds import seed_words, stream
 from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper
-from pickenv.wrappers.gap import GapScalingVector
-
-NUMBERS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
+from pickenv.wrappers.scaled import ScaledVector
 
 
 def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = None, **arguments: Any) -> Sb3Vec:
@@ -44,9 +42,9 @@ def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = Non
 class Sb3Vec(VecEnv):
     """A vector environment that begins episodes in the step that ends them, or when told to, as a `VecEnv`.
 
-    `infos` of an episode's last step hold `terminal_observation`, `TimeLimit.truncated`, `is_success`, the errors in mm
-    and degrees, and `episode` with the sum of rewards "r" and the length "l", so that no monitor is needed; those of
-    other steps are empty.
+    `infos` of an episode's last step hold `terminal_observation`, `TimeLimit.truncated`, all numbers of the last `info`
+    (`is_success`, errors in mm and degrees, or what became of the fruit), and `episode` with the sum of rewards "r" and
+    the length "l", so that no monitor is needed; those of other steps are empty.
 
     Args:
         envs: The environments.
@@ -120,7 +118,8 @@ class Sb3Vec(VecEnv):
             "terminal_observation": observations,
             "TimeLimit.truncated": cut[rows].tolist(),
         }
-        columns |= {key: np.asarray(final[key])[rows].tolist() for key in (*NUMBERS, "is_success")}
+        told = [key for key, values in final.items() if key[0] != "_" and np.ndim(values) == 1]
+        columns |= {key: np.asarray(final[key])[rows].tolist() for key in told}
         sums = zip(self._returns[rows].tolist(), self._lengths[rows].tolist(), strict=True)
         columns["episode"] = [{"r": reward, "l": length, "t": 0.0} for reward, length in sums]
         return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
@@ -131,8 +130,8 @@ class Sb3Vec(VecEnv):
         seen = self.seen if scaled is None else scaled.raw
         seen = seen if isinstance(seen, dict) else {"flat": seen}
         own = {"returns": self._returns, "lengths": self._lengths} | {f"raw/{key}": part for key, part in seen.items()}
-        inner: Any = self.envs.unwrapped
-        kept = own | {f"env/{key}": value for key, value in inner.state_arrays().items()}
+        outer: Any = self.envs
+        kept = own | {f"env/{key}": value for key, value in outer.state_arrays().items()}
         return {key: np.array(value) for key, value in kept.items()}
 
     def take_state(self, state: dict[str, NDArray[Any]]) -> None:
@@ -143,14 +142,14 @@ class Sb3Vec(VecEnv):
         scaled = self._scaled()
         if scaled is not None:
             scaled.raw, self.seen = self.seen, scaled.scaling.shown(self.seen)
-        inner: Any = self.envs.unwrapped
-        inner.take_state_arrays({key[4:]: value for key, value in state.items() if key.startswith("env/")})
+        outer: Any = self.envs
+        outer.take_state_arrays({key[4:]: value for key, value in state.items() if key.startswith("env/")})
 
-    def _scaled(self) -> GapScalingVector | None:
+    def _scaled(self) -> ScaledVector | None:
         """The scaling around the environments."""
         env = self.envs
         while isinstance(env, VectorWrapper):
-            if isinstance(env, GapScalingVector):
+            if isinstance(env, ScaledVector):
                 return env
             env = env.env
         return None

@@ -96,7 +96,28 @@ ROOMS = {
         "autoreset streams compensation_vector vector",
     ),
     "wrappers": room(
-        "pickenv/wrappers", "compensation sb3 gap", "tests/envs", "compensation_wrapper compensation_vector sb3"
+        "pickenv/wrappers", "compensation sb3", "tests/envs", "compensation_wrapper compensation_vector sb3"
+    ),
+    "gap": room(
+        "pickenv/wrappers",
+        "gap miscalibrate mujoco_arm",
+        "tests/envs",
+        "reaching/gap_by_hand miscalibrate sb3",
+        most=SECOND,
+    ),
+    "situation": room(
+        "pickenv/envs/shared",
+        "situation given_goals difficulty",
+        "tests/envs",
+        "reaching/situation_by_hand reaching/situation given reaching/ladder",
+        most=SECOND,
+    ),
+    "harvest zone": room(
+        "pickenv/envs/harvesting",
+        "harvest_task harvest_zone",
+        "tests",
+        "envs/harvest_by_hand harvester/one_cup harvester/environments",
+        most=SECOND,
     ),
     "orchard": room(
         "pickenv/orchard",
@@ -234,6 +255,35 @@ ROOMS = {
         "bench_tables gains spread_rows gains_page bench_command",
         most=SECOND,
     ),
+    "compare": room(
+        ".",
+        "agents/evaluation/compare agents/evaluation/compared_policies agents/evaluation/contenders "
+        "pickenv/inspect/runs/comparison pickenv/inspect/runs/matters",
+        "tests",
+        "agents/compare_by_hand inspect/runs/matters agents/compare inspect/runs/summary_numbers",
+        most=SECOND,
+    ),
+    "leaderboard": room(
+        "agents/evaluation",
+        "leaderboard statistics grid_tables",
+        "tests/agents",
+        "leaderboard grid",
+        most=SECOND,
+    ),
+    "pictures": room(
+        "pickenv/pictures",
+        "solids stage",
+        "tests/pictures",
+        "solids drawers",
+        most=SECOND,
+    ),
+    "films": room(
+        "pickenv/inspect/films",
+        "film_plan film_stage make_film",
+        "tests/inspect/films",
+        "film_by_hand film",
+        most=SECOND,
+    ),
     "recordings": room(
         "pickenv/inspect",
         "runs/harvest_trace runs/calibration_trace runs/gripping recordings/detail_entities recordings/details "
@@ -246,7 +296,7 @@ ROOMS = {
         "pickenv/inspect/figures",
         "field_figure plot_harvest plot_pixels plot_policies plot_conditions plot_slices",
         "tests/inspect/figures",
-        "figure_numbers pixel_errors",
+        "misalignments figure_numbers pixel_errors",
         most=SECOND,
     ),
     "reports": room(

@@ -336,7 +336,7 @@ def main() -> None:
                 plants=("qiao2026",),
             )
             carried = run_transfer(settings, options.runs, options.workers)
-            title = "Does a policy carry over, and can domain randomisation replace calibration?"
+            title = "Does a policy carry over, and can randomised arms replace calibration without a memory?"
             tables = transfer_tables(carried, folders[0])
             findings.append(Finding(title, transfer_sentence(carried), "transfer", transfer_figure(carried), tables))
     for each in findings:

@@ -1,4 +1,7 @@
-"""Does a policy carry over to other arms, and can domain randomisation replace calibration? Part of `findings.py`."""
+"""Does a policy carry over to other arms, and can randomised arms replace calibration? Part of `findings.py`.
+
+The policies here have neither memory nor camera; `calibrating_while_picking.py` asks those that have both.
+"""
 
 from __future__ import annotations
 
@@ -93,8 +96,10 @@ def transfer_sentence(grid: PolicyGrid) -> str:
     best = mean_over_arms(grid.cell("calibrated", COMPENSATIONS[-1], "encoders", "qiao2026").errors_mm)
     return (
         f"A policy trained on calibrated arms leaves {_of(best)} mm behind {policy_label(COMPENSATIONS[-1])}; "
-        f"{', '.join(said)}; domain randomisation without a calibration leaves {_of(raw)} mm: without a camera nothing "
-        "tells a policy which arm it has."
+        f"{', '.join(said)}; randomised arms without a calibration leave {_of(raw)} mm. All this is of policies "
+        "without memory and camera, whom nothing tells which arm they have; it says nothing of others. A policy that "
+        "sees and remembers its past picks calibrates its arm by itself: [how](learning.md"
+        "#learning-to-calibrate-while-picking)."
     )
 
 

@@ -15,9 +15,12 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
+from pickenv.agents.evaluation.compared_policies import load_any
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
-from pickenv.agents.policies.learned import BASELINES, LearnedPolicy, load_policy
+from pickenv.agents.policies.learned import BASELINES, LearnedPolicy
+from pickenv.agents.policies.remembering import RememberingPolicy
+from pickenv.agents.training.hyperparams import tuned
 from pickenv.agents.training.training import train
 from pickenv.agents.training.training_setup import Training
 from pickenv.arm import load_plant
@@ -33,6 +36,8 @@ BASELINES_BY_NAME: dict[str, dict[str, Any]] = {
     "sac_her_camera": {"algorithm": "sac", "env_id": "pickenv/ReachGoal-v0", "arguments": CAMERA},
     "tqc_her_encoders": {"algorithm": "tqc", "env_id": "pickenv/ReachGoal-v0", "compensated": True},
     "tqc_her_camera": {"algorithm": "tqc", "env_id": "pickenv/ReachGoal-v0", "arguments": CAMERA},
+    "recurrent_camera": {"algorithm": "ppo_lstm"},
+    "history_camera": {"algorithm": "ppo_history"},
 }
 
 
@@ -71,7 +76,7 @@ def judged(name: str, policy: str, out: Path, compensations: tuple[str, ...]) ->
     ]
 
 
-def card(name: str, policy: LearnedPolicy, found: list[dict[str, Any]]) -> str:
+def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[str, Any]]) -> str:
     """The model card."""
     what = policy.record["training"]
     size = sum(weight.size + bias.size for weight, bias in zip(policy.weights, policy.biases, strict=True))
@@ -86,27 +91,45 @@ def card(name: str, policy: LearnedPolicy, found: list[dict[str, Any]]) -> str:
     ]
     judged_on = found[0]
     fruit = judged_on["episodes"] // judged_on["arms"] // judged_on["trainings"]
-    goal = policy.scaling.goal
+    camera = isinstance(policy, RememberingPolicy) or policy.scaling.camera
+    arguments = tuned(policy.algorithm, what["env_id"]).get("env_kwargs", {}) | what["arguments"]
+    if isinstance(policy, RememberingPolicy):
+        size += sum(value.size for value in policy.arrays.values())
+        behind = "on the raw arms of a population, runs of 20 fruit each (`pickenv.wrappers.SameArm`)"
+        sees = (
+            "It drives with the nominal arm, aims beside the fruit by what the camera saw at past picks of the same "
+            "arm, and learns the camera's view of a fruit when the next episode begins. The first fruit of an arm it "
+            "meets as if nothing were known; so every arm wants a policy of its own."
+        )
+        use = [
+            "from pickenv.agents.policies.remembering import RememberingReach, load_remembering",
+            "",
+            f'policy = RememberingReach(env, load_remembering("{name}"))',
+            "policy.reset()  # before every fruit; a new arm wants a new policy",
+        ]
+    else:
+        sees = (
+            "Observations and actions are scaled by the gap to the fruit (`pickenv/wrappers/gap.py`), so accuracy is "
+            "limited by what the policy can see, not by its network."
+        )
+        use = ["from pickenv.agents.policies.learned import load_policy", "", f'policy = load_policy("{name}")']
+    goal = isinstance(policy, LearnedPolicy) and policy.scaling.goal
     return "\n".join(
         [
             f"# {name}",
             "",
             f"{policy.algorithm.upper()}{' with HER' if goal else ''} on `{what['env_id']}`, arm `{policy.arm}`, plant "
-            f"`{what['arguments'].get('plant', 'qiao2026')}`, trained {behind}; {policy.record['steps']} steps, "
+            f"`{arguments.get('plant', 'qiao2026')}`, trained {behind}; {policy.record['steps']} steps, "
             f"{size} weights, seed {what['seed']}.",
-            f"Arguments of the environment: `{what['arguments']}`. Parameters: "
+            f"Arguments of the environment: `{arguments}`. Parameters: "
             f"`pickenv/zoo/hyperparams/{policy.algorithm}.py`.",
             "",
             "## Use",
             "",
-            f"Feedback `{'camera' if policy.scaling.camera else 'encoders'}`. Observations and actions are scaled by "
-            "the gap to the fruit (`pickenv/wrappers/gap.py`), so accuracy is limited by what the policy can see, not "
-            "by its network.",
+            f"Feedback `{'camera' if camera else 'encoders'}`. {sees}",
             "",
             "```python",
-            "from pickenv.agents.policies.learned import load_policy",
-            "",
-            f'policy = load_policy("{name}")',
+            *use,
             "action = policy.act(observation)",
             "```",
             "",
@@ -143,7 +166,7 @@ def main() -> None:
     options = parser.parse_args()
     for name in [options.only] if options.only else BASELINES_BY_NAME:
         if options.cards:
-            policy, judged_policy = load_policy(name), name
+            policy, judged_policy = load_any(name), name
         else:
             trained = []
             for seed in range(options.seeds):

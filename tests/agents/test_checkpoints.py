@@ -203,8 +203,10 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("moment", ["between", "within"])
+@pytest.mark.parametrize(
+    ("moment", "fault"),
+    [*(("between", fault) for fault in FAULTS), ("within", "another plant"), ("within", "no plant")],
+)
 def test_a_training_refuses_files_that_have_changed_since_it_was_begun(files, calibrations, monkeypatch, fault, moment):
     change, said = FAULTS[fault]
     training = Training(

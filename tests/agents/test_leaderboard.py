@@ -1,15 +1,25 @@
 """The leaderboard: every row from arms that no two seeds share, made again from what is kept; a stranger's one file."""
 
 import json
+import pickle
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import trim_mean
 from typer.testing import CliRunner
 
-from pickenv.agents.evaluation import leaderboard
-from pickenv.agents.evaluation.leaderboard import LeaderboardSettings, run_leaderboard
+from pickenv.agents.evaluation import leaderboard, pick_board
+from pickenv.agents.evaluation.grid import GridSettings
+from pickenv.agents.evaluation.leaderboard import (
+    LeaderboardSettings,
+    leaderboard_cells,
+    leaderboard_tables,
+    run_leaderboard,
+)
+from pickenv.agents.evaluation.pick_board import PickTally, pick_rows, pick_tallies
 from pickenv.agents.evaluation.statistics import interquartile_mean
 from pickenv.cli import app
 from pickenv.errors import InputError
@@ -40,11 +50,18 @@ def make_policy(env, seed):
 """
 
 
+def backwards(numbers, work):
+    """As far away as another machine: the work is sent, the last comes first, and what was found is sent back."""
+    sent = pickle.loads(pickle.dumps(work))
+    for number in reversed(numbers):
+        yield number, pickle.loads(pickle.dumps(sent(number)))
+
+
 @pytest.fixture
 def small(monkeypatch) -> LeaderboardSettings:
     """Seconds: without residual models, whose calibrations take the time."""
     monkeypatch.setattr(leaderboard, "COMPENSATIONS", ("raw", "ls"))
-    return LeaderboardSettings(("scripted",), ("qiao2026",), arms=2, episodes=3)
+    return LeaderboardSettings(("scripted",), ("qiao2026",), arms=2, episodes=3, canopies=0)
 
 
 def test_the_interquartile_mean_forgets_the_best_and_the_worst_quarter():
@@ -53,9 +70,99 @@ def test_the_interquartile_mean_forgets_the_best_and_the_worst_quarter():
     assert found.value == pytest.approx(np.sort(values)[10:30].mean())
     low, high = found.ci95
     rng = np.random.default_rng(1)
-    again = [trim_mean(rng.choice(values, 40), 0.25) for _ in range(2000)]
+    again = trim_mean(rng.choice(values, (2000, 40)), 0.25, axis=1)
     assert (low, high) == pytest.approx(np.quantile(again, (0.025, 0.975)), abs=0.03)
     assert interquartile_mean(values[:9], stream(0, "leaderboard")).ci95 is None
+
+
+class Arms:
+    """A cell of a grid: errors of two arms, one training and three fruit in mm, and a tenth of them in degrees."""
+
+    def __init__(self, compensation: str, errors: list[list[float]], policy: str = "scripted") -> None:
+        self.plant, self.policy, self.feedback, self.compensation = "field", policy, "encoders", compensation
+        self.errors_mm = np.array(errors)[:, None, :]
+
+    def per_arm(self, number):
+        return number(SimpleNamespace(reaches=SimpleNamespace(attitude_error_deg=0.1 * self.errors_mm)))
+
+    def chances(self, gripper):
+        return np.where(self.errors_mm < gripper, 1.0, 0.0)
+
+
+def test_rows_are_worked_out_over_the_arms_of_all_seeds():
+    """Ten arms of one to ten millimetres; a quarter of ten is two and a half, of which trimming leaves out two."""
+    grippers = dict(zip(leaderboard.GRIPPERS, (5.0, 8.0), strict=True))
+    grids = [
+        SimpleNamespace(
+            grippers=grippers,
+            settings=SimpleNamespace(seed=seed),
+            cells=[
+                Arms("raw", [[m - 0.5, m, m + 0.5] for m in (2.0 * seed + 1.0, 2.0 * seed + 2.0)]),
+                Arms("ls", [[0.1 * seed] * 3, [0.1 * seed] * 3]),
+                Arms("raw", [[40.0] * 3, [50.0] * 3], policy="still"),
+            ],
+        )
+        for seed in (4, 0, 3, 1, 2)
+    ]
+    ls, raw, still = leaderboard.leaderboard_rows(grids)
+    assert [(row["policy"], row["compensation"]) for row in (ls, raw, still)] == [
+        ("scripted", "ls"),
+        ("scripted", "raw"),
+        ("still", "raw"),
+    ]
+    for row in (ls, raw, still):
+        assert (row["task"], row["feedback"], row["arms"], row["fruit_per_arm"]) == (
+            "pickenv/Reach-v0, field",
+            "encoders",
+            10,
+            3,
+        )
+        assert row["seeds"] == [0, 1, 2, 3, 4]
+    assert raw["mean_mm"] == pytest.approx(5.5) and raw["attitude_deg"] == pytest.approx(0.55)
+    assert raw["iqm_mm"] == pytest.approx(np.mean([3, 4, 5, 6, 7, 8]))
+    held = [13 / 30, 22 / 30]  # below 5 mm: three of each of 1 to 4 mm, one of 5 mm; below 8 mm likewise
+    assert raw["success"] == pytest.approx(held[0])
+    assert raw["success_by_gripper"] == pytest.approx(dict(zip(grippers, held, strict=True)))
+    expected = interquartile_mean(np.array([9.0, 10, 1, 2, 7, 8, 3, 4, 5, 6]), stream(0, "leaderboard"))
+    assert raw["ci95_mm"] == list(expected.ci95)
+    assert ls["mean_mm"] == pytest.approx(0.2) and still["mean_mm"] == pytest.approx(45.0)
+    assert leaderboard_cells(raw) == [
+        "scripted",
+        "encoders",
+        "raw",
+        "5.500",
+        f"5.500 ({expected.ci95[0]:.3f} to {expected.ci95[1]:.3f})",
+        "0.550",
+        "43 %",
+        "73 %",
+    ]
+    page = leaderboard_tables([ls, raw, still]).splitlines()
+    assert page[0] == "pickenv/Reach-v0, field: 10 arms over seeds 0, 1, 2, 3, 4, 3 fruit each" and page[1] == ""
+    assert (
+        page[2].startswith("| policy | feedback | compensation | mean (mm) |")
+        and page[3] == f"| {'|'.join(['---'] * 8)} |"
+    )
+    assert page[5] == f"| {' | '.join(leaderboard_cells(raw))} |" and len(page) == 7
+    alone = leaderboard.leaderboard_rows(grids[:1])[0]
+    assert alone["ci95_mm"] is None and leaderboard_cells(alone)[4] == "0.400 (no interval)"
+
+
+def test_a_leaderboards_grid_has_its_seed_for_arms_and_calibrations():
+    settings = LeaderboardSettings(("servo",), ("ideal",), seeds=(3, 4, 5, 6, 7), arms=2, episodes=5, epochs=9)
+    grid = settings.grid("servo", ("camera",), 6)
+    assert (grid.policies, grid.feedback, grid.plants, grid.arms, grid.episodes) == (
+        ("servo",),
+        ("camera",),
+        ("ideal",),
+        2,
+        5,
+    )
+    assert (grid.seed, grid.protocol.seed, grid.protocol.epochs) == (6, 6, 9)
+    assert (grid.compensations, grid.grippers) == (leaderboard.COMPENSATIONS, ("li_cup", "compliant_hand"))
+    usual, quick = LeaderboardSettings(), LeaderboardSettings.quick()
+    assert (usual.seeds, usual.arms, usual.episodes, usual.epochs) == ((0, 1, 2, 3, 4), 2, 16, 100)
+    assert (usual.canopies, quick.canopies) == (2, 0)
+    assert (quick.seeds, quick.arms, quick.episodes, quick.epochs) == ((0, 1, 2, 3, 4), 1, 4, 20)
 
 
 @pytest.mark.slow
@@ -79,7 +186,7 @@ def test_rows_are_of_all_seeds_and_a_run_goes_on_where_it_was_cut(small, tmp_pat
     victim = kept[0].parent
     for path in victim.iterdir():
         path.unlink()
-    assert run_leaderboard(small, tmp_path) == rows
+    assert run_leaderboard(small, tmp_path, runner=backwards) == rows
     remade = {path for path in kept if path.stat().st_mtime_ns != times[path]}
     assert remade == {kept[0]}
 
@@ -103,8 +210,40 @@ def test_a_stranger_enters_by_one_file_and_is_judged_on_the_same_arms(small, tmp
     assert page.count("| scripted |") == 2 and page.count("| still |") == 4
 
     file.write_text(STILL.replace("zeros", "ones"))
-    run_leaderboard(LeaderboardSettings((str(file),), ("qiao2026",), arms=2, episodes=3), out)
+    run_leaderboard(replace(small, policies=(str(file),)), out)
     assert len(list(out.glob("still-*"))) == 10  # another policy by the same name is run anew
+
+
+def test_picks_per_hour_are_counted_per_arm_and_gripper():
+    rng = np.random.default_rng(0)
+
+    def tallies(collected: int) -> dict[str, list[PickTally]]:
+        errors = tuple(rng.uniform(1.0, 3.0, 10).tolist())
+        tally = PickTally(10, collected, 36.0, errors, (1.0,) * 10)
+        worse = PickTally(10, collected - 4, 36.0, errors, (1.0,) * 10)
+        return {"scripted/ls/li_cup": [tally] * 2, "scripted/ls/compliant_hand": [worse] * 2}
+
+    slow = [{key.replace("ls", "raw"): some for key, some in tallies(5).items()} for _ in range(5)]
+    rows = pick_rows(range(5), [a | b for a, b in zip(slow, [tallies(n) for n in (8, 8, 9, 8, 8)], strict=True)])
+    best, worst = rows
+    assert (best["compensation"], worst["compensation"]) == ("ls", "raw") and best.keys() >= KEYS
+    assert best["picks_per_hour"] == pytest.approx({"li_cup": 820.0, "compliant_hand": 420.0})
+    assert best["success_by_gripper"] == pytest.approx({"li_cup": 0.82, "compliant_hand": 0.42})
+    low, high = best["picks_per_hour_ci95"]["li_cup"]
+    assert low < 820.0 < high and best["arms"] == 10 and 1.0 < best["iqm_mm"] < 3.0
+    page = leaderboard_tables(rows)
+    assert "picks per hour, li_cup | picks per hour, compliant_hand" in page and "| 820 (" in page
+
+
+@pytest.mark.slow
+def test_scripted_picking_is_tallied_on_the_same_canopies(monkeypatch):
+    monkeypatch.setattr(pick_board, "COMPENSATIONS", ("raw",))
+    settings = GridSettings(arms=1, grippers=("li_cup",), seed=3)
+    found = pick_tallies(settings, 1, None)
+    gentle, hasty = found["scripted/raw/li_cup"][0], found["hasty/raw/li_cup"][0]
+    assert gentle.attempted == hasty.attempted == len(gentle.errors_mm) > 0
+    assert 0 <= gentle.collected <= gentle.attempted and hasty.seconds < gentle.seconds
+    assert pick_tallies(settings, 1, None) == found
 
 
 def test_impossible_leaderboards_end_with_one_sentence(tmp_path):

@@ -21,6 +21,7 @@ from pickenv.calibration import Calibration, fit, random_joints, simulated_track
 from pickenv.errors import InputError
 
 ROOT = Path(__file__).parents[2]
+ALGORITHMS = ["ppo", "sac", pytest.param("tqc", marks=pytest.mark.slow)]  # tqc shares sac's lines
 
 
 def weights(out: Path) -> list[np.ndarray]:
@@ -52,7 +53,7 @@ def stop_after(monkeypatch, writes: int) -> None:
     monkeypatch.setattr("pickenv.agents.training.callbacks.save_checkpoint", save)
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac", "tqc"])
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_two_runs_of_one_seed_give_equal_weights(short, tmp_path, algorithm):
     for name in ("one", "other"):
         train(short(algorithm), tmp_path / name)
@@ -61,7 +62,7 @@ def test_two_runs_of_one_seed_give_equal_weights(short, tmp_path, algorithm):
     assert not same(tmp_path / "one", tmp_path / "third")
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac", "tqc"])
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_resumed_run_ends_like_an_uninterrupted_one(short, tmp_path, monkeypatch, algorithm):
     every = 148 if algorithm != "ppo" else 480
     training = short(algorithm, checkpoint_every=every, evaluate_every=every)

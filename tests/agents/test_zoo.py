@@ -9,7 +9,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from sb3_contrib import TQC
+from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 
@@ -20,18 +20,21 @@ from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.wrappers import make_sb3_vec
 
 ROOT = Path(__file__).parents[2]
-ALGORITHMS = {"ppo": PPO, "sac": SAC, "tqc": TQC}
+ALGORITHMS = {"ppo": PPO, "sac": SAC, "tqc": TQC, "ppo_lstm": RecurrentPPO, "ppo_history": PPO}
 FILES = sorted(path.stem for path in (ROOT / "pickenv" / "zoo" / "hyperparams").glob("[a-z]*.py"))
 PARAMETERS = {name: importlib.import_module(f"pickenv.zoo.hyperparams.{name}").hyperparams for name in FILES}
 ENTRIES = [(name, env_id) for name in FILES for env_id in PARAMETERS[name]]
-SHORT = {"ppo": {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1}}
+FEW = {"n_envs": 4, "n_steps": 16, "batch_size": 32, "n_epochs": 1}
+SHORT = {"ppo": FEW, "ppo_lstm": FEW, "ppo_history": FEW}
 EARLY = {"n_envs": 2, "learning_starts": 130, "batch_size": 16, "gradient_steps": 1}
 
 
 def test_every_file_has_parameters_for_every_environment_that_it_can_learn() -> None:
     flat = {"pickenv/Reach-v0", "pickenv/ReachIdeal-v0", "pickenv/ReachScaled-v0"}
     found = {name: {env_id for each, env_id in ENTRIES if each == name} for name in FILES}
-    assert found == {"ppo": flat, "sac": {*flat, "pickenv/ReachGoal-v0"}, "tqc": {*flat, "pickenv/ReachGoal-v0"}}
+    goals, run = {*flat, "pickenv/ReachGoal-v0"}, {"pickenv/Reach-v0"}
+    picks = {*flat, "pickenv/Pick-v0"}
+    assert found == {"ppo": picks, "sac": goals, "tqc": goals, "ppo_lstm": run, "ppo_history": run}
 
 
 @pytest.mark.parametrize(("name", "env_id"), ENTRIES)
@@ -40,8 +43,12 @@ def test_parameters_start_a_training_in_single_environments(name: str, env_id: s
     given = tuned(name, env_id) | SHORT.get(name, EARLY)
     wrapper, arguments = given.pop("env_wrapper", None), given.pop("env_kwargs", {})
     given.pop("n_timesteps")
+    if "population" in arguments:
+        arguments["population"] = 8  # of which each environment draws its own
+    ((wrapper, settings),) = wrapper.items() if isinstance(wrapper, dict) else [(wrapper, {})]
+    kind = wrapper and class_named(wrapper)
     envs = make_vec_env(
-        env_id, given.pop("n_envs"), wrapper_class=wrapper and class_named(wrapper), env_kwargs=arguments, seed=0
+        env_id, given.pop("n_envs"), wrapper_class=kind, wrapper_kwargs=settings, env_kwargs=arguments, seed=0
     )
     if "replay_buffer_class" in given:
         assert given["replay_buffer_class"] == "HerReplayBuffer"
@@ -51,9 +58,9 @@ def test_parameters_start_a_training_in_single_environments(name: str, env_id: s
     model.learn(140)
     after = [value.detach() for value in model.policy.parameters()]
     assert any(not np.array_equal(one.detach(), other) for one, other in zip(before, after, strict=True))
-    joints = gym.spec(env_id).make().action_space.shape
+    numbers = envs.action_space.shape if wrapper else gym.spec(env_id).make().action_space.shape
     action, _ = model.predict(envs.reset(), deterministic=True)
-    assert action.shape == (envs.num_envs, *joints) and np.isfinite(action).all()
+    assert action.shape == (envs.num_envs, *numbers) and np.isfinite(action).all()
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def exact() -> Exact:
     return measure
 
 
-@pytest.fixture(scope="session", params=[0, 1], ids=["seed 0", "seed 1"])
+@pytest.fixture(scope="session", params=[0, pytest.param(1, marks=pytest.mark.slow)], ids=["seed 0", "seed 1"])
 def protocol(request: pytest.FixtureRequest, dynamic: Plant) -> tuple[Fit, Measurements]:
     """The paper's protocol on the dynamic plant: 100 poses for geometry, 200 for the network; 1000 to judge by."""
     rng = np.random.default_rng(request.param)

@@ -28,14 +28,12 @@ ONLY_TRUNCATED = ("pickenv/Harvest-v0",)
 
 def vector(name, count, mode):
     arguments = {"max_episode_steps": LONGEST, **ARGUMENTS[name]}
-    if gym.spec(name).vector_entry_point is None:
-        return gym.make_vec(name, num_envs=count, vector_kwargs={"autoreset_mode": mode}, **arguments)
     return gym.make_vec(name, num_envs=count, autoreset_mode=mode, **arguments)
 
 
 def alone(name):
-    """Reach environments give the same bits only where they calculate with the same library."""
-    executor = {"executor": "numpy"} if "Reach" in name else {}
+    """Arms give the same bits only where they calculate with the same library."""
+    executor = {} if "Harvest" in name else {"executor": "numpy"}
     return gym.make(name, max_episode_steps=LONGEST, disable_env_checker=True, **executor, **ARGUMENTS[name])
 
 

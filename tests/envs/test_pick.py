@@ -231,12 +231,13 @@ def test_pictures_follow_the_fruit(monkeypatch):
 
 @pytest.mark.parametrize("wrapped", ["each", "all"])
 def test_many_canopies_take_the_wrapper_one_by_one_or_together(calibrated, wrapped):
-    """`gym.make_vec` makes a SyncVectorEnv."""
-    wrappers = [lambda env: CompensationWrapper(env, calibrated)] if wrapped == "each" else None
-    envs = gym.make_vec("pickenv/Pick-v0", num_envs=2, wrappers=wrappers)
-    if wrapped == "all":
+    if wrapped == "each":
+        wrappers = [lambda env: CompensationWrapper(env, calibrated)]
+        envs = gym.make_vec("pickenv/Pick-v0", 2, "sync", wrappers=wrappers, executor="numpy")
+    else:
+        envs = gym.make_vec("pickenv/Pick-v0", num_envs=2)
         envs = CompensationVectorWrapper(envs, calibrated)
-    singles = [CompensationWrapper(gym.make("pickenv/Pick-v0"), calibrated) for _ in range(2)]
+    singles = [CompensationWrapper(gym.make("pickenv/Pick-v0", executor="numpy"), calibrated) for _ in range(2)]
     observations, _ = envs.reset(seed=5)
     assert np.array_equal(observations, [env.reset(seed=5 + i)[0] for i, env in enumerate(singles)])
     envs.action_space.seed(0)

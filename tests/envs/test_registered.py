@@ -5,6 +5,7 @@ import doctest
 import itertools
 import pickle
 import warnings
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +15,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
+import pickenv
 import pickenv.envs.reaching.reach
 import pickenv.wrappers.compensation
 from pickenv.arm.plant.plant_file import PLANTS
@@ -286,6 +288,39 @@ def test_arguments_survive_json(arguments):
     again = gym.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.spec.kwargs == arguments
     assert alike(rollout(env, 4), rollout(again, 4))
+
+
+@pytest.mark.parametrize("name", [name for name in IDS if "Harvest" not in name and "Ideal" not in name])
+def test_a_plant_by_path_stands_in_the_specification(name):
+    """Where paths are taken, `pathlib.Path` is one, and what it makes can be written down and made again."""
+    plant = PLANTS / "qiao2026.toml"
+    env = gym.make(name, plant=plant)
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec.kwargs == {"plant": str(plant)}
+    assert alike(env.reset(seed=1), again.reset(seed=1))
+    if gym.spec(name).vector_entry_point:
+        assert str(plant) in gym.make_vec(name, num_envs=2, plant=plant).spec.to_json()
+
+
+FILES = [
+    ("pickenv/Reach-v0", "tolerances", "arm/plant/tolerance_classes/coarse.toml", {"arms": "per_episode"}),
+    ("pickenv/Pick-v0", "gripper", "orchard/presets/gripper.toml", {}),
+    ("pickenv/Pick-v0", "canopy", "orchard/presets/canopy.toml", {}),
+    ("pickenv/Harvest-v0", "canopy", "orchard/presets/canopy.toml", {"vision": "ideal"}),
+]
+"""Environments, their arguments that may be files, and files with a table, or several, of that kind."""
+
+
+@pytest.mark.parametrize(("name", "argument", "file", "others"), FILES, ids=str)
+def test_other_files_by_path_stand_in_it_too(name, argument, file, others, tmp_path):
+    text = (Path(pickenv.__file__).parent / file).read_text(encoding="utf-8")
+    if "presets" in file:  # the first table, without its head
+        text = text.split("\n[")[1].partition("]\n")[2]
+    path = tmp_path / "mine.toml"
+    path.write_text(text, encoding="utf-8")
+    env = gym.make(name, **{argument: path}, **others)
+    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+    assert alike(env.reset(seed=1), again.reset(seed=1))
 
 
 @pytest.mark.parametrize("module", [pickenv.envs.reaching.reach, pickenv.wrappers.compensation])

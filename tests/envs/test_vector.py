@@ -108,6 +108,32 @@ def test_native_and_synchronous_are_equal_to_the_bit_when_episodes_end_at_differ
     assert len(set(ends)) > 1
 
 
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_compiled_step_has_the_bits_of_numpy(variant):
+    pytest.importorskip("llvmlite")
+    arguments = EARLY | VARIANTS[variant] | {"max_episode_steps": STEPS}
+    for name, count in (("Reach", 70), ("ReachGoal", 5)):
+        one, other = (native(count, name, executor=executor, **arguments) for executor in ("numpy", "compiled"))
+        assert type(one.unwrapped.batch) is not type(other.unwrapped.batch)
+        for a, b in zip(one.reset(seed=8), other.reset(seed=8), strict=True):
+            assert_same(a, b)
+        one.action_space.seed(0)
+        for _ in range(12):
+            actions = one.action_space.sample()
+            for a, b in zip(one.step(actions), other.step(actions), strict=True):
+                assert_same(a, b)
+
+
+@pytest.mark.parametrize("plant", ["ideal:ur5e", "coarse:panda", "geometry_only", "so101"])
+def test_every_arm_is_compiled_to_the_same_bits(plant):
+    pytest.importorskip("llvmlite")
+    one, other = (native(5, plant=plant, reward="sparse", executor=executor) for executor in ("numpy", "compiled"))
+    one.reset(seed=1), other.reset(seed=1)
+    actions = one.action_space.sample()
+    for a, b in zip(one.step(actions), other.step(actions), strict=True):
+        assert_same(a, b)
+
+
 def test_sixty_four_environments_are_as_equal_as_seven():
     sync, envs = synchronous(64, AutoresetMode.SAME_STEP, **EARLY), native(64, autoreset_mode="SameStep", **EARLY)
     for one, other in zip(sync.reset(seed=3), envs.reset(seed=3), strict=True):
@@ -305,6 +331,7 @@ def test_copies_and_pickles_go_on_alike():
     envs = native(4, arms="per_env", plant="orchard")
     envs.reset(seed=0)
     actions = envs.action_space.sample()
+    envs.step(actions)
     copies = [copy.deepcopy(envs), pickle.loads(pickle.dumps(envs))]
     wanted = envs.step(actions)
     for other in copies:

@@ -71,7 +71,7 @@ def test_zones_cover_the_side_and_overlap():
     assert max(steps) < 0.7  # each zone is next to the one before
 
 
-@pytest.mark.parametrize("side", [(1.0, -1.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0)])
+@pytest.mark.parametrize("side", [(1.0, -1.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0), (1.0, 1.0, 0.0, 1.0)])
 def test_an_empty_side_is_refused(side):
     with pytest.raises(InputError, match="empty"):
         cut(Grid(2, 2, 0.1), *side)

@@ -1,6 +1,7 @@
 """Rules, bounds and searches against plans enumerated one by one, and pick points against the equations written out."""
 
 import math
+from dataclasses import replace
 from functools import partial
 from itertools import permutations, product
 
@@ -12,7 +13,7 @@ from pickenv.errors import InputError
 from pickenv.harvester import optimiser
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.optimiser import cp_sat, local_search
-from pickenv.harvester.pick_point import _heights, border_indices, pick_heading, pick_point
+from pickenv.harvester.pick_point import _heights, _point_costs, border_indices, pick_heading, pick_point
 from pickenv.harvester.rules import lower_bound
 from pickenv.harvester.work import Work, timetable
 from pickenv.harvester.zones import Grid, cut
@@ -176,8 +177,13 @@ def test_the_solver_needs_no_good_start(monkeypatch):
     first = np.flatnonzero(work.reached[0]).tolist()
     start = (tuple(first), tuple(j for j in range(5) if j not in first))
     monkeypatch.setattr(optimiser, "local_search", lambda *_, **__: start)
-    best = least_makespan(work)
+    plans = {timetable(work, plan).makespan: plan for plan in every_plan(work)}
+    best = min(plans)
     assert timetable(work, start).makespan > 1.2 * best
+    assert timetable(work, cp_sat(work, seconds=5.0)).makespan == pytest.approx(best, rel=1.1e-2)
+    near = min(value for value in plans if value > 1.03 * best)
+    start = plans[near]  # better, but not as good as the bound allows
+    assert 1.05 * lower_bound(work) < near < 1.5 * lower_bound(work)
     assert timetable(work, cp_sat(work, seconds=5.0)).makespan == pytest.approx(best, rel=1.1e-2)
 
 
@@ -314,6 +320,46 @@ def test_heights_worth_trying_put_the_fruits_middle_or_one_fruit_at_the_slides_m
         wanted = [(z[0] + z[-1]) / 2 - (low + high) / 2, *(z - low), *(z - high)]
         expected = np.clip(np.array(wanted) - machine.d1, *(end[1] for end in limits_of(machine)))
         np.testing.assert_allclose(np.sort(_heights(machine, fruit)), np.sort(expected))
+
+
+def test_a_point_costs_the_fruit_it_misses_then_motion_and_idle_arms(machine):
+    """Each fruit counts one; motion of the arm that moves least, and the arm with least work, up to 0.3 each."""
+    rng = np.random.default_rng(4)
+    fruit = np.array([-0.5, -1.4, 1.2]) + np.array([1.0, 0.4, 0.9]) * rng.random((5, 3))
+    masters = np.column_stack([rng.uniform(-1.9, -1.2, 12), np.zeros(12), rng.uniform(0.3, 0.7, 12)])
+    heights = np.array([0.5, 0.8, 1.1])
+    slide = (machine.slave.lower[0], machine.slave.upper[0])
+    d4 = fruit[:, 2] - machine.d1 - heights[:, None]
+    inside = (d4 >= slide[0]) & (d4 <= slide[1])
+    low, high = machine.slave.lower[1:], machine.slave.upper[1:]
+    found = _point_costs(machine, masters, fruit, inside)
+    counts = set()
+    for m, k in product(range(12), range(3)):
+        joints = machine.slave_inverse(masters[m] + [0.0, heights[k], 0.0], fruit)
+        reached = machine.within_limits(joints)
+        moves = (np.abs(joints[..., 1:] - machine.slave_home[1:]) / (high - low)).sum(axis=-1)
+        taken = [j for j in range(5) if reached[:, j].any()]
+        motion = sum(min(moves[i, j] for i in range(machine.arms) if reached[i, j]) for j in taken)
+        idle = min(reached.sum(axis=1).min() / (5 / 3), 1.0)
+        assert found[m, k] == pytest.approx(-len(taken) + 0.3 * motion / (1.5 * 5) - 0.3 * idle)
+        counts.add((len(taken), idle > 0))
+    assert len(counts) >= 4
+
+
+def test_slides_that_end_elsewhere_move_the_pick_point_by_as_much(machine):
+    """A slide from 0.05 to 0.65 m in place of -0.3 to 0.3 m: the master stands 0.35 m lower, all else is the same."""
+    shift = np.array([0.35, 0.0, 0.0])
+    slaves = tuple(
+        replace(arm, nominal=replace(arm.nominal, lower=arm.nominal.lower + shift, upper=arm.nominal.upper + shift))
+        for arm in machine.slaves
+    )
+    shifted = replace(machine, slaves=slaves, slave_home=machine.slave_home + shift)
+    rng = np.random.default_rng(8)
+    for _ in range(4):
+        fruit = [rng.uniform(-0.3, 0.3), -1.3, 1.5] + np.array([0.6, 0.3, 0.8]) * rng.random((7, 3))
+        usual, moved = pick_point(machine, fruit), pick_point(shifted, fruit)
+        np.testing.assert_allclose(moved.master, usual.master - [0.0, 0.35, 0.0], atol=1e-9)
+        np.testing.assert_array_equal(moved.reached, usual.reached)
 
 
 def limits_of(machine):

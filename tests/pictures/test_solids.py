@@ -7,7 +7,15 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from pickenv.pictures.solids import ball_triangles, chequered, mesh_triangles, rod_triangles, turned
+from pickenv.pictures.solids import (
+    all_triangles,
+    ball_triangles,
+    chequered,
+    leaf_mesh,
+    mesh_triangles,
+    rod_triangles,
+    turned,
+)
 from pickenv.pictures.stage import Balls, Eye, Mesh, Rods, fitted_eye, rgba
 
 
@@ -107,3 +115,82 @@ def test_a_fitted_eye_sees_all_points_and_stands_no_farther_than_needed(seed):
     share = np.maximum(np.abs(columns / 240 - 1), np.abs(rows / 180 - 1)).max()
     assert depth.min() > 0
     assert 0.8 < share < 1.0
+
+
+def test_a_point_is_seen_at_focal_length_over_depth():
+    """From 2 m before the origin with 90 degrees of view: half the height is one metre there."""
+    eye = Eye(np.array([0.0, -2.0, 0.0]), np.zeros(3), 90.0)
+    np.testing.assert_allclose(eye.axes(), [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    np.testing.assert_allclose(eye.project([0.5, 0.0, 0.25], (640, 400)), [320 + 50, 200 - 25, 2.0])
+    np.testing.assert_allclose(eye.project([[0.5, 2.0, -0.25]], (640, 400)), [[320 + 25, 200 + 12.5, 4.0]])
+    np.testing.assert_allclose(eye.point_at((370.0, 175.0), 2.0, (640, 400)), [0.5, 0.0, 0.25], atol=1e-12)
+    np.testing.assert_allclose(eye.pixels_per_metre([1.0, 4.0, 0.0], (640, 400)), [200.0, 50.0, 2e5])
+    assert Eye(np.zeros(3), np.ones(3)).angle_deg == 30.0
+
+
+@pytest.mark.parametrize("angle", [30.0, 60.0])
+def test_a_fitted_eye_stands_six_percent_farther_away_than_it_must(angle):
+    points, size = np.random.default_rng(2).normal(size=(60, 3)) * [1.0, 0.4, 0.7], (500, 300)
+    eye = fitted_eye(points, np.array([1.0, -2.0, 0.5]), size, angle)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    np.testing.assert_allclose(eye.target, middle)
+    way = (eye.position - middle) / np.linalg.norm(eye.position - middle)
+    np.testing.assert_allclose(way, np.array([1.0, -2.0, 0.5]) / np.sqrt(5.25))
+    near, far = 2.0, 40.0
+    for _ in range(60):
+        half = (near + far) / 2
+        columns, rows, depth = Eye(middle + half * way, middle, angle).project(points, size).T
+        inside = depth.min() > 0 and (np.abs(columns / 250 - 1) <= 1).all() and (np.abs(rows / 150 - 1) <= 1).all()
+        near, far = (near, half) if inside else (half, far)
+    assert np.linalg.norm(eye.position - middle) == pytest.approx(1.06 * far, rel=1e-9)
+
+
+def test_a_rod_has_as_many_corners_as_it_says_and_parts_are_put_together_in_order():
+    rod = rod_triangles(Rods(np.zeros((1, 3)), np.ones((1, 3)), np.array([0.1]), rgba((9, 8, 7), 1, 0.5)))
+    assert len(rod.corners) == 14 * 2 * 4 + 2 and len(rod.triangles) == 2 * 14 * 8
+    assert rod.colour.tolist() == [[9, 8, 7, 128]] * 114
+    ball = ball_triangles(Balls(np.ones((2, 3)), np.array([0.1, 0.3]), rgba((1, 2, 3), 2)))
+    made = all_triangles([rod, ball, rod])
+    for part, first in ((rod, 0), (ball, 114), (rod, 114 * 3)):
+        last = first + len(part.corners)
+        rows = made.triangles[(made.triangles >= first).all(axis=1) & (made.triangles < last).all(axis=1)]
+        np.testing.assert_array_equal(rows - first, part.triangles)
+        for whole, own in ((made.corners, part.corners), (made.normals, part.normals), (made.colour, part.colour)):
+            np.testing.assert_array_equal(whole[first:last], own)
+    assert len(made.corners) == 114 * 4 and len(made.triangles) == 224 * 4
+    nothing = all_triangles([])
+    assert [part.shape for part in nothing] == [(0, 3), (0, 3), (0, 4), (0, 3)]
+
+
+def test_squares_of_the_ground_lie_on_round_places_and_change_colour_like_a_chessboard():
+    made = chequered((-0.6, 0.2), (0.4, 0.9), 0.0, 0.5, ((10, 0, 0), (20, 0, 0)))
+    squares = made.corners.reshape(-1, 4, 3)
+    np.testing.assert_allclose(squares[:, 2] - squares[:, 0], [[0.5, 0.5, 0.0]] * len(squares))
+    number = np.round(squares[:, 0, :2] / 0.5).astype(int)
+    assert sorted(map(tuple, number.tolist())) == [(x, y) for x in (-2, -1, 0) for y in (0, 1)]
+    np.testing.assert_array_equal(made.colour[::4, 0], np.where((number - number[0]).sum(axis=1) % 2, 20, 10))
+    exact = chequered((0.0, 0.0), (1.0, 0.5), 0.0, 0.5, ((1, 1, 1), (2, 2, 2)))
+    assert len(exact.triangles) == 4 and len(chequered((0, 0), (0, 0), 0.0, 1.0, ((1, 1, 1), (2, 2, 2))).triangles) == 2
+
+
+def test_a_leaf_is_as_long_and_wide_as_it_says_bent_and_of_some_shade():
+    places = np.random.default_rng(0).normal(size=(300, 3))
+    made = leaf_mesh(places, 0.08, 0.04, (100, 180, 60), np.random.default_rng(1))
+    foot, left, tip, right = np.moveaxis(made.corners.reshape(-1, 4, 3), 1, 0)
+    np.testing.assert_allclose((foot + tip) / 2, places, atol=1e-12)
+    along, across, bent = tip - foot, right - left, (left + right) / 2 - places
+    for part, size in ((along, 0.08), (across, 0.04), (bent, 0.04 / 5)):
+        np.testing.assert_allclose(np.linalg.norm(part, axis=1), size)
+    for one, other in ((along, across), (along, bent), (across, bent)):
+        np.testing.assert_allclose(np.sum(one * other, axis=1), 0.0, atol=1e-12)
+    assert made.triangles[:4].tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
+    shade = made.colour[::4, :3] / np.array([100, 180, 60])
+    assert (made.colour[:, 3] == 255).all() and 0.73 < shade.min() < 0.8 and 1.2 < shade.max() <= 1.25
+    assert shade[:, 1].mean() == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_mesh_without_area_has_no_normals_and_one_of_two_sizes_leans_to_the_larger():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 3, 0], [0, 0, 1], [5, 5, 5]])
+    found = mesh_triangles(Mesh(corners, np.array([[0, 1, 2], [0, 3, 1]]), rgba((0, 0, 0), 5)))
+    np.testing.assert_allclose(found.normals[0], np.array([0.0, 1.0, 3.0]) / np.sqrt(10))
+    assert found.normals[4].tolist() == [0.0, 0.0, 0.0]

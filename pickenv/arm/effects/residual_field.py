@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from types import ModuleType
 from typing import Any, ClassVar
 
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pickenv.arm.kinematics.forward import Frame, Scalar
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import displaced_frame
+from pickenv.arm.kinematics.tracing import outside
 
 CHUNK = 64
 """Arms or poses worked on together in NumPy: their waves then stay in a core's cache."""
@@ -110,19 +111,29 @@ def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[S
     features = field.features
     if m.__name__ == "torch":
         return _tensor_outputs(m, field, q)
-    inputs = np.stack(np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in features.inputs(m, q))))
+    given = features.inputs(m, q)
+    noted = outside(partial(_fill, field), given, features.outputs)
+    if noted is not None:
+        return list(noted)
+    inputs = np.stack(np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in given)))
     if inputs.ndim == 1 and field.weight.ndim == 3:
         parts = _weighed(features, inputs, field.weight)
         return list(parts) if m is np else list(parts.tolist())
     shape = np.broadcast_shapes(inputs.shape[1:], field.weight.shape[:-3])
     ones = (1,) * (1 + len(shape) - inputs.ndim)  # one pose, many arms
     inputs = np.broadcast_to(inputs.reshape(len(inputs), *ones, *inputs.shape[1:]), (len(inputs), *shape))
-    weight = np.broadcast_to(field.weight, (shape[-1], *field.weight.shape[-3:]))
     found = np.empty((features.outputs, *shape))
-    for first in range(0, shape[-1], CHUNK):
-        part = slice(first, first + CHUNK)
-        found[..., part] = np.moveaxis(_weighed(features, inputs[..., part], weight[part]), -1, 0)
+    _fill(field, inputs, found, slice(None))
     return list(found)
+
+
+def _fill(field: ResidualField, inputs: Array, found: Array, part: slice) -> None:
+    """Write outputs ``(O, ...)`` at inputs ``(F, ...)``, those of the arms ``part`` where each has its own weights."""
+    weight = field.weight if field.weight.ndim == 3 else field.weight[part]
+    weight = np.broadcast_to(weight, (found.shape[-1], *weight.shape[-3:]))
+    for first in range(0, found.shape[-1], CHUNK):
+        some = slice(first, first + CHUNK)
+        found[..., some] = np.moveaxis(_weighed(field.features, inputs[..., some], weight[some]), -1, 0)
 
 
 def _weighed(features: Features, inputs: Array, weight: Single) -> Array:

@@ -2,45 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Frame, PlantState, plant_at
+from pickenv.arm import Array
+from pickenv.envs.picking.pick_arm import PickMotion, PickSight, act_arm, apart_mm, begin_arm, look_at_arm
 from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_scene import PickScene, draw_scene, upright_turn
-from pickenv.envs.picking.pick_task import make_pick
+from pickenv.envs.picking.pick_scene import PickScene
+from pickenv.envs.picking.pick_start import PICK_OPTIONS, Asked, draw_starts
+from pickenv.envs.picking.pick_task import LONGEST, MOST_LEFT, STILL, make_pick, pick_reward, pick_spaces
 from pickenv.envs.shared.arm_env import ArmEnv, Information
-from pickenv.envs.shared.backends import FLOATS
+from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.simulation import move, nominal_frames, nominal_readings, scaled
-from pickenv.envs.shared.situation import (
-    Components,
-    acted,
-    drawn_start,
-    drawn_values,
-    in_period,
-    sensed,
-    warmed_up,
-    with_joint_noise,
-)
-from pickenv.envs.shared.spaces import box, given_options
+from pickenv.envs.shared.situation import drawn_start
+from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import checked_action
 from pickenv.errors import InputError
 
 if TYPE_CHECKING:
     from pickenv.pictures.stage import Stage
-
-LONGEST = 400
-"""Steps of the time budget, whatever `max_episode_steps` says: the environment is not told of that."""
-STILL = 1.0
-"""Time without a command after which the observation says that the arm stands still, s."""
-MOST_LEFT = 50
-COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
 
 class PickEnv(ArmEnv):
@@ -180,11 +163,11 @@ class PickEnv(ArmEnv):
     - `control_period_s`, `latency` (of joint readings), `action_delay` (of the gripper too), `joint_noise`, `hours_on`
       and `start_spread`, numbers or ranges: as in `pickenv/Reach-v0`.
     - `difficulty` and `split`: as in `pickenv/Reach-v0`.
+    - `executor` ("floats" or "numpy"): as in `pickenv/Reach-v0`.
     - `render_mode` (None, "human" or "rgb_array").
 
-    There is no native vector version: it would gain little, since drawing a canopy takes as long as some seventy steps.
-    `gym.make_vec("pickenv/Pick-v0", num_envs=8)` makes a `SyncVectorEnv`; environment i is seeded with `seed + i` and
-    gives there what it gives alone.
+    `gym.make_vec("pickenv/Pick-v0", num_envs=64)` makes the native vector environment,
+    `pickenv.envs.picking.pick_vector.PickVectorEnv`, which takes the same arguments and more.
 
     ## Version History
 
@@ -192,28 +175,28 @@ class PickEnv(ArmEnv):
     """
 
     def __init__(
-        self, *, difficulty: str | None = None, split: str = "train", render_mode: str | None = None, **arguments: Any
+        self,
+        *,
+        difficulty: str | None = None,
+        split: str = "train",
+        executor: str = "floats",
+        render_mode: str | None = None,
+        **arguments: Any,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         task, self.orchard = make_pick(**on_ladder("Pick", difficulty, split, arguments))
-        super().__init__(task, render_mode)
-        self._reach = reach_of(self.plant.arm.nominal, self.orchard.station.approach)
-        bounds = box([1.0] * self.task.joints + [self.task.reach] * 6 + [2 * self.task.reach] * 3 + [math.pi] * 3)
-        self._low = np.concatenate([bounds.low, np.zeros(5, np.float32)])
-        self._high = np.concatenate([bounds.high, np.ones(5, np.float32)])
-        self.observation_space = gym.spaces.Box(self._low, self._high, dtype=np.float32)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.task.joints + 1,), np.float32)
+        super().__init__(task, render_mode, executor)
+        self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
+        self.observation_space, self.action_space = pick_spaces(task)
         self.scene: PickScene | None = None
-        self._target: Sequence[float] = self.task.middle
-        self._state = PlantState()
-        self._tool: Frame = ()
-        self._sensed: Components = ()
+        self._motion: PickMotion | None = None
+        self._sight: PickSight | None = None
         self._arm: int | None = None
 
     @property
     def joint_target(self) -> Array:
         """The nominal joint target that the actions have built up, rad or m."""
-        return np.array(self._target)
+        return np.array(self.task.middle if self._motion is None else self._plain(self._motion.target))
 
     @property
     def arm(self) -> int:
@@ -225,27 +208,28 @@ class PickEnv(ArmEnv):
     ) -> tuple[NDArray[np.float32], Information]:
         """Start before another section of canopy; see the class for `options`."""
         super().reset(seed=seed)
-        options = given_options(options, ("fruit", "start_joints", "arm"))
-        task, given, start = self.task, self.task.situation, options.get("start_joints")
-        start = None if start is None else task.given_joints("start_joints", start).tolist()
-        self.scene = draw_scene(self.orchard, self._reach, self.np_random, options.get("fruit"))
-        self._take_arm(options.get("arm"), again=seed is not None)
-        self._key = 0 if given.plain else int(self.np_random.integers(2**63))
-        self._drawn = drawn_values(FLOATS, given, self._key)
-        self._sent: Components = (0.0,) * (given.widths(task.joints + 1, 0)[1])
-        if start is None:
-            start = drawn_start(FLOATS, given, self._key, task.lower, task.upper) if given.spread else task.middle
-        self._target, self._step, self._still = start, 0, STILL
-        command = self._command()
-        memory = self.plant.initial_state(math, command)
-        memory = warmed_up(FLOATS, given, self._drawn, self.plant, memory, command)
-        self._state, self._tool = self.plant.advance(math, memory, command, 0.0)
-        shown = self._shown(command)
-        believed = nominal_frames(FLOATS, self.task, shown)[1]
-        self._number = self._next(believed)
+        options = given_options(options, PICK_OPTIONS)
+        x, task, joints, asked = self._x, self.task, options.get("start_joints"), options.get("arm")
+        start: Sequence[Scalar] | None = None
+        if joints is not None:
+            start = self._numbers(task.given_joints("start_joints", joints).tolist())
+        wanted = Asked(self._arm, seed is not None, options.get("fruit"), asked)
+        (begun,) = draw_starts(task, self.orchard, self._reach, [self.np_random], [wanted])
+        self.scene, self._key = begun.scene, self._word(begun.key)
+        if begun.arm is not None and (task.arms != "fixed" or asked is not None):
+            self._arm = begun.arm
+            self._use_arm(begun.arm)
+        if start is None and task.situation.spread:
+            start = drawn_start(x, task.situation, self._key, task.lower, task.upper)
+        start = self._numbers(task.middle) if start is None else start
+        self._step, self._still = 0, STILL
+        self._motion = begin_arm(x, task, self.plant, self._key, start, self._command(start))
+        believed, _ = self._look(0.0)
+        self._number = 0
+        self._choose(believed)
         if self.render_mode == "human":
             self.render()
-        return self._observation(shown, believed), self._information(command)
+        return self._observation(), self._information()
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:
         """Move the joint target by `action`, then work the gripper.
@@ -254,111 +238,90 @@ class PickEnv(ArmEnv):
             InputError: If the action has another shape or impossible numbers, or before the first reset.
         """
         values = checked_action(action, (self.task.joints + 1,), self.task.most_action)
-        if self.scene is None:
+        if self.scene is None or self._motion is None or self._sight is None:
             raise InputError("step was called before reset; call reset first")
-        scene = self.scene
-        task, given = self.task, self.task.situation
-        arrived, self._sent = acted(FLOATS, given, self._drawn, self._sent, values.tolist())
-        *moves, gripper = arrived
-        period = given.value("period", self._drawn)
-        collected, damaged = scene.funnel()["collected"], int(scene.damaged.sum())
-        target = move(FLOATS, task, self._target, in_period(FLOATS, given, self._drawn, moves))
-        moved = any(abs(a - b) > 1e-9 for a, b in zip(target, self._target, strict=True))
-        self._still = 0.0 if moved else min(STILL, self._still + period)
-        self._target, self._step, before = target, self._step + 1, self._tool
-        command = self._command()
-        self._state, self._tool = self.plant.advance(math, self._state, command, period)
-        shown = self._shown(command)
-        believed = nominal_frames(FLOATS, self.task, shown)[1]
-        scene.advance(before, self._tool, self._number, period)
-        scene.work_gripper(gripper, self._number, believed, self._tool)
+        scene, x, task = self.scene, self._x, self.task
+        collected, damaged = scene.tally()
+        numbers = self._numbers(values.tolist())
+        self._motion, command, moved, period = act_arm(x, task, self._motion, numbers)
+        gripper, dt = self._plain((command, period))
+        self._still = 0.0 if moved else min(STILL, self._still + dt)
+        self._step += 1
+        before = self._plain(self._sight.tool)
+        believed, tool = self._look(period)
+        scene.advance(before, tool, self._number, dt)
+        scene.work_gripper(gripper, self._number, believed, tool)
         if scene.held is None and not scene.waiting[self._number]:
-            self._number = self._next(believed)
-        funnel = scene.funnel()
-        reward = COLLECTED * (funnel["collected"] - collected) + DAMAGED * (int(scene.damaged.sum()) - damaged) + STEP
+            self._choose(believed)
+        now_collected, now_damaged = scene.tally()
+        reward = pick_reward(now_collected - collected, now_damaged - damaged)
         terminated = scene.held is None and not scene.waiting.any()
         if self.render_mode == "human":
             self.render()
-        return self._observation(shown, believed), reward, terminated, False, self._information(command)
+        return self._observation(), reward, terminated, False, self._information()
 
     def _stage(self) -> Stage | None:
         from pickenv.envs.picking.pick_drawing import draw_pick
 
-        if self.scene is None:
+        if self.scene is None or self._motion is None or self._sight is None:
             return None
-        command = self._command()
-        believed = nominal_frames(FLOATS, self.task, self._shown(command))[1]
-        nominal = self.task.plant.arm.nominal
-        return draw_pick(nominal, np.array(command), self._tool, believed, self.scene, self._number, self.dark)
+        command = np.array(self._plain(self._command(self._motion.target)))
+        tool, believed = tuple(self._plain(self._sight.tool)), tuple(self._plain(self._sight.believed))
+        return draw_pick(self.task.plant.arm.nominal, command, tool, believed, self.scene, self._number, self.dark)
 
-    def _take_arm(self, asked: int | None, *, again: bool) -> None:
-        """Choose the true arm: anew in every episode, or once per environment and seed."""
-        task = self.task
-        if task.arms == "fixed" and asked is None:
-            return
-        if again or self._arm is None or task.arms == "per_episode":
-            self._arm = int(self.np_random.integers(task.population))
-        if asked is not None:
-            self._arm = task.given_arm(asked)
-        self.plant = plant_at(task.plant, self._arm)
+    def _look(self, dt: Scalar) -> tuple[list[float], list[float]]:
+        """Let time pass at the present joint target; frames of the believed and the true tool."""
+        assert self._motion is not None
+        command, moment = self._command(self._motion.target), self._word(self._step)
+        self._motion, self._sight = look_at_arm(
+            self._x, self.task, self.plant, self._motion, command, self._key, moment, dt
+        )
+        self._sent_command = np.array(self._plain(command))
+        return self._plain(self._sight.believed), self._plain(self._sight.tool)
 
-    def _next(self, believed: Frame) -> int:
-        """Number of the next fruit, or of the last one where none waits."""
+    def _choose(self, believed: Sequence[float]) -> None:
+        """Go after the nearest waiting fruit, or stay with the last one."""
         assert self.scene is not None
         number = self.scene.nearest(believed[9:])
-        return self._number if number is None else number
+        self._number = self._number if number is None else number
 
-    def _command(self) -> Sequence[float]:
-        """What the drives get for the joint target."""
-        if self.compensator is None:
-            return self._target
-        command: list[float] = self.compensator(np.array(self._target)).tolist()
-        return command
-
-    def _shown(self, command: Sequence[float]) -> list[float]:
-        """Joints as their readings arrive, late and noisy where the situation says so."""
-        given, first = self.task.situation, self._step == 0
-        read = nominal_readings(FLOATS, self.plant, self._state, self._target, command)
-        read = with_joint_noise(FLOATS, given, self._drawn, self._key, self._step, read)
-        arrived, self._sensed = sensed(FLOATS, given, self._drawn, self._sensed, read, first)
-        return list(arrived)
-
-    def _observation(self, shown: Sequence[float], believed: Frame) -> NDArray[np.float32]:
-        scene = self.scene
-        assert scene is not None
-        seen, tool = scene.seen[self._number], np.array(believed[9:])
-        held = scene.held is not None
+    def _observation(self) -> NDArray[np.float32]:
+        scene, sight = self.scene, self._sight
+        assert scene is not None and sight is not None
+        seen, tool = scene.seen[self._number], np.array(self._plain(sight.believed)[9:])
         parts = [
-            scaled(FLOATS, self.task, shown),
+            self._plain(sight.readings),
             tool,
             seen,
             seen - tool,
-            upright_turn(np.array(believed[6:9])),
+            self._plain(sight.turn),
             [
                 self._still,
                 1.0 - self._step / LONGEST,
-                held and not scene.holds_detached,
+                scene.holds_hanging,
                 scene.holds_detached,
                 scene.waiting.sum() / MOST_LEFT,
             ],
         ]
-        return np.asarray(np.concatenate(parts).clip(self._low, self._high), dtype=np.float32)
+        space = self.observation_space
+        return np.asarray(np.concatenate(parts).clip(space.low, space.high), dtype=np.float32)
 
-    def _information(self, command: Sequence[float]) -> Information:
-        scene = self.scene
-        assert scene is not None
-        tool, fruit = np.array(self._tool[9:]), scene.positions[self._number]
-        funnel = scene.funnel()
+    def _information(self) -> Information:
+        scene, sight = self.scene, self._sight
+        assert scene is not None and sight is not None
+        fruit, funnel = scene.positions[self._number], scene.funnel()
+        away = apart_mm(self._x, self._numbers(fruit.tolist()), sight.tool[9:])
+        away_mm, tilt = self._plain((away, sight.tilt))
         return {
             **funnel,
-            "damaged": int(scene.damaged.sum()),
+            "damaged": scene.tally()[1],
             "is_success": funnel["collected"] == funnel["reachable"],
-            "position_error_mm": 1e3 * float(np.linalg.norm(fruit - tool)),
+            "position_error_mm": away_mm,
             "grasp_lateral_mm": 1e3 * scene.miss[0],
             "grasp_axial_mm": 1e3 * scene.miss[1],
-            "tilt_deg": math.degrees(math.acos(max(-1.0, min(1.0, self._tool[8])))),
-            "joint_command": np.array(command),
-            "tool_position": tool,
+            "tilt_deg": tilt,
+            "joint_command": self._sent_command,
+            "tool_position": np.array(self._plain(sight.tool)[9:]),
             "fruit_position": fruit.copy(),
             "fruit_number": self._number,
         }

@@ -39,6 +39,8 @@ class Reach:
 
     def __call__(self, positions: Array) -> Flags:
         """One flag per position (n, 3), m."""
+        if not len(positions):
+            return np.zeros(0, dtype=np.bool_)
         points = np.concatenate([positions, positions - self.approach * UP])
         _, nearest = self.tree.query(points)
         solution = inverse(

@@ -8,8 +8,9 @@ the start, so that two policies meet the same fruit, the same camera and the sam
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -100,13 +101,43 @@ def _origin(orchard: PickSetting) -> Array:
     return np.array([station.middle, station.face, station.mount - orchard.canopy.bottom])
 
 
-def upright_turn(axis: Array) -> Array:
-    """Rotation vector (3,) of the shortest turn that brings a unit vector upright, rad."""
-    across = np.cross(axis, UP)
-    sine = float(np.linalg.norm(across))
-    if sine < 1e-12:
-        return np.zeros(3) if axis[2] > 0 else np.array([math.pi, 0.0, 0.0])
-    return np.asarray(across / sine * math.atan2(sine, float(axis[2])))
+class Contact(NamedTuple):
+    """How fruit stands to a tool.
+
+    Attributes:
+        across: From the tool's axis to each fruit, m, shape (..., n, 3).
+        gap: Its length, m, shape (..., n).
+        overlap: How far the tool is inside the fruit, m, shape (..., n).
+        touched: Whether it is.
+    """
+
+    across: Array
+    gap: Array
+    overlap: Array
+    touched: Flags
+
+
+def contact(station: trees.Station, positions: Array, diameters: Array, point: Array, axis: Array) -> Contact:
+    """Which fruit a tool touches; every canopy gives each fruit the same bits, whatever else is in the arrays.
+
+    Args:
+        station: The tool.
+        positions: Of the fruit, m, shape (..., n, 3).
+        diameters: m, shape (..., n).
+        point: The tool's point, m, shape (..., 3).
+        axis: Its axis, shape (..., 3).
+    """
+    away = positions - point[..., None, :]
+    along = _dot(away, axis[..., None, :])
+    across = away - along[..., None] * axis[..., None, :]
+    gap = np.sqrt(_dot(across, across))
+    radius, high = diameters / 2, np.maximum(along, 0.0)
+    wide = station.tool_radius + np.sqrt(np.maximum(radius * radius - high * high, 0.0))
+    return Contact(across, gap, wide - gap, (gap < wide) & (along > -station.tool_length) & (along < radius))
+
+
+def _dot(one: Array, other: Array) -> Array:
+    return np.asarray(one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1] + one[..., 2] * other[..., 2])
 
 
 @dataclass(eq=False)
@@ -173,11 +204,20 @@ class PickScene:
         """Whether the gripper holds a fruit that is off its stem."""
         return self.held is not None and bool(self.detached[self.held])
 
+    @property
+    def holds_hanging(self) -> bool:
+        """Whether the gripper holds a fruit that is on its stem."""
+        return self.held is not None and not self.detached[self.held]
+
+    def tally(self) -> tuple[int, int]:
+        """Fruit collected undamaged, and damaged."""
+        return int((self.collected & ~self.damaged).sum()), int(self.damaged.sum())
+
     def funnel(self) -> dict[str, int]:
         """Fruit that got through each stage; none has more than the one before."""
         stages = ("visible", "reachable", "attempted", "attached", "detached")
         passed = {stage: int(getattr(self, stage).sum()) for stage in stages}
-        return {"present": len(self.rest), **passed, "collected": int((self.collected & ~self.damaged).sum())}
+        return {"present": len(self.rest), **passed, "collected": self.tally()[0]}
 
     def nearest(self, tool: ArrayLike) -> int | None:
         """Number of the waiting fruit that was seen nearest to the tool, or None."""
@@ -189,32 +229,35 @@ class PickScene:
 
     def advance(self, before: Frame, tool: Frame, target: int | None, dt: float) -> None:
         """Let the fruit swing for ``dt`` seconds, and the tool push what is in its way."""
-        self.displacement, self.velocity = trees.swing(
-            self.orchard.branch, self.displacement, self.velocity, self.masses, dt
-        )
-        point, axis = np.array(tool[9:]), np.array(tool[6:9])
-        moved = point - np.array(before[9:])
-        if self.held is not None and not self.detached[self.held]:
-            self._push(self.rest[self.held], moved)
-            self.displacement[self.held] = self.grip + point
-            self.velocity[self.held] = 0.0
-        away = self.positions - point
-        along = away @ axis
-        across = away - along[:, None] * axis
-        gap = np.linalg.norm(across, axis=1)
-        radius, station = self.diameters / 2, self.orchard.station
-        wide = np.sqrt(np.maximum(radius**2 - np.maximum(along, 0.0) ** 2, 0.0))
-        touched = (
-            (gap < station.tool_radius + wide) & (along > -station.tool_length) & (along < radius) & ~self.detached
-        )
+        if self.displacement.any() or self.velocity.any():
+            self.displacement[:], self.velocity[:] = trees.swing(
+                self.orchard.branch, self.displacement, self.velocity, self.masses, dt
+            )
+        point, moved = np.array(tool[9:]), np.array(tool[9:]) - np.array(before[9:])
+        if self.holds_hanging:
+            self.carry(point, moved)
+        found = contact(self.orchard.station, self.positions, self.diameters, point, np.array(tool[6:9]))
+        if found.touched.any():
+            self.meet(found, target, moved, dt)
+
+    def carry(self, point: Array, moved: Array) -> None:
+        """Take the fruit in the gripper along, and its branch."""
+        assert self.held is not None
+        self._push(self.rest[self.held], moved)
+        self.displacement[self.held] = self.grip + point
+        self.velocity[self.held] = 0.0
+
+    def meet(self, found: Contact, target: int | None, moved: Array, dt: float) -> None:
+        """Push what the tool touches: neither what is off its stem nor what it holds."""
+        touched = found.touched & ~self.detached
         if self.held is not None:
             touched[self.held] = False
         if target is not None:  # what stands above the opening goes in
-            touched[target] &= gap[target] > station.tool_radius
+            touched[target] &= found.gap[target] > self.orchard.station.tool_radius
         speed = np.linalg.norm(moved) / dt if dt else 0.0
         for i in np.flatnonzero(touched):
-            self._push(self.positions[i], across[i] / max(gap[i], 1e-9) * (station.tool_radius + wide[i] - gap[i]))
-            self.damaged[i] |= speed > station.bruise_speed
+            self._push(self.positions[i], found.across[i] / max(found.gap[i], 1e-9) * found.overlap[i])
+            self.damaged[i] |= speed > self.orchard.station.bruise_speed
 
     def work_gripper(self, share: float, number: int, believed: Frame, tool: Frame) -> None:
         """Close the gripper on fruit ``number``, twist, open or empty it.
@@ -281,58 +324,81 @@ class PickScene:
         """Displace the fruit around ``contact``; fruit in or past the gripper stays."""
         moved = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
         far = np.linalg.norm(moved, axis=1, keepdims=True)
-        self.displacement = moved * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
+        self.displacement[:] = moved * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
 
 
 def draw_scene(orchard: PickSetting, reach: Reach, rng: np.random.Generator, given: Any = None) -> PickScene:
-    """The fruit of an episode, at least one of it in reach.
+    """The fruit of an episode, at least one of it in reach; see `draw_scenes`."""
+    return draw_scenes(orchard, reach, [rng], [given])[0]
+
+
+def draw_scenes(
+    orchard: PickSetting, reach: Reach, rngs: Sequence[np.random.Generator], given: Sequence[Any]
+) -> list[PickScene]:
+    """The fruit of some episodes, at least one of each in reach; whether it is, is asked of all at once.
 
     Args:
         orchard: What kind of fruit.
         reach: Where the arm gets.
-        rng: Source of every random draw.
+        rngs: Source of every random draw of each.
         given: Fruit positions (n, 3) in the base frame, m, in place of drawn ones, or None.
 
     Raises:
         InputError: If none of the given fruit is found within reach, or none in many draws.
     """
-    if given is not None:
-        centres = np.atleast_2d(as_numbers("option fruit", given))
-        if centres.ndim != 2 or centres.shape[-1] != 3 or not centres.size or not np.isfinite(centres).all():
-            raise InputError(f"option fruit has shape {centres.shape}; give at least one finite position (n, 3) in m")
-    for _ in range(ATTEMPTS if given is None else GIVEN_ATTEMPTS):
-        if given is None:
-            drawn = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
-            positions, diameters = drawn.positions, drawn.diameters
-        else:
-            positions = to_orchard(orchard, centres)
-            diameters = trees.sample_diameters(orchard.size, len(centres), rng)
-        if len(positions):
-            scene = _seen_scene(orchard, reach, rng, positions, diameters)
-            if scene.reachable.any():
-                return scene
-    where = "none of the fruit given" if given is not None else f"no fruit in {ATTEMPTS} draws of the orchard"
+    centres = [None if each is None else _given_fruit(each) for each in given]
+    scenes: dict[int, PickScene] = {}
+    for attempt in range(ATTEMPTS):
+        drawn: dict[int, PickScene] = {}
+        for i, rng in enumerate(rngs):
+            if i in scenes or (centres[i] is not None and attempt >= GIVEN_ATTEMPTS):
+                continue
+            scene = _seen_scene(orchard, rng, centres[i])
+            if scene is not None:
+                drawn[i] = scene
+        if drawn:
+            wanted = [scene.reachable for scene in drawn.values()]
+            reached = reach(np.concatenate([scene.seen[scene.reachable] for scene in drawn.values()]))
+            ends = np.cumsum([flags.sum() for flags in wanted])[:-1]
+            for (i, scene), found in zip(drawn.items(), np.split(reached, ends), strict=True):
+                scene.reachable[scene.reachable] = found
+                if found.any():
+                    scenes[i] = scene
+        if len(scenes) == len(rngs):
+            return [scenes[i] for i in range(len(rngs))]
+    missing = next(i for i in range(len(rngs)) if i not in scenes)
+    where = "none of the fruit given" if given[missing] is not None else f"no fruit in {ATTEMPTS} draws of the orchard"
     raise InputError(f"{where} is both seen and within the arm's reach from below; move the fruit or add some")
 
 
-def _seen_scene(
-    orchard: PickSetting, reach: Reach, rng: np.random.Generator, positions: Array, diameters: Array
-) -> PickScene:
-    """Look at fruit in the orchard frame, and say which of it the arm can try."""
-    count = len(positions)
+def _given_fruit(given: Any) -> Array:
+    centres = np.atleast_2d(as_numbers("option fruit", given))
+    if centres.ndim != 2 or centres.shape[-1] != 3 or not centres.size or not np.isfinite(centres).all():
+        raise InputError(f"option fruit has shape {centres.shape}; give at least one finite position (n, 3) in m")
+    return centres
+
+
+def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
+    """Fruit drawn or given, and looked at; reachable is what is seen with a free way from below. None without fruit."""
+    if given is None:
+        drawn = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
+        positions, diameters = drawn.positions, drawn.diameters
+        if not len(positions):
+            return None
+    else:
+        positions, diameters = to_orchard(orchard, given), trees.sample_diameters(orchard.size, len(given), rng)
     believed, visible = looked_at(orchard, rng, positions, diameters)
-    seen = to_base(orchard, believed)
     clear = trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
     return PickScene(
         orchard=orchard,
         rest=to_base(orchard, positions),
         diameters=diameters,
         masses=trees.fruit_masses(orchard.size, diameters),
-        strength=trees.sample_strength(orchard.detachment, count, rng),
-        chance=rng.random(count),
-        seen=seen,
+        strength=trees.sample_strength(orchard.detachment, len(positions), rng),
+        chance=rng.random(len(positions)),
+        seen=to_base(orchard, believed),
         visible=visible,
-        reachable=visible & clear & reach(seen),
+        reachable=visible & clear,
     )
 
 

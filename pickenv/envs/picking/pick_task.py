@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+from gymnasium import spaces
+
+from pickenv.arm.kinematics.forward import Scalar
 from pickenv.envs.picking.pick_scene import PUBLISHED, PickSetting, make_setting
+from pickenv.envs.shared.spaces import box
 from pickenv.envs.shared.task import Task, check_count, check_number, make_task
+
+LONGEST = 400
+"""Steps of the time budget, whatever `max_episode_steps` says: the environment is not told of that."""
+STILL = 1.0
+"""Time without a command after which the observation says that the arm stands still, s."""
+MOST_LEFT = 50
+COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
 
 def make_pick(
@@ -38,3 +51,16 @@ def make_pick(
     drawn: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
     task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **drawn, **situation)
     return task, make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks, vision, detector)
+
+
+def pick_spaces(task: Task) -> tuple[spaces.Box, spaces.Box]:
+    """Observation and action space."""
+    bounds = box([1.0] * task.joints + [task.reach] * 6 + [2 * task.reach] * 3 + [math.pi] * 3)
+    low = np.concatenate([bounds.low, np.zeros(5, np.float32)])
+    high = np.concatenate([bounds.high, np.ones(5, np.float32)])
+    return spaces.Box(low, high, dtype=np.float32), spaces.Box(-1.0, 1.0, (task.joints + 1,), np.float32)
+
+
+def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
+    """Reward of a step in which so much fruit was collected undamaged, and newly damaged."""
+    return COLLECTED * collected + DAMAGED * damaged + STEP

@@ -1,20 +1,16 @@
-"""Many reach tasks side by side on NumPy.
-
-Work goes through the environments in blocks that stay in the cache, so that the cost per step does not grow with their
-number.
-"""
+"""Many reach tasks side by side on NumPy."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from pickenv.arm import Array, Plant, plants_on
-from pickenv.envs.reaching.batch import Batch, Flags, Rows, Views, Words
-from pickenv.envs.shared.backends import NUMPY, Scalar
-from pickenv.envs.shared.exact import exact_plant
+from pickenv.arm import Array, Plant
+from pickenv.envs.reaching.batch import Batch, Views
+from pickenv.envs.shared.arm_batch import Flags, NumpyArms, Rows, Words
+from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.simulation import (
     ReachState,
     act,
@@ -25,36 +21,16 @@ from pickenv.envs.shared.simulation import (
     true_reward,
 )
 from pickenv.envs.shared.spaces import final_rows
-from pickenv.envs.shared.task import Compensate, Task, as_numbers
+from pickenv.envs.shared.task import Compensate, Task
 
 
-class NumpyBatch(Batch):
+class NumpyBatch(NumpyArms, Batch):
     """The state of N reach tasks in arrays; arguments as in `pickenv.envs.reaching.batch.Batch`."""
-
-    x = NUMPY
-    block = 2048
-    """A component of 16 KiB, of which a few fit into a core's first cache."""
 
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
         super().__init__(task, count, goal_dict, poses)
-        self.population: Plant = task.plant
-        self.plant: Plant = task.plant
-        if task.arms != "fixed":
-            self.plant = plants_on(task.plant, lambda values: values[self.arm])
-        self.plant = exact_plant(self.plant)
-        self._blocks = [slice(a, b) for a, b in self.blocks(count)]
-        self._plants = [self.plant_of(block) for block in self._blocks]
+        self.make_plants()
         self.remember()
-
-    def given(self, actions: ArrayLike) -> Array:
-        """Actions as an array; where there is nothing to convert they are not copied."""
-        ready = isinstance(actions, np.ndarray) and actions.dtype.kind == "f"
-        return np.asarray(actions) if ready else as_numbers("actions", actions)
-
-    def components(self, actions: Array) -> tuple[Array, float, float]:
-        """Actions component by component, their least and their largest number."""
-        numbers: Array = actions.T.astype(np.float64, order="C")
-        return numbers, float(numbers.min()), float(numbers.max())
 
     def advance(self, actions: Array, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
@@ -63,17 +39,21 @@ class NumpyBatch(Batch):
             actions = actions * live
             rested = np.flatnonzero(~live) if self.remembers else rested
         before = [column[rested] for column in self.columns] if len(rested) else []
-        for block, plant in zip(self._blocks, self._plants, strict=True):
-            state = self.state_of([column[block] for column in self.columns])
-            state = act(self.x, self.task, state, list(actions[:, block]))
-            period = self.task.situation.value("period", state.drawn)
-            self._show(out, block, block, state, plant, compensate, moments[block], period)
+        self.step(out, actions, moments, compensate)
         if len(rested):  # a plant with memory must not live through a step that never was
             self.write(self.columns, rested, before)
             self.scatter(out, rested, self.show(rested, compensate))
         if live is not None:
             out.reward[~live] = 0.0
         return out
+
+    def step(self, out: Views, actions: Array, moments: Words, compensate: Compensate | None) -> None:
+        """Act in all environments, and put what they show into ``out``."""
+        for block, plant in zip(self._blocks, self._plants, strict=True):
+            state = self.state_of([column[block] for column in self.columns])
+            state = act(self.x, self.task, state, list(actions[:, block]))
+            period = self.task.situation.value("period", state.drawn)
+            self._show(out, block, block, state, plant, compensate, moments[block], period)
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
         """What the environments ``rows`` show at the beginning of their episodes."""

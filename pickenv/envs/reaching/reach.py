@@ -9,23 +9,20 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Array, Frame, plant_at, plants_on
+from pickenv.arm import Array, Frame
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import ArmEnv, Information
-from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
+from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.exact import exact_plant
 from pickenv.envs.shared.given_goals import given_goals
 from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import action_space, flat_space, given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
-from pickenv.envs.shared.task import GOAL_ATTEMPTS, check_choice, checked_action, make_task
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, checked_action, make_task
 from pickenv.errors import InputError
 
 if TYPE_CHECKING:
     from pickenv.pictures.stage import Stage
-
-EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
 
 
 class ReachEnv(ArmEnv):
@@ -187,13 +184,9 @@ class ReachEnv(ArmEnv):
         **arguments: Any,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        check_choice("executor", executor, tuple(EXECUTORS))
-        super().__init__(make_task(**on_ladder("Reach", difficulty, split, arguments)), render_mode)
+        super().__init__(make_task(**on_ladder("Reach", difficulty, split, arguments)), render_mode, executor)
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)
-        self._x: Executor = EXECUTORS[executor]
-        if self._x is NUMPY:
-            self.plant = exact_plant(self.plant)
         self._stream: int | None = None
         self._episode = 0
         self._step = 0
@@ -285,13 +278,6 @@ class ReachEnv(ArmEnv):
         }
         return observation, reward, information
 
-    def _command(self, target: Sequence[Scalar]) -> Sequence[Scalar]:
-        """What the drives get for a joint target."""
-        if self.compensator is None:
-            return target
-        command: list[float] = self.compensator(np.array(self._plain(target))).tolist()
-        return self._numbers(command)
-
     def _take_arm(self, asked: int | None) -> None:
         """Choose the true arm of this episode."""
         x, task = self._x, self.task
@@ -300,11 +286,8 @@ class ReachEnv(ArmEnv):
         if asked is None:
             assert self._stream is not None
             asked = int(self._plain((simulation.drawn_arm(x, task, self._word(self._stream), self._key),))[0])
-        self._arm = number = task.given_arm(asked)
-        if x is FLOATS:
-            self.plant = plant_at(task.plant, number)
-        else:
-            self.plant = exact_plant(plants_on(task.plant, lambda values: values[number : number + 1]))
+        self._arm = task.given_arm(asked)
+        self._use_arm(self._arm)
 
     def _wanted(self, options: dict[str, Any]) -> Frame:
         """Frame of the wanted pose: as it is asked for, or of the first pose drawn that is wanted."""
@@ -328,16 +311,3 @@ class ReachEnv(ArmEnv):
         if task.situation.spread:
             return drawn_start(self._x, task.situation, self._key, task.lower, task.upper)
         return self._numbers(task.middle)
-
-    def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:
-        """Floats as the executor wants them."""
-        return values if self._x is FLOATS else [np.array([value]) for value in values]
-
-    def _plain(self, values: Sequence[Scalar]) -> list[float]:
-        """The executor's numbers as floats."""
-        if self._x is FLOATS:
-            return list(values)
-        return [float(value[0]) if isinstance(value, np.ndarray) else float(value) for value in values]
-
-    def _word(self, number: int) -> Scalar:
-        return number if self._x is FLOATS else np.array([number], dtype=np.uint64)

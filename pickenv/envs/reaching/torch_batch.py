@@ -15,8 +15,9 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plants_on
-from pickenv.envs.reaching.batch import Batch, Columns, Flags, Rows, Views, Words
+from pickenv.envs.reaching.batch import Batch, Views
 from pickenv.envs.shared import simulation
+from pickenv.envs.shared.arm_batch import Columns, Flags, Rows, Words
 from pickenv.envs.shared.backends import Executor, Scalar, torch_executor
 from pickenv.envs.shared.task import Compensate, Task, as_numbers, check_choice
 from pickenv.errors import InputError

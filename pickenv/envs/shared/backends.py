@@ -1,4 +1,4 @@
-"""The arithmetic that the simulation runs on: Python floats, NumPy arrays or torch tensors.
+"""The arithmetic that the simulation runs on: Python floats, NumPy arrays, torch tensors, or none, to be compiled.
 
 An executor bundles the namespace of kinematics (`pickenv.arm.kinematics.backend` has what the three spell
 differently) with 64-bit integers modulo 2^64 for the random streams. torch is imported when its executor is asked for.
@@ -15,6 +15,7 @@ from types import ModuleType
 import numpy as np
 
 from pickenv.arm.kinematics.forward import Scalar as Scalar
+from pickenv.arm.kinematics.tracing import SYMBOLS, Traced
 from pickenv.extras import require
 
 MASK = 2**64 - 1
@@ -25,7 +26,7 @@ class Executor:
     """One way to run the simulation.
 
     Attributes:
-        name: "floats", "numpy" or "torch".
+        name: "floats", "numpy", "torch" or "tracer".
         m: Namespace with sin, cos, sqrt, log, log10.
         times: Product of 64-bit words with a constant, modulo 2^64.
         plus: Sum of two 64-bit words, modulo 2^64.
@@ -73,6 +74,27 @@ NUMPY = Executor(
 """Batches of environments as NumPy arrays, one array per component."""
 
 
+def _product(word: Scalar, constant: int) -> Scalar:
+    return word * constant if isinstance(word, Traced) else (word * constant) & MASK
+
+
+def _total(word: Scalar, other: Scalar) -> Scalar:
+    return word + other if isinstance(word, Traced) or isinstance(other, Traced) else (word + other) & MASK
+
+
+TRACER = Executor(
+    name="tracer",
+    m=SYMBOLS,
+    times=_product,
+    plus=_total,
+    shifted=lambda word, bits: word >> bits,
+    unit=lambda word: (word >> 11).as_double() * 2.0**-53,
+    word=lambda number: number & MASK,
+    spares_constants=True,
+)
+"""Writes the simulation down, as `NUMPY` would run it, to be compiled."""
+
+
 @lru_cache(maxsize=1)
 def torch_executor() -> Executor:
     """Batches of environments as torch tensors on any device; 64-bit words are kept in int64."""
@@ -94,8 +116,8 @@ def torch_executor() -> Executor:
 
 
 def executor_named(name: str) -> Executor:
-    """One of the three executors: "floats", "numpy" or "torch"."""
-    return torch_executor() if name == "torch" else {"floats": FLOATS, "numpy": NUMPY}[name]
+    """One of the executors, by its name."""
+    return torch_executor() if name == "torch" else {one.name: one for one in (FLOATS, NUMPY, TRACER)}[name]
 
 
 def signed(number: int) -> int:

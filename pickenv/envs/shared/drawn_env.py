@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 from numpy.typing import NDArray
 
+from pickenv.envs.shared.plain_spec import PlainSpec
 from pickenv.envs.shared.task import check_choice
 from pickenv.errors import InputError
 from pickenv.extras import require
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 RENDER_MODES = ("human", "rgb_array")
 
 
-class DrawnEnv(gym.Env[Any, NDArray[Any]]):
+class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
     """An environment that can be seen; `_stage` says what there is to see, once an episode has begun.
 
     Attributes:

@@ -8,6 +8,7 @@ Stafford's constants), applied to a Weyl sequence; uniform numbers are equal to 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pickenv.arm.kinematics.forward import Scalar
@@ -66,3 +67,17 @@ def seed_word(seed: int) -> int:
 def fresh_seed(generator: Any) -> int:
     """A seed for an environment that was given none, from its own generator."""
     return int(generator.integers(2**63))
+
+
+def words_of_state(state: Mapping[str, Any]) -> list[int]:
+    """The state of a generator of Gymnasium's (PCG64) as six words of 64 bits."""
+    inner = state["state"]
+    wide = [word for number in (inner["state"], inner["inc"]) for word in (number >> 64, number & MASK)]
+    return [*wide, state["has_uint32"], state["uinteger"]]
+
+
+def state_of_words(words: Iterable[int]) -> dict[str, Any]:
+    """The inverse of `words_of_state`."""
+    high, low, high_step, low_step, has, last = map(int, words)
+    numbers = {"state": high << 64 | low, "inc": high_step << 64 | low_step}
+    return {"bit_generator": "PCG64", "state": numbers, "has_uint32": has, "uinteger": last}

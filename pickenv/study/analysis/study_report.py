@@ -24,7 +24,7 @@ from pickenv.study.analysis.study_verdict import specified, study_verdict
 from pickenv.study.design.config import LS, RAW, StudyConfig
 from pickenv.study.results.held_rows import Row
 from pickenv.study.results.row_table import OK
-from pickenv.study.results.study_folder import read_summary
+from pickenv.study.results.study_folder import read_rows, read_summary
 
 COUNTS = ("within", "arms", "failed")
 MOST_REASONS = 10
@@ -81,6 +81,8 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     Raises:
         InputError: If the folder holds no finished study.
     """
+    read_rows(run.folder)  # what is not there is said before anything is computed
+    read_summary(run.folder)
     return study_page(run.folder, gather(run.folder))
 
 

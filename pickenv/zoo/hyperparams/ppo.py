@@ -1,7 +1,8 @@
 """PPO on the flat environments; found on the ideal arm, they hold for every plant and feedback.
 
 The gap to the fruit is scaled (`pickenv.wrappers.GapScaling`); without that wrapper no network of this size sees
-millimetres. `pickenv/ReachScaled-v0` has it built in.
+millimetres. `pickenv/ReachScaled-v0` has it built in. Picking is learnt with steps of the tool
+(`pickenv.wrappers.ToolStepping`), shaped so that the sum of rewards has the same optimum.
 """
 
 _SCALED = {
@@ -20,4 +21,24 @@ _SCALED = {
 
 _REACH = _SCALED | {"env_wrapper": "pickenv.wrappers.GapScaling"}
 
-hyperparams = {"pickenv/Reach-v0": _REACH, "pickenv/ReachIdeal-v0": _REACH, "pickenv/ReachScaled-v0": _SCALED}
+_PICK = {
+    "n_envs": 64,
+    "n_timesteps": 2.5e5,
+    "policy": "MlpPolicy",
+    "n_steps": 32,
+    "batch_size": 512,
+    "n_epochs": 5,
+    "learning_rate": "lin_1e-3",
+    "gamma": 0.99,
+    "gae_lambda": 0.95,
+    "ent_coef": 0.0,
+    "policy_kwargs": "dict(net_arch=[64, 64], log_std_init=-0.7)",
+    "env_wrapper": {"pickenv.wrappers.ToolStepping": {"shaping": 1.0}},
+}
+
+hyperparams = {
+    "pickenv/Reach-v0": _REACH,
+    "pickenv/ReachIdeal-v0": _REACH,
+    "pickenv/ReachScaled-v0": _SCALED,
+    "pickenv/Pick-v0": _PICK,
+}

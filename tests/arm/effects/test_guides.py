@@ -7,9 +7,18 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at, rotation_matrix
-from pickenv.arm.effects.guides import Bearing, BoomCouple, BoomTorsion, SlideCompliance
+from pickenv.arm.effects.guides import (
+    Bearing,
+    BoomCouple,
+    BoomTorsion,
+    SlideCompliance,
+    couple_flexure,
+    slide_flexure,
+    torsion_flexure,
+)
 from pickenv.arm.effects.structure import GRAVITY, BoomBending, Load
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
 
@@ -173,6 +182,39 @@ def test_bearings_that_come_closer_yield_more_and_those_of_a_carriage_do_not():
             q = [0.0, 0.3, out, 0.0, 0.1, 0.0]
             turns.append(np.abs(loose.tool_pose(q).rotation - BARE.tool_pose(q).rotation).max())
         assert (turns[2] > 3 * turns[0]) == grows
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_boom_and_a_slide_of_any_attitude_yield_by_the_vectors_of_moment_and_weight(seed):
+    """No part of a turn or a shift is left out, as where the boom is level: Rodrigues' formula and cross products."""
+    rng = np.random.default_rng(seed)
+    rotation, place = Rotation.random(random_state=seed), rng.normal(size=3)
+    z, q = rotation.as_matrix()[:, 2], [0.0, 0.2, 0.3]
+    frame = (*rotation.as_matrix().T.ravel().tolist(), *place.tolist())
+    masses = rng.uniform(1.0, 9.0, 4)
+    centres = rng.normal(size=(4, 2))
+    weights = [(m, m * x, m * y) for m, (x, y) in zip(masses, centres, strict=True)]
+
+    def moment(i, about):
+        return np.cross([*(centres[i] - about[:2]), 0.0], [0.0, 0.0, -GRAVITY * masses[i]])
+
+    hung = moment(3, place)
+    along, length = hung @ z * z, 0.3 + 0.5
+    bend = length / 7e3 * (hung - along)
+    span, arm_length = 1.1 - 0.3, 0.2 + 0.3 + 0.4
+    give = 2.0 / (5e5 * span**2) * moment(2, place - arm_length * z)
+    sunk = GRAVITY * masses[2] / (2 * 5e5) * (z[2] * z - [0.0, 0.0, 1.0])
+    slides = SlideCompliance((Bearing(2, 5e5, 1.1, 0.2),))
+    for flexure, turn, moved in (
+        (couple_flexure(math, BoomCouple(2, 0.5, 7e3), weights, q), bend, np.cross(bend, length / 2 * z)),
+        (torsion_flexure(math, BoomTorsion(2, 0.5, 9e3), weights, q), length / 9e3 * along, np.zeros(3)),
+        (slide_flexure(math, slides, weights, q), give, sunk + np.cross(give, arm_length * z)),
+    ):
+        assert flexure(1, frame) == frame
+        found = flexure(2, frame)
+        np.testing.assert_allclose(found[9:], place + moved, rtol=0, atol=1e-12)
+        expected = (Rotation.from_rotvec(turn) * rotation).as_matrix()
+        np.testing.assert_allclose(np.reshape(found[:9], (3, 3)).T, expected, rtol=0, atol=1e-12)
 
 
 def test_what_hangs_below_the_tip_of_a_level_boom_neither_bends_nor_twists_it():

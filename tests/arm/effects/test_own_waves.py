@@ -121,6 +121,7 @@ MISTAKES = {
     "rising with the order": ("decay = 0.31", "decay = -0.31", ["decay", "[drive_harmonics]"]),
     "half a wave": ("waves = 5,", "waves = 2.5,", ["waves", "whole number"]),
     "periods the wrong way round": ("shortest_deg = 12.0", "shortest_deg = 150.0", ["shortest period of joint 1"]),
+    "periods alike": ("shortest_deg = 12.0", "shortest_deg = 120.0", ["shortest period of joint 1"]),
     "no structure": ("waves = 32", "waves = 0", ["waves", "[local_structure]"]),
     "no length": ("length_mm = 42.0", "length_mm = 0.0", ["length_mm", "[local_structure.joints]"]),
     "a length twice": ("joint = 2, length_mm = 42.0", "joint = 1, length_deg = 3.0", ["joint 1", "each joint once"]),

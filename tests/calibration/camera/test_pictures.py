@@ -37,7 +37,11 @@ def ical(data_folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("lens", "rms", "left_out"), [("fixed", 2.62, 3.3), ("free", 1.10, 1.6)], ids=["as given", "fitted"]
+    ("lens", "rms", "left_out"),
+    [
+        pytest.param("fixed", 2.62, 3.3, id="as given", marks=pytest.mark.slow),
+        pytest.param("free", 1.10, 1.6, id="fitted"),
+    ],
 )
 def test_a_real_camera(lens: str, rms: float, left_out: float, ical: Path, tmp_path: Path) -> None:
     """Bounds: a plain bundle adjustment of the same pictures, 2.61 and 3.28 px, 1.09 and 1.58 px."""

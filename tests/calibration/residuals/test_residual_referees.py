@@ -1,5 +1,6 @@
 """Residual models against other people's programs: torch, scikit-learn and formulas written out."""
 
+import pickle
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -18,6 +19,7 @@ from pickenv.calibration.residuals.gaussian_process import GaussianProcessSettin
 from pickenv.calibration.residuals.rbf import Rbf, fit_rbf, k_means
 from pickenv.calibration.residuals.residual_models import FITTERS, QUICK_FITTERS, fit_residual, joint_inputs
 from pickenv.calibration.residuals.standardising import column_std
+from pickenv.extras import is_there
 
 TINY = BpnnSettings(hidden=(12, 8), epochs=4, batch_size=8, dropout=0.25)
 
@@ -100,6 +102,11 @@ def test_many_poses_go_through_in_blocks_and_come_out_the_same(monkeypatch):
     fast = replace(network, single_precision=True)
     assert fast.predict(x).dtype == float and fast.predict(x[0]).dtype == float
     assert 0 < np.abs(fast.predict(x) - whole).max() < 1e-5
+    if is_there("llvmlite"):  # then a pose has the same bits alone, among others and in a copy
+        for count in (1, 3, 16, 17):
+            np.testing.assert_array_equal(fast.predict(x[5 : 5 + count]), fast.predict(x)[5 : 5 + count])
+        np.testing.assert_array_equal(pickle.loads(pickle.dumps(fast)).predict(x[4]), fast.predict(x)[4])
+        assert fast.predict(x[:0]).shape == (0, y.shape[1])
     again = Bpnn.from_arrays(network.arrays())
     np.testing.assert_array_equal(again.predict(x), network.predict(x))
     np.testing.assert_array_equal(again.loss, network.loss)

@@ -5,11 +5,13 @@ import re
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 
 import pickenv  # noqa: F401, registers the environments
-from pickenv.envs.shared.difficulty import EYES, LADDER, POPULATION
+from pickenv.envs.shared.difficulty import EYES, LADDER, LADDER_VERSION, POPULATION
 from pickenv.envs.shared.situation import make_situation
+from pickenv.orchard import load_sight_errors
 
 PAGE = (Path(__file__).parents[3] / "docs" / "environments.md").read_text(encoding="utf-8")
 
@@ -61,8 +63,18 @@ def test_the_ladder_is_the_one_that_environments_climb():
     assert all(f"{count} " in PAGE for count in POPULATION.values())
 
 
-@pytest.mark.parametrize("number", range(3))
+def test_the_eyes_of_reach_are_those_of_the_pictures():
+    """Root mean squares over axes and ranges of the tables that were read off rendered pictures."""
+    for name, table in (("fruit_noise_mm", "li2016-li2016"), ("camera_noise_mm", "li2016_bare-circles")):
+        errors = load_sight_errors(table)
+        square = (np.square(errors.bias) + np.square(errors.spread)).mean(axis=1)
+        whole = 1e3 * np.sqrt(np.average(square, weights=errors.recall))
+        assert EYES["Reach"][name] == round(whole, 1)
+    assert f"now {LADDER_VERSION};" in PAGE
+
+
+@pytest.mark.parametrize("number", range(4))
 def test_examples_run(number):
     blocks = re.findall(r"```python\n(.*?)```", PAGE, flags=re.S)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     exec(blocks[0].split("env =")[0] + blocks[number], {})

@@ -14,18 +14,36 @@ from pickenv.envs.shared.difficulty import LADDER, SPLITS
 from pickenv.errors import InputError
 
 IDS = ("pickenv/Reach-v0", "pickenv/ReachGoal-v0", "pickenv/Pick-v0")
+SCALED = "pickenv/ReachScaled-v0"
 rungs = pytest.mark.parametrize("difficulty", LADDER)
 
 
-@pytest.mark.slow
 @rungs
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize(
+    "name", [each if "Reach" in each else pytest.param(each, marks=pytest.mark.slow) for each in (*IDS, SCALED)]
+)
 def test_checkers_find_nothing_on_any_rung(name, difficulty):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         env = gym.make(name, difficulty=difficulty, split="test").unwrapped
         check_env(env, skip_render_check=True)
         check_env_for_sb3(env, skip_render_check=True)
+
+
+@rungs
+@pytest.mark.parametrize("name", (*IDS, SCALED))
+def test_a_gaussian_policy_that_cuts_nothing_acts_on_any_rung(name, difficulty):
+    """With Gymnasium's passive checker around it, whose warnings are errors."""
+    rng = np.random.default_rng(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gym.make(name, difficulty=difficulty)
+        env.reset(seed=0)
+        for _ in range(3):
+            action = rng.normal(scale=2.0, size=env.action_space.shape).astype(np.float32)
+            assert np.abs(action).max() > 1.0
+            seen, reward, *_ = env.step(action)
+            assert env.observation_space.contains(seen) and np.isfinite(reward)
 
 
 @rungs

@@ -257,13 +257,12 @@ def test_an_unknown_format_and_a_folder_that_cannot_be_written_are_refused(tmp_p
 ODD_NAMES = [r"$\foo{$", "$J_1$", "$", "50 $", r"a_b^c \alpha {", "$$"]
 
 
-@pytest.mark.parametrize("name", ODD_NAMES)
-def test_names_are_drawn_as_they_are_whatever_formulae_they_look_like(name, tmp_path):
-    curves = {name: np.array([0.1, 1.0, 10.0]), "raw": np.array([1.0, 2.0, 3.0])}
+def test_names_are_drawn_as_they_are_whatever_formulae_they_look_like(tmp_path):
+    curves = {name: np.array([0.1, 1.0, 10.0]) for name in (*ODD_NAMES, "raw")}
     for draw in (plot_errors.error_by_method, plot_errors.error_cumulative):
         for suffix in ("svg", "png", "pdf"):
             save_figure(draw(curves, counted="reaches"), tmp_path / f"figure.{suffix}")
         with style(**{"svg.fonttype": "none"}):
             draw(curves, counted="reaches").savefig(tmp_path / "text.svg")
         words = html.unescape((tmp_path / "text.svg").read_text(encoding="utf-8"))
-        assert name in words and "mathdefault" not in words
+        assert all(name in words for name in ODD_NAMES) and "mathdefault" not in words

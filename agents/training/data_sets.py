@@ -1,0 +1,253 @@
+"""Recorded episodes to learn from without an environment: Minari data sets of good, middling and random policies.
+
+Reach is recorded on `pickenv/ReachScaled-v0`, since a network that reads a gap in metres is blind to millimetres, and
+Pick on `pickenv/Pick-v0`. Each data set stands in its folder whole or not at all, with a card that says what it is and
+the hashes of its files; those that are there are kept, so that a run that was cut off goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+import pickenv  # noqa: F401  (registers the environments)
+from pickenv.agents.policies.learned import load_policy
+from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
+from pickenv.envs.shared.task import check_choice, check_count
+from pickenv.errors import InputError
+from pickenv.extras import require
+from pickenv.files import write_json
+from pickenv.limits import check_limit
+from pickenv.locks import locked
+from pickenv.provenance import file_sha256, versions
+from pickenv.seeds import seed_words, stream
+
+TASKS = {"reach": "pickenv/ReachScaled-v0", "pick": "pickenv/Pick-v0"}
+"""Tasks and the environments that they are recorded on, with default arguments."""
+
+QUALITIES = ("expert", "medium", "random")
+
+EPISODES = {"reach": 256, "pick": 32}
+"""Episodes of a data set, where no number is given."""
+
+POLICIES = {
+    ("reach", "expert"): "the shipped baseline ppo_encoders, without noise",
+    ("reach", "medium"): "the shipped baseline ppo_encoders, every other action (by chance) drawn evenly instead",
+    ("reach", "random"): "actions drawn evenly",
+    ("pick", "expert"): "ScriptedPick: gentle, waits until the arm has settled",
+    ("pick", "medium"): "ScriptedPick with HASTY: full speed, no waiting",
+    ("pick", "random"): "actions drawn evenly",
+}
+"""What acts in each data set."""
+
+COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
+
+LICENCE = "MIT"
+CARD = "card.json"
+FORMAT = 1
+"""Version of what is recorded; more of another are not kept."""
+
+
+def datasets(
+    out: str | Path = "runs/datasets",
+    tasks: Sequence[str] = ("reach",),
+    qualities: Sequence[str] = QUALITIES,
+    *,
+    episodes: int | None = None,
+    seed: int = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> list[dict[str, Any]]:
+    """Record Minari data sets: `minari.MinariDataset(FOLDER / "pickenv/reach/expert-v0/data")` reads one.
+
+    Args:
+        out: Folder of data sets; Minari finds them by name where MINARI_DATASETS_PATH names it.
+        tasks: Of "reach" and "pick".
+        qualities: Of "expert", "medium" and "random".
+        episodes: Of each; 256 reaches or 32 canopies if left out.
+        seed: Seed of the episodes and of all that is drawn; no two seeds, tasks or qualities share any.
+        progress: Called with (name, done, in all).
+
+    Returns:
+        One card for each: name, environment, policy, seeds, steps, mean return and error, licence, versions and the
+        SHA-256 of its files.
+
+    Raises:
+        InputError: If a task or quality is unknown, one that is there was changed or made otherwise, or another process
+            is at work in the folder.
+        MissingExtra: If Minari is not installed.
+    """
+    for name in tasks:
+        check_choice("task", name, tuple(TASKS))
+    for name in qualities:
+        check_choice("quality", name, QUALITIES)
+    check_limit("seed", seed, "seed")
+    if episodes is not None:
+        check_count("episodes", episodes)
+        check_limit("episodes", episodes, "episodes")
+    require("minari")
+    out, report = Path(out), progress or (lambda name, done, total: None)
+    with locked(out):
+        return [_kept_or_made(out, task, quality, episodes, seed, report) for task in tasks for quality in qualities]
+
+
+def _kept_or_made(
+    out: Path, task: str, quality: str, episodes: int | None, seed: int, report: Callable[[str, int, int], None]
+) -> dict[str, Any]:
+    count, name = episodes or EPISODES[task], f"pickenv/{task}/{quality}-v0"
+    asked = {"name": name, "format": FORMAT, "seed": seed, "episodes": count}
+    folder = out / name
+    if folder.exists():
+        report(name, count, count)
+        return _kept(folder, asked)
+    parts = stream(seed, "datasets", list(TASKS).index(task), QUALITIES.index(quality)).spawn(2)
+    seeds, rng = seed_words(parts[0], count), np.random.default_rng(parts[1])
+    record = _reaches if task == "reach" else _canopies
+    found: list[dict[str, Any]] = []
+    for episode in record(quality, seeds, rng):
+        found.append(episode)
+        report(name, len(found), count)
+    card = asked | {
+        "environment": TASKS[task],
+        "policy": POLICIES[task, quality],
+        "seeds": seeds,
+        "steps": sum(len(each["rewards"]) for each in found),
+        "mean_return": float(np.mean([each["rewards"].sum() for each in found])),
+        **{key: float(np.mean([each["said"][key] for each in found])) for key in found[0]["said"]},
+        "licence": LICENCE,
+        "simulated": True,
+        "versions": versions("gymnasium", "minari"),
+    }
+    return _write(folder, name, found, card)
+
+
+def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Reaches of the vector environment, all at once."""
+    envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled")
+    policy = load_policy("ppo_encoders", envs.unwrapped.task.plant.arm)
+    seen, _ = envs.reset(seed=list(seeds))
+    rows: dict[str, list[Any]] = {"observations": [seen]} | {name: [] for name in COLUMNS[1:]}
+    for _ in range(envs.unwrapped.max_episode_steps):
+        drawn = rng.uniform(-1.0, 1.0, envs.action_space.shape).astype(np.float32)
+        known = policy.act(envs.raw) / envs.scaling.share(envs.raw, np)
+        odds = {"expert": 0.0, "medium": 0.5, "random": 1.0}[quality]
+        chosen = rng.random(len(seeds)) < odds
+        action = np.clip(np.where(chosen[:, None], drawn, known), -1.0, 1.0).astype(np.float32)
+        seen, reward, terminated, truncated, infos = envs.step(action)
+        for name, values in zip(COLUMNS, (seen, action, reward, terminated, truncated), strict=True):
+            rows[name].append(np.array(values))
+    columns = {name: np.stack(values, axis=1) for name, values in rows.items()}
+    for i, seed in enumerate(seeds):
+        said = {"final_error_mm": infos["position_error_mm"][i], "success": infos["is_success"][i]}
+        yield {"seed": seed, "said": said} | {name: column[i] for name, column in columns.items()}
+
+
+def _canopies(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Canopies, one after the other."""
+    env = gym.make(TASKS["pick"])
+    policy = ScriptedPick(env, **(HASTY if quality == "medium" else {}))
+    for seed in seeds:
+        seen, info = env.reset(seed=seed)
+        policy.reset()
+        rows: dict[str, list[Any]] = {"observations": [seen]} | {name: [] for name in COLUMNS[1:]}
+        while not rows["actions"] or not (rows["terminations"][-1] or rows["truncations"][-1]):
+            drawn = quality == "random"
+            action = rng.uniform(-1.0, 1.0, env.action_space.shape or ()) if drawn else policy.act(seen)
+            action = np.clip(action, -1.0, 1.0).astype(np.float32)
+            seen, reward, terminated, truncated, info = env.step(action)
+            for name, value in zip(COLUMNS, (seen, action, reward, terminated, truncated), strict=True):
+                rows[name].append(value)
+        said = {"collected": info["collected"]}
+        yield {"seed": seed, "said": said} | {name: np.array(column) for name, column in rows.items()}
+
+
+def _write(folder: Path, name: str, found: Sequence[dict[str, Any]], card: dict[str, Any]) -> dict[str, Any]:
+    """A data set and its card, moved into place once both are whole."""
+    import minari
+    from minari.data_collector import EpisodeBuffer
+
+    out = folder.parents[2]
+    with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=out, ignore_cleanup_errors=True) as temporary:
+        buffers = [
+            EpisodeBuffer(id=i, **{key: value for key, value in each.items() if key != "said"})
+            for i, each in enumerate(found)
+        ]
+        with _minari_folder(temporary), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*is set to None.*")  # addresses of people
+            minari.create_dataset_from_buffers(
+                name,
+                buffers,
+                env=gym.make(card["environment"]),
+                algorithm_name=card["policy"],
+                author="pickenv",
+                description=f"{card['policy']}; simulated; seed {card['seed']}; licence {LICENCE}",
+                requirements=[f"pickenv=={card['versions']['pickenv']}"],
+            )
+        made = Path(temporary) / name
+        card |= {"sha256": _hashes(made), "content_sha256": _content_hash(found)}
+        write_json(made / CARD, card)
+        for inner in (folder.parent, folder.parent.parent):  # Minari finds what stands in a folder that says it is one
+            inner.mkdir(parents=True, exist_ok=True)
+            if not (inner / "namespace_metadata.json").exists():
+                write_json(inner / "namespace_metadata.json", {})
+        shutil.move(made, folder)
+    return card
+
+
+@contextmanager
+def _minari_folder(folder: str) -> Iterator[None]:
+    """Let Minari write into a folder."""
+    before = os.environ.get("MINARI_DATASETS_PATH")
+    os.environ["MINARI_DATASETS_PATH"] = folder
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["MINARI_DATASETS_PATH"]
+        else:
+            os.environ["MINARI_DATASETS_PATH"] = before
+
+
+def _content_hash(found: Sequence[dict[str, NDArray[Any]]]) -> str:
+    """SHA-256 over the numbers of all episodes, which a run with the same seed gives again."""
+    total = hashlib.sha256()
+    for each in found:
+        for name in COLUMNS:
+            total.update(np.ascontiguousarray(each[name]).tobytes())
+    return total.hexdigest()
+
+
+def _hashes(folder: Path) -> dict[str, str]:
+    paths = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != CARD)
+    return {path.relative_to(folder).as_posix(): file_sha256(path) for path in paths}
+
+
+def _kept(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
+    """The card of a data set that is there, which is what is asked for and as it was written.
+
+    Raises:
+        InputError: If it is not.
+    """
+    otherwise = f"{folder} %s; take it away to have it made anew, or give another --out"
+    try:
+        card: dict[str, Any] = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        changed = card["sha256"] != _hashes(folder)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(otherwise % "has no card of a data set") from error
+    if changed:
+        raise InputError(otherwise % "was changed since it was written")
+    differing = [f"{key} {card.get(key)}, not {value}" for key, value in asked.items() if card.get(key) != value]
+    if differing:
+        raise InputError(otherwise % f"was made with {' and '.join(differing)}")
+    return card

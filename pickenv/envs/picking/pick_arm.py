@@ -1,0 +1,140 @@
+"""The arm of `pickenv/Pick-v0` as pure functions on components: floats for one environment, NumPy's arrays for many.
+
+What happens to the fruit is in `pickenv.envs.picking.pick_scene`. Units: m, rad, s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import chain
+from types import ModuleType
+from typing import NamedTuple
+
+from pickenv.arm import Plant, PlantState
+from pickenv.arm.kinematics.backend import chosen, clipped
+from pickenv.arm.kinematics.forward import Scalar
+from pickenv.envs.shared import situation
+from pickenv.envs.shared.backends import Executor
+from pickenv.envs.shared.exact import inexact
+from pickenv.envs.shared.simulation import DEGREES, length, move, nominal_frames, nominal_readings, scaled
+from pickenv.envs.shared.task import Task
+
+Components = tuple[Scalar, ...]
+
+STIRRED = 1e-9
+"""A joint target that moves by more than this does not stand still, rad or m."""
+
+
+class PickMotion(NamedTuple):
+    """What the arm remembers between two actions.
+
+    Attributes:
+        target: Nominal joint target that the actions have built up, n.
+        drawn: What was drawn for the episode, in the order of `Situation.drawn`.
+        sent: Actions under way, the latest first.
+        sensed: Readings under way, the latest first.
+        plant: What the true arm remembers.
+    """
+
+    target: Components
+    drawn: Components
+    sent: Components
+    sensed: Components
+    plant: PlantState
+
+    @property
+    def columns(self) -> list[Scalar]:
+        """All its numbers, one after the other."""
+        return list(chain(*self[:-1], *self.plant))
+
+
+class PickSight(NamedTuple):
+    """What can be seen of the arm.
+
+    Attributes:
+        readings: Joint readings scaled to the joint limits, n.
+        believed: Frame of the believed tool, 12.
+        turn: Upright against the believed attitude, rotation vector, 3.
+        tool: Frame of the true tool, 12.
+        tilt: Angle between its axis and the vertical, degrees.
+    """
+
+    readings: Components
+    believed: Components
+    turn: Components
+    tool: Components
+    tilt: Scalar
+
+
+def begin_arm(
+    x: Executor, task: Task, plant: Plant, key: Scalar, start: Sequence[Scalar], command: Sequence[Scalar]
+) -> PickMotion:
+    """State at the start of an episode; arguments as in `pickenv.envs.shared.simulation.begin`."""
+    given = task.situation
+    drawn = situation.drawn_values(x, given, key)
+    _, sent, late = given.widths(task.joints + 1, task.joints)
+    rest = start[0] * 0.0
+    memory = situation.warmed_up(x, given, drawn, plant, plant.initial_state(x.m, command), command)
+    return PickMotion(tuple(start), drawn, (rest,) * sent, (rest,) * late, memory)
+
+
+def act_arm(
+    x: Executor, task: Task, state: PickMotion, action: Sequence[Scalar]
+) -> tuple[PickMotion, Scalar, Scalar, Scalar]:
+    """An action, late where actions are, on the joint target.
+
+    Returns:
+        The state with its new target, the gripper's command, whether the target moved, and the time that passes (s).
+    """
+    given, drawn = task.situation, state.drawn
+    arrived, sent = situation.acted(x, given, drawn, state.sent, action)
+    *moves, gripper = arrived
+    target = move(x, task, state.target, situation.in_period(x, given, drawn, moves))
+    away = [abs(new - old) > STIRRED for new, old in zip(target, state.target, strict=True)]
+    moved = away[0]
+    for joint in away[1:]:
+        moved = moved | joint
+    return state._replace(target=target, sent=sent), gripper, moved, given.value("period", drawn)
+
+
+def look_at_arm(
+    x: Executor,
+    task: Task,
+    plant: Plant,
+    state: PickMotion,
+    command: Sequence[Scalar],
+    key: Scalar,
+    moment: Scalar,
+    dt: Scalar,
+) -> tuple[PickMotion, PickSight]:
+    """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`."""
+    given = task.situation
+    plant_state, ended = plant.advance(x.m, state.plant, command, dt)
+    read = nominal_readings(x, plant, plant_state, state.target, command)
+    read = situation.with_joint_noise(x, given, state.drawn, key, moment, read)
+    begins = isinstance(dt, float) and dt == 0.0
+    shown, late = situation.sensed(x, given, state.drawn, state.sensed, read, begins)
+    believed, tool = nominal_frames(x, task, list(shown))[1], inexact(ended)
+    return state._replace(sensed=late, plant=plant_state), PickSight(
+        readings=scaled(x, task, shown),
+        believed=believed,
+        turn=upright_turn(x.m, believed[6:9]),
+        tool=tool,
+        tilt=DEGREES * x.m.acos(clipped(x.m, tool[8], -1.0, 1.0)),
+    )
+
+
+def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> Components:
+    """Rotation vector of the shortest turn that brings a unit vector upright, three components in rad."""
+    ax, ay, az = axis
+    sine = m.sqrt(ax * ax + ay * ay)
+    scale = m.atan2(sine, az) / (sine + 1e-30)
+    about_x, about_y, about_z = ay * scale, -ax * scale, sine * 0.0
+    reversed_ = (sine < 1e-12) & (az < 0)  # any axis across will do
+    return chosen(m, reversed_, about_z + math.pi, about_x), chosen(m, reversed_, about_z, about_y), about_z
+
+
+def apart_mm(x: Executor, fruit: Sequence[Scalar], tool: Sequence[Scalar]) -> Scalar:
+    """Distance between two points, mm."""
+    return 1e3 * length(x, [a - b for a, b in zip(fruit, tool, strict=True)])

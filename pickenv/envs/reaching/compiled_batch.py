@@ -1,0 +1,134 @@
+"""Many reach tasks side by side on NumPy's arrays, with the step compiled: the same bits in fewer passes.
+
+The step is traced and becomes machine code (`pickenv.arm.kinematics.machine_code`) when it is first taken. Episodes
+begin on NumPy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm import Array, Plant, plants_on
+from pickenv.arm.kinematics.machine_code import Compiled
+from pickenv.arm.kinematics.tracing import DOUBLE, FLAG, SINGLE, WORD, Outputs, Trace, Traced
+from pickenv.arm.plant.plant_batch import arrays_of
+from pickenv.envs.reaching.batch import Views, Words
+from pickenv.envs.reaching.numpy_batch import NumpyBatch
+from pickenv.envs.shared.backends import TRACER
+from pickenv.envs.shared.simulation import (
+    ReachState,
+    act,
+    flat_observation,
+    goal_observation,
+    goal_reward,
+    look,
+    true_reward,
+)
+from pickenv.envs.shared.task import Compensate, Task
+
+
+class CompiledBatch(NumpyBatch):
+    """The state of N reach tasks in arrays; arguments as in `pickenv.envs.reaching.batch.Batch`."""
+
+    def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
+        super().__init__(task, count, goal_dict, poses)
+        self._side_by_side()
+
+    def _side_by_side(self) -> None:
+        """Put the state into one array and the arms' numbers into another, and forget the code."""
+        self._table = np.array(self.columns)
+        self.columns = list(self._table)
+        self._arms = np.array([values for values in arrays_of(self.plant) if values.ndim == 1])
+        rows = iter(self._arms)
+        self.plant = plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)
+        self._plants = [self.plant_of(block) for block in self._blocks]
+        self._code: dict[str, Compiled] = {}
+        self._compensate: tuple[Compensate | None, Compensate] = (None, lambda targets: targets)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the code, which is made anew."""
+        return {
+            key: value for key, value in vars(self).items() if key not in ("_table", "_arms", "_code", "_compensate")
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """The inverse of `__getstate__`."""
+        vars(self).update(state)
+        self._side_by_side()
+
+    def step(self, out: Views, actions: Array, moments: Words, compensate: Compensate | None) -> None:
+        """Act in all environments, and put what they show into ``out``."""
+        arrays: dict[str, NDArray[Any]] = {
+            **{"columns": self._table, "arms": self._arms, "keys": self.keys, "moments": moments, "actions": actions},
+            **{f"observation{i}": part for i, part in enumerate(out.observation)},
+            **{"reward": out.reward, "success": out.success, "numbers": out.numbers, "vectors": out.vectors},
+        }
+        if compensate is None:
+            self._run("step", arrays)
+            return
+        self._run("act", arrays)
+        targets = self._table[: self.task.joints].T
+        arrays["commands"] = np.ascontiguousarray(np.asarray(self._fast(compensate)(targets), dtype=float).T)
+        self._run("look", arrays)
+
+    def _fast(self, compensate: Compensate) -> Compensate:
+        """The compensator, compiled where it can be; only the last one is kept."""
+        if self._compensate[0] is not compensate:
+            make: Any = getattr(compensate, "compiled", None)
+            self._compensate = compensate, compensate if make is None else make(self.count)
+        return self._compensate[1]
+
+    def _run(self, part: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Take one part of the step: "act", "look", or "step" for both."""
+        if part not in self._code:
+            self._code[part] = self._compiled(part)
+        self._code[part].run(arrays, self.count)
+
+    def _compiled(self, part: str) -> Compiled:
+        trace, outputs = Trace(), list[Outputs]()
+        state = self.state_of(trace.inputs("columns", len(self.columns)))
+        if part != "look":
+            state = act(TRACER, self.task, state, trace.inputs("actions", self.task.joints))
+        if part == "act":
+            outputs += self._remembered(state)
+        else:
+            command = state.target if part == "step" else trace.inputs("commands", self.task.joints)
+            outputs += self._looked(trace, state, command)
+        return Compiled(trace, outputs, self.count)
+
+    def _remembered(self, state: ReachState) -> list[Outputs]:
+        """What changes in the state."""
+        columns = state.columns
+        changed = Outputs("columns", columns[self.fixed :], DOUBLE, self.fixed)
+        return [Outputs("columns", columns[: self.task.joints]), changed]
+
+    def _looked(self, trace: Trace, state: ReachState, command: Sequence[Traced]) -> list[Outputs]:
+        """What is remembered and shown after a command."""
+        x, task = TRACER, self.task
+        (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
+        period = task.situation.value("period", state.drawn)
+        state, scene = look(x, task, self._traced_plant(trace), state, command, key, moment, period)
+        parts = goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
+        shown = [[trace.single(value) for value in part] for part in parts]
+        if self.goal_dict:  # of goals as they are returned
+            goals = ([trace.double(value) for value in part] for part in shown[1:])
+            reward = goal_reward(x, task, *goals)
+        else:
+            reward = true_reward(x, task, scene)
+        return [
+            *self._remembered(state),
+            *(Outputs(f"observation{i}", part, SINGLE) for i, part in enumerate(shown)),
+            Outputs("reward", [reward]),
+            Outputs("success", [scene.success], FLAG),
+            Outputs("numbers", scene.numbers),
+            Outputs("vectors", scene.vectors if self.poses else ()),
+        ]
+
+    def _traced_plant(self, trace: Trace) -> Plant:
+        """The true arms, with the numbers of each as inputs."""
+        rows = iter(trace.inputs("arms", len(self._arms)))
+        return plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)

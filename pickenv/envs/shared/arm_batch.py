@@ -1,0 +1,199 @@
+"""Many arms side by side: their state, component by component, on any executor; what every native batch stands on."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm import Array, Plant, plants_on
+from pickenv.arm.plant.plant_batch import arrays_of
+from pickenv.envs.shared.backends import NUMPY, Executor, Scalar
+from pickenv.envs.shared.exact import exact_plant
+from pickenv.envs.shared.task import Compensate, Task, as_numbers, bounds_of
+from pickenv.errors import InputError
+
+Flags = NDArray[np.bool_]
+Words = NDArray[np.uint64]
+Rows = NDArray[np.intp]
+Columns = list[Scalar]
+
+
+class ArmBatch(ABC):
+    """The state of N arms; where their numbers live is for `numbers` to `copy`: in NumPy, unless overridden.
+
+    Attributes:
+        x: The executor.
+        block: Environments that begin an episode together.
+        task: What all have in common.
+        count: N.
+        actions: Numbers in an action.
+        arm: Number of each one's true arm.
+        plant: Their true arms.
+        population: What true arms are taken from.
+        keys: Keys of their episodes.
+        columns: The state, one column per number.
+    """
+
+    x: Executor
+    block: int
+    plant: Plant
+    population: Plant
+
+    def __init__(self, task: Task, count: int, actions: int) -> None:
+        self.task, self.count, self.actions = task, count, actions
+        self.arm: NDArray[np.intp] = np.zeros(count, dtype=np.intp)
+        self.keys: Scalar = self.words(np.zeros(count, dtype=np.uint64))
+        self.columns: Columns = []
+        self._widths: list[int] = []
+        self._plant_widths: list[int] = []
+
+    def make_room(self, *widths: int) -> None:
+        """Make room for parts of so many numbers, and for what the plants remember."""
+        middle = list(self.numbers(np.array([self.task.middle]).T))
+        self._plant_widths = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
+        self._widths = list(widths)
+        self.columns = list(self.numbers(np.zeros((sum(self._widths) + sum(self._plant_widths), self.count))))
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a step that never was would leave a trace."""
+        return self.plant.has_state or self.task.situation.late
+
+    def numbers(self, values: Array) -> Scalar:
+        """NumPy's numbers where the executor computes, one component ``(count,)`` per row."""
+        return np.ascontiguousarray(values)
+
+    def words(self, words: Words) -> Scalar:
+        """64-bit words where the executor computes."""
+        return words
+
+    def indices(self, rows: Rows) -> Scalar:
+        """Numbers of environments, or arms, as the executor indexes with them."""
+        return rows
+
+    def flags(self, flags: Flags) -> Scalar:
+        """Truth values where the executor computes."""
+        return flags
+
+    def host(self, values: Scalar) -> NDArray[Any]:
+        """The executor's numbers as a NumPy array."""
+        return np.asarray(values)
+
+    def put(self, column: Scalar, where: Any, values: Scalar) -> None:
+        """Write into some environments of a column."""
+        column[where] = values
+
+    def copy(self, values: Scalar) -> Scalar:
+        """An array in memory of its own."""
+        return np.copy(values)
+
+    @abstractmethod
+    def given(self, actions: ArrayLike) -> Scalar:
+        """Actions as the executor's array, as they come."""
+
+    @abstractmethod
+    def components(self, actions: Scalar) -> tuple[Scalar, float, float]:
+        """Actions ``(N, n)`` as components ``(n, N)``, their least and their largest number."""
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything that the arms' next step depends on."""
+        table = np.array([self.host(column) for column in self.columns])
+        return {"table": table, "keys": self.host(self.keys).view(np.uint64), "arm": self.arm}
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """The inverse of `state_arrays`."""
+        self.write(self.columns, slice(None), self.numbers(state["table"]))
+        self.keys[:], self.arm[:] = self.words(state["keys"]), state["arm"]
+        if self.task.arms != "fixed":
+            self._exchange_arms(np.arange(self.count))
+
+    def numbers_of_actions(self, actions: ArrayLike) -> Scalar:
+        """Actions component by component ``(n, N)``, checked; on a device their size is not.
+
+        Raises:
+            InputError: If they have another shape, or numbers that are not finite, or beyond -1 to 1 where the task
+                refuses them.
+        """
+        values, shape, most = self.given(actions), (self.count, self.actions), self.task.most_action
+        if tuple(values.shape) != shape:
+            raise InputError(f"actions have shape {tuple(values.shape)}; give {shape}, numbers between -1 and 1")
+        numbers, low, high = self.components(values)
+        if not (high <= most and low >= -most):
+            each = self.host(values)
+            row = int(np.argmin((np.abs(each) <= most).all(axis=1)))
+            raise InputError(
+                f"the action of environment {row} is {each[row].tolist()}; give finite numbers{bounds_of(most)}"
+            )
+        return numbers
+
+    def plant_of(self, where: Any) -> Plant:
+        """The true arms of some environments."""
+        return plants_on(self.plant, lambda values: values[where])
+
+    def parts_of(self, columns: Columns) -> list[tuple[Scalar, ...]]:
+        """The parts that columns hold: those of `make_room`, then what the plants remember."""
+        parts, first = [], 0
+        for width in (*self._widths, *self._plant_widths):
+            parts.append(tuple(columns[first : first + width]))
+            first += width
+        return parts
+
+    def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
+        """What the drives get for joint targets; a compensator works on NumPy."""
+        if compensate is None:
+            return targets
+        given = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")
+        return list(self.numbers(np.asarray(compensate(given)).T))
+
+    def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
+        """Write the columns of some environments, the last first: what waits in a queue is moved on before it goes."""
+        for column, new in zip(list(columns)[::-1], list(values)[::-1], strict=True):
+            self.put(column, where, new)
+
+    def blocks(self, count: int) -> Iterator[tuple[int, int]]:
+        """First and last environment of each block."""
+        return ((a, min(a + self.block, count)) for a in range(0, count, self.block))
+
+    def take_arms(self, rows: Rows, arms: NDArray[np.intp]) -> None:
+        """Give the environments ``rows`` the true arms of their episodes."""
+        self.arm[rows] = arms
+        self._exchange_arms(rows)
+
+    def _exchange_arms(self, rows: Rows) -> None:
+        where, arms = self.indices(rows), self.indices(self.arm[rows])
+        for mine, all_ in zip(arrays_of(self.plant), arrays_of(self.population), strict=True):
+            mine[where] = all_[arms]
+
+
+class NumpyArms(ArmBatch):
+    """Arms in NumPy's arrays.
+
+    Work goes through them in blocks that stay in the cache, so that the cost per step does not grow with their number.
+    """
+
+    x = NUMPY
+    block = 2048
+    """A component of 16 KiB, of which a few fit into a core's first cache."""
+
+    def make_plants(self) -> None:
+        """The true arms of all environments, and of each block of them."""
+        self.population = self.plant = self.task.plant
+        if self.task.arms != "fixed":
+            self.plant = plants_on(self.task.plant, lambda values: values[self.arm])
+        self.plant = exact_plant(self.plant)
+        self._blocks = [slice(a, b) for a, b in self.blocks(self.count)]
+        self._plants = [self.plant_of(block) for block in self._blocks]
+
+    def given(self, actions: ArrayLike) -> Array:
+        """Actions as an array; where there is nothing to convert they are not copied."""
+        ready = isinstance(actions, np.ndarray) and actions.dtype.kind == "f"
+        return np.asarray(actions) if ready else as_numbers("actions", actions)
+
+    def components(self, actions: Array) -> tuple[Array, float, float]:
+        """Actions component by component, their least and their largest number."""
+        numbers: Array = actions.T.astype(np.float64, order="C")
+        return numbers, float(numbers.min()), float(numbers.max())

@@ -1,0 +1,350 @@
+"""Many fruit on one arm, one action a fruit: where a policy can learn to calibrate its arm while it picks.
+
+An episode is a run of picks on one true arm, which the policy is not told; the next episode may have another. Before
+each pick it says how far to aim beside the fruit. The nominal arm is put where that leads, stands there, and the camera
+says by how much arm and belief differ. What was seen at past picks is all that tells one arm from another. m and rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, SupportsFloat, cast
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from pickenv.arm import Array, Geometry, joint_jacobian
+from pickenv.arm.kinematics.task_space import truncated_inverse
+from pickenv.envs.shared.backends import NUMPY
+from pickenv.envs.shared.simulation import NUMBER_KEYS, goal_attempt
+from pickenv.envs.shared.spaces import final_rows, given_options, given_seeds
+from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_count, check_number
+from pickenv.errors import InputError
+
+SEEN_MM = 5.0
+"""An error of the arm of this size is shown as 1."""
+
+MOST_SEEN = 20.0
+"""Largest number that is shown of an error."""
+
+LONGEST_LOOK = 59
+"""Steps that the arm may stand: an environment's own time limit is 60."""
+
+
+@dataclass(frozen=True)
+class PickMemory:
+    """What a policy sees before a pick: where it is to go, and what was seen at the last picks.
+
+    Attributes:
+        joints: Number of joints n.
+        window: Past picks in an observation.
+        reach_mm: Largest shift of an aim, per axis.
+    """
+
+    joints: int
+    window: int = 1
+    reach_mm: float = 8.0
+
+    @property
+    def token(self) -> int:
+        """Numbers for one past pick: joints, the arm's error there in `SEEN_MM`, and 1 where there was such a pick."""
+        return self.joints + 4
+
+    @property
+    def inputs(self) -> int:
+        """Numbers in the observation."""
+        return self.joints + self.window * self.token
+
+    def space(self) -> spaces.Box:
+        """Space of the observations."""
+        one = [1.0] * self.joints
+        high = np.array(one + [*one, *[MOST_SEEN] * 3, 1.0] * self.window, dtype=np.float32)
+        return spaces.Box(-high, high, dtype=np.float32)
+
+    def empty(self, rows: int) -> NDArray[np.float32]:
+        """Tokens ``(rows, window, token)`` of arms that have not picked yet."""
+        return np.zeros((rows, self.window, self.token), dtype=np.float32)
+
+    def after(self, tokens: NDArray[np.float32], joints: Array, error: Array) -> NDArray[np.float32]:
+        """Tokens after a pick at scaled ``joints (N, n)`` where the arm was off by ``error (N, 3)``, in m."""
+        seen = (error / (SEEN_MM * 1e-3)).clip(-MOST_SEEN, MOST_SEEN)
+        new = np.concatenate([joints, seen, np.ones((len(joints), 1))], axis=1)[:, None].astype(np.float32)
+        return np.concatenate([new, tokens[:, :-1]], axis=1)
+
+    def shown(self, joints: Array, tokens: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Observations ``(N, inputs)`` before a pick that the nominal arm would do at scaled ``joints (N, n)``."""
+        return np.concatenate([joints, tokens.reshape(len(tokens), -1)], axis=1, dtype=np.float32)
+
+    def aim(self, geometry: Geometry, joints: Array, actions: Any) -> Array:
+        """Joints ``(N, n)`` that aim beside the fruit at nominal ``joints`` by ``actions (N, 3)``, base frame."""
+        shift = np.clip(actions, -1.0, 1.0) * (self.reach_mm * 1e-3)
+        back = truncated_inverse(joint_jacobian(geometry, joints))[..., :3]
+        return np.asarray((joints + np.einsum("...ij,...j->...i", back, shift)).clip(geometry.lower, geometry.upper))
+
+
+class _Run:
+    """The arms' present picks, row by row; every pose is looked up by the row's seed and the pick's number."""
+
+    def __init__(self, task: Task, rows: int, picks: int, memory: PickMemory, looks: int) -> None:
+        check_count("picks", picks)
+        check_count("window", memory.window)
+        check_count("looks", looks)
+        check_number("reach_mm", memory.reach_mm, positive=True)
+        if looks > LONGEST_LOOK:
+            raise InputError(f"looks is {looks}; give at most {LONGEST_LOOK}")
+        if not task.camera or task.end_on_success:
+            raise InputError("SameArm needs a camera and whole episodes; give feedback='camera', end_on_success=False")
+        self.task, self.geometry, self.memory = task, task.plant.arm.nominal, memory
+        self.picks, self.looks = int(picks), int(looks)
+        self.seeds = np.zeros(rows, dtype=np.uint64)
+        self.count = np.zeros(rows, dtype=np.uint64)  # poses drawn so far
+        self.pick = 0
+        self.tokens = memory.empty(rows)
+        self.joints: Array = np.zeros((rows, task.joints))
+
+    def begin(self) -> None:
+        """Forget the last arm."""
+        self.pick, self.tokens = 0, self.memory.empty(len(self.seeds))
+        self.draw()
+
+    def draw(self) -> None:
+        """The next poses: the first of each stream that is wanted, as the environment itself would draw them."""
+        streams = stream_key(NUMPY, episode_key(NUMPY, self.seeds, self.count), GOAL)
+        self.count = self.count + np.uint64(1)
+        left = np.arange(len(streams))
+        for attempt in range(GOAL_ATTEMPTS):
+            tried, fits = goal_attempt(NUMPY, self.task, streams[left], attempt)
+            self.joints[left] = np.stack(tried, axis=1)
+            left = left[~fits]
+            if not len(left):
+                return
+        raise self.task.no_goal()
+
+    @property
+    def scaled(self) -> Array:
+        """The present joints, -1 to 1 between their limits."""
+        low, high = self.geometry.lower, self.geometry.upper
+        return np.asarray(2.0 * (self.joints - low) / (high - low) - 1.0)
+
+    def shown(self) -> NDArray[np.float32]:
+        """The present observations."""
+        return self.memory.shown(self.scaled, self.tokens)
+
+    def options(self, actions: Any, arms: Any) -> dict[str, Any]:
+        """How the inner environments are reset: standing where the actions aim."""
+        given = as_numbers("actions", actions)
+        if given.shape != (len(self.joints), 3) or not np.isfinite(given).all():
+            raise InputError(f"actions have shape {given.shape}; give {len(self.joints)} times 3 finite numbers")
+        start = self.memory.aim(self.geometry, self.joints, given)
+        chosen = {"start_joints": start, "goal_joints": self.joints}
+        return chosen if self.task.arms == "fixed" else chosen | {"arm": arms}
+
+    def saw(self, observation: NDArray[Any]) -> Array:
+        """By how much believed and true tool differ ``(N, 3)``, as the camera saw it."""
+        n = self.task.joints
+        values = observation.astype(float)
+        return np.asarray(values[:, n + 6 : n + 9] - values[:, n + 12 :])
+
+    def picked(self, error: Array) -> None:
+        """Remember what was seen, and go on to the next pose."""
+        self.tokens = self.memory.after(self.tokens, self.scaled, error)
+        self.pick += 1
+        self.draw()
+
+
+class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
+    """`SameArm` for the native vector environments: all rows pick in step, and a step that ends runs begins others.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import pickenv
+        >>> from pickenv.wrappers import SameArmVector
+        >>> envs = gym.make_vec("pickenv/Reach-v0", num_envs=4, feedback="camera", arms="per_episode")
+        >>> envs = SameArmVector(envs, picks=10)
+        >>> envs.reset(seed=0)[0].shape
+        (4, 16)
+
+    Change log:
+     * v0.3.0 - Added.
+    """
+
+    def __init__(
+        self, env: VectorEnv[Any, Any, Any], picks: int = 20, window: int = 1, looks: int = 10, reach_mm: float = 8.0
+    ) -> None:
+        """Wrap ``env``; arguments as in `SameArm`.
+
+        Raises:
+            InputError: If it is no native reach environment on NumPy with a camera, or an argument is impossible.
+        """
+        RecordConstructorArgs.__init__(self, picks=picks, window=window, looks=looks, reach_mm=reach_mm)
+        VectorWrapper.__init__(self, env)
+        inner: Any = env.unwrapped
+        if not hasattr(inner, "batch") or env.metadata.get("torch") or getattr(inner, "goal_dict", False):
+            raise InputError("SameArmVector works on native pickenv/Reach-v0 environments; make them with make_vec")
+        task: Task = inner.task
+        self.run = _Run(task, self.num_envs, picks, PickMemory(task.joints, window, reach_mm), looks)
+        self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
+        self.single_observation_space = self.run.memory.space()
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._still = np.zeros((self.num_envs, task.joints))
+        self._arms: NDArray[np.intp] = np.zeros(self.num_envs, dtype=np.intp)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin runs on arms that are drawn anew; options: "arm", their numbers."""
+        options = given_options(options, ("arm",))
+        fresh: Any = self.env.unwrapped
+        seeds = given_seeds(seed, self.num_envs)
+        for i, given in enumerate(seeds):
+            if given is not None or not self.run.count[i]:
+                self.run.seeds[i] = seed_word(fresh_seed(fresh.np_random) if given is None else int(given))
+                self.run.count[i] = 0
+        _, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        self._begin()
+        return self.run.shown(), self._infos(infos)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Pick one fruit on every arm."""
+        self.env.reset(options=self.run.options(actions, self._arms))
+        error = np.zeros((self.num_envs, 3))
+        for _ in range(self.run.looks):
+            observation, rewards, _, _, infos = self.env.step(self._still)
+            error += self.run.saw(observation)
+        self.run.picked(error / self.run.looks)
+        done = np.full(self.num_envs, self.run.pick >= self.run.picks)
+        shown, infos = self.run.shown(), self._infos(infos)
+        if done.all():
+            rows = np.arange(self.num_envs)
+            final: dict[str, Any] = {"final_obs": final_rows(shown, rows, self.num_envs), "_final_obs": done.copy()}
+            final |= {"final_info": infos, "_final_info": done.copy()}
+            _, begun = self.env.reset(options={"goal_joints": self.run.joints})  # saves drawing poses that nobody uses
+            self._begin()
+            shown, infos = self.run.shown(), self._infos(begun) | final
+        return shown, rewards, np.zeros_like(done), done, infos
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything that the next step depends on, for a checkpoint."""
+        run, inner = self.run, cast(Any, self.env)
+        own = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
+        own = {f"run/{key}": np.array(value) for key, value in own.items()} | {"run/pick": np.array(run.pick)}
+        below: dict[str, NDArray[Any]] = inner.state_arrays()
+        return own | below
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """The inverse of `state_arrays`, around environments made with the same arguments."""
+        run, own = self.run, {key[4:]: value.copy() for key, value in state.items() if key.startswith("run/")}
+        run.seeds, run.count, run.tokens, run.joints = (own[key] for key in ("seeds", "count", "tokens", "joints"))
+        run.pick, self._arms = int(own["pick"]), own["arms"]
+        inner: Any = self.env
+        inner.take_state_arrays({key: value for key, value in state.items() if not key.startswith("run/")})
+
+    def _begin(self) -> None:
+        inner: Any = self.env.unwrapped
+        self._arms = inner.batch.arm.copy()
+        self.run.begin()
+
+    def _infos(self, infos: dict[str, Any]) -> dict[str, Any]:
+        given = np.ones(self.num_envs, dtype=np.bool_)
+        own = {key: np.array(infos[key]) for key in (*NUMBER_KEYS, "is_success")}
+        own |= {"pick": np.full(self.num_envs, self.run.pick), "arm": self._arms.copy()}
+        return own | {f"_{key}": given for key in own}
+
+
+class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Pick fruit after fruit with one arm that is not told, one action a fruit: calibrating while picking, as a task.
+
+    An episode is a run of ``picks`` fruit of `pickenv/Reach-v0` on one true arm. The way to a fruit is the nominal
+    arm's, and known; the action is by how much to aim beside it, x, y, z of the base frame in shares of ``reach_mm``.
+    The arm is put there, stands ``looks`` steps, and the camera's pictures are averaged. With n joints the observation
+    is `Box(float32)` of n + window (n + 4) numbers:
+
+    | Num       | Observation                                                        | Min | Max | Unit |
+    |-----------|--------------------------------------------------------------------|-----|-----|------|
+    | 0 to n-1  | joints of the nominal arm at the fruit, scaled to the limits       | -1  | 1   | 1    |
+    | then n    | the same at the last pick, newest first where the window is longer | -1  | 1   | 1    |
+    | then 3    | true minus believed tool there, as the camera saw it               | -20 | 20  | 5 mm |
+    | then 1    | whether there was such a pick                                      | 0   | 1   | 1    |
+
+    The reward is that of the fruit, of the truth. A run is truncated after its last pick. `info` has the errors of
+    `pickenv/Reach-v0`, `pick`, the number of picks so far, and `arm`. Make the environment with
+    `arms="per_episode"`, else every run has the same arm; `reset(options={"arm": number})` chooses one.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import pickenv
+        >>> from pickenv.wrappers import SameArm
+        >>> env = SameArm(gym.make("pickenv/Reach-v0", feedback="camera", arms="per_episode"), picks=10)
+        >>> observation, info = env.reset(seed=0)
+        >>> observation.shape, env.action_space.shape
+        ((16,), (3,))
+
+    Change log:
+     * v0.3.0 - Added.
+    """
+
+    def __init__(
+        self, env: gym.Env[Any, Any], picks: int = 20, window: int = 1, looks: int = 10, reach_mm: float = 8.0
+    ) -> None:
+        """Wrap ``env``.
+
+        Args:
+            env: A `pickenv/Reach-v0` with a camera.
+            picks: Fruit of a run.
+            window: Past picks in the observation; a recurrent policy needs but one.
+            looks: Steps that the arm stands before each fruit.
+            reach_mm: Largest shift of an aim, per axis.
+
+        Raises:
+            InputError: If the environment has no camera or is none of these, or an argument is impossible.
+        """
+        RecordConstructorArgs.__init__(self, picks=picks, window=window, looks=looks, reach_mm=reach_mm)
+        gym.Wrapper.__init__(self, env)
+        task: Any = getattr(env.unwrapped, "task", None)
+        if (
+            not isinstance(task, Task)
+            or not hasattr(env.unwrapped, "arm")
+            or not isinstance(env.observation_space, spaces.Box)
+        ):
+            raise InputError("SameArm works on flat reach environments; wrap a pickenv/Reach-v0 environment")
+        self.run = _Run(task, 1, picks, PickMemory(task.joints, window, reach_mm), looks)
+        self.observation_space = self.run.memory.space()
+        self.action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
+        self._arm = 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin a run on an arm that is drawn anew; options: "arm", its number."""
+        options = given_options(options, ("arm",))
+        _, info = self.env.reset(seed=seed, options=options)
+        inner: Any = self.env.unwrapped
+        if seed is not None or not self.run.count[0]:
+            self.run.seeds[0] = seed_word(fresh_seed(inner.np_random) if seed is None else int(seed))
+            self.run.count[0] = 0
+        self._arm = inner.arm
+        self.run.begin()
+        return self.run.shown()[0], self._info(info)
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Pick one fruit."""
+        options = self.run.options(as_numbers("action", action)[None], self._arm)
+        options = {key: value[0] if key != "arm" else value for key, value in options.items()}
+        self.env.reset(options=options)
+        error, still = np.zeros((1, 3)), np.zeros(self.run.task.joints)
+        reward: SupportsFloat = 0.0
+        for _ in range(self.run.looks):
+            observation, reward, _, _, info = self.env.step(still)
+            error += self.run.saw(observation[None])
+        self.run.picked(error / self.run.looks)
+        return self.run.shown()[0], reward, False, self.run.pick >= self.run.picks, self._info(info)
+
+    def _info(self, info: dict[str, Any]) -> dict[str, Any]:
+        return {key: info[key] for key in (*NUMBER_KEYS, "is_success")} | {"pick": self.run.pick, "arm": self._arm}

@@ -1,0 +1,290 @@
+"""Picking with the tool: steps of the believed tool in place of joint increments, and the gap by size and direction.
+
+A policy that moves joints must learn the arm's kinematics before it can learn to pick. Here the nominal Jacobian turns
+a step of the tool, kept upright, into joint increments; near the fruit a step is a share of what is left, as in
+`pickenv.wrappers.GapScaling`. Nothing is used but what the controller knows. Units: m, rad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+
+from pickenv.arm import Array, Geometry, joint_jacobian
+from pickenv.envs.picking.pick_scene import CLOSE, PickSetting
+from pickenv.envs.shared.task import MOST_ACTION, as_numbers
+from pickenv.errors import InputError
+from pickenv.wrappers.scaled import ScaledEnv, ScaledVector
+
+LARGEST = 0.03
+"""Step of the tool in one period that an action of 1 adds, m; at 10 Hz 0.3 m/s."""
+
+NEAR = 0.05
+"""Gap below which steps shrink with it, m."""
+
+SERVO = 0.5
+"""Share of the largest step by which the tool goes straight to the fruit where an action is zero."""
+
+ARRIVED = 2e-4
+"""Gap below which the arm is left to stand still, m."""
+
+CLOSING = 0.015
+"""Gap above which the gripper is not closed, m: about where it begins to take fruit at all."""
+
+UPRIGHT = 0.1
+"""What a radian of tilt weighs, m."""
+
+DAMPING = 1e-4
+"""Damping of the Jacobian's inverse, in shares of its mean square."""
+
+CENTRING = 0.1
+"""Share of a joint's way to mid-range that a largest step goes where the tool does not mind."""
+
+COLLECTING = 0.08
+"""Way down after which a fruit off its stem is collected, m."""
+
+MOVES = 2
+"""Numbers of an action before the gripper's."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToolSteps:
+    """Formulas on the observations of `pickenv/Pick-v0`.
+
+    Attributes:
+        geometry: The nominal arm.
+        increment: Largest increments of its joints, rad or m.
+    """
+
+    geometry: Geometry
+    increment: Array
+
+    @property
+    def joints(self) -> int:
+        """Numbers of the environment's actions before the gripper's."""
+        return self.geometry.joints
+
+    @property
+    def header(self) -> dict[str, list[float]]:
+        """What a policy's file says of it; the arm has a name."""
+        return {"increment": self.increment.tolist()}
+
+    @property
+    def inputs(self) -> int:
+        """Numbers in the environment's observation."""
+        return self.joints + 17
+
+    @property
+    def features(self) -> int:
+        """Numbers that the policy sees."""
+        return self.joints + 12
+
+    @property
+    def outputs(self) -> int:
+        """Numbers that it answers."""
+        return MOVES + 1
+
+    def check(self, width: int) -> None:
+        """Refuse observations of another length.
+
+        Raises:
+            InputError: If ``width`` is not `inputs`.
+        """
+        if width != self.inputs:
+            raise InputError(
+                f"the policy was trained on observations of {self.inputs} numbers, but the environment gives {width}; "
+                "use it in pickenv/Pick-v0, with the arm of its training"
+            )
+
+    def observe(self, values: Any, xp: Any = np) -> Any:
+        """What the policy sees, ``(..., features)``."""
+        n = self.joints
+        gap, turn, rest = values[..., n + 6 : n + 9], values[..., n + 9 : n + 12], values[..., n + 12 :]
+        far, aside, up = _length(gap), _length(gap[..., :2]), gap[..., 2:]
+        both = xp.concatenate((aside, up), -1)
+        decades = (xp.log10(xp.maximum(size, ARRIVED) / NEAR) / 2.0 for size in (far, aside))
+        shares = (both / xp.maximum(far, ARRIVED), both / (both * both + NEAR**2) ** 0.5, *decades)
+        return xp.concatenate((values[..., :n], *shares, xp.clip(_length(turn) ** 2, 0.0, 1.0), rest), -1)
+
+    def shown(self, values: NDArray[Any]) -> NDArray[np.float32]:
+        """`observe` as an environment shows it."""
+        return np.asarray(self.observe(values), dtype=np.float32)
+
+    def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
+        """Joint increments and gripper ``(..., n + 1)`` for steps of the tool and gripper ``(..., 3)``.
+
+        Actions of another shape, and numbers larger than ``most`` or not finite, are handed on for the environment to
+        refuse.
+        """
+        given = as_numbers("actions", actions)
+        if given.shape != (*values.shape[:-1], self.outputs):
+            return given
+        numbers = self.commands(values, np.clip(np.nan_to_num(given), -1.0, 1.0))
+        wrong = ~(np.abs(given) <= most).all(axis=-1, keepdims=True)
+        return np.where(wrong, np.inf if most == MOST_ACTION["clip"] else 2.0, numbers).astype(np.float32)
+
+    def commands(self, values: NDArray[Any], actions: Any) -> Any:
+        """Joint increments and gripper for a policy's ``actions``, from -1 to 1."""
+        n = self.joints
+        holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
+        away = ~holding & (_length(values[..., n + 6 : n + 9]) > CLOSING)
+        gripper = np.clip(CLOSE + actions[..., MOVES:], -1.0, 1.0)
+        moved = self.joint_steps(np.asarray(values, dtype=float), actions[..., :MOVES])
+        return np.concatenate([moved, np.where(away, np.minimum(gripper, 0.0), gripper)], axis=-1)
+
+    def joint_steps(self, values: Array, steps: Array) -> Array:
+        """Shares of the joints' increments ``(..., n)`` for ``steps`` of the tool, towards the fruit's plumb and up."""
+        n, low, high = self.joints, self.geometry.lower, self.geometry.upper
+        q = low + (values[..., :n] + 1.0) / 2.0 * (high - low)
+        gap = values[..., n + 6 : n + 9]
+        far, aside = _length(gap), _length(gap[..., :2])
+        holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
+        share = np.where(holding, 1.0, np.where(far < ARRIVED, 0.0, np.minimum(far / NEAR, 1.0)))
+        sideways = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR)) * (
+            SERVO + steps[..., :1]
+        )
+        upwards = share * (np.where(holding, 0.0, SERVO * gap[..., 2:] / np.maximum(far, ARRIVED)) + steps[..., 1:])
+        tilt = np.clip(values[..., n + 9 : n + 11], -0.2, 0.2)
+        wanted = np.concatenate([LARGEST * sideways, LARGEST * upwards, UPRIGHT * tilt * (share > 0)], -1)
+        jacobian = joint_jacobian(self.geometry, q)[..., :5, :] * self.increment
+        jacobian = jacobian * np.array([1.0, 1.0, 1.0, UPRIGHT, UPRIGHT])[:, None]
+        centring = CENTRING * share * ((low + high) / 2.0 - q) / self.increment
+        left = wanted - np.einsum("...ij,...j->...i", jacobian, centring)
+        square = np.einsum("...ij,...kj->...ik", jacobian, jacobian)
+        damping = DAMPING * np.einsum("...ii->...", square)[..., None, None] / 5.0
+        solved = np.linalg.solve(square + damping * np.eye(5), left[..., None])[..., 0]
+        moved = centring + np.einsum("...ij,...i->...j", jacobian, solved)
+        return np.asarray(moved / np.maximum(1.0, np.abs(moved).max(axis=-1, keepdims=True)))
+
+    def potential(self, values: NDArray[Any]) -> Any:
+        """Nearness of a collected fruit, from 0 to 0.8 ``(...)``: the gap's decades, then in hand, off, and down."""
+        n = self.joints
+        gap = np.asarray(values[..., n + 6 : n + 9], dtype=float)
+        seeking = 0.35 * np.clip(1.0 - np.log10(1.0 + 1e3 * _length(gap)[..., 0]) / 3.0, 0.0, 1.0)
+        down = np.clip(gap[..., 2] / COLLECTING, 0.0, 1.0)
+        hanging, off = values[..., n + 14] > 0.5, values[..., n + 15] > 0.5
+        return np.where(off, 0.6 + 0.2 * down, np.where(hanging, 0.5, seeking))
+
+
+class ToolStepping(ScaledEnv, RecordConstructorArgs):
+    """Pick with steps of the tool: what lets plain PPO learn to pick.
+
+    An action of zero brings the believed tool straight to the fruit, and that is all: how to come from below, how fast,
+    when to grasp, twist and retreat is to be learnt (a residual policy; Silver et al. 2018). An action has three
+    numbers from -1 to 1. The first adds to the way sideways, the second to the way up, in steps of 30 mm where zero
+    goes 15, below 50 mm in shares of what is left; with a fruit in the gripper there is nothing but the second, in
+    steps of 30 mm. The third is the gripper: it closes above zero, but not more than 15 mm from the fruit, and twists
+    by 0.25 N m more than it says; it never lets go. The tool is kept upright, and where 0.2 mm are left the arm stands
+    still. With n joints the observation is `Box(float32)` of n + 12 numbers:
+
+    | Num          | Observation                                                        | Min | Max | Unit         |
+    |--------------|--------------------------------------------------------------------|-----|-----|--------------|
+    | 0 to n-1     | joint readings, scaled to the limits                               | -1  | 1   | 1            |
+    | n, n+1       | gap to the fruit, sideways and up, over its length (at least 0.2)  | -1  | 1   | mm           |
+    | n+2, n+3     | each of the two, c, as c / sqrt(c^2 + 50^2)                        | -1  | 1   | mm           |
+    | n+4, n+5     | half the logarithm of the gap, and of it sideways, over 50 mm      | -2  | 2   | two decimals |
+    | n+6          | square of the tilt, at most 1                                      | 0   | 1   | rad^2        |
+    | n+7 to n+11  | the last five numbers of `pickenv/Pick-v0`                         | 0   | 1   |              |
+
+    Args:
+        env: A `pickenv/Pick-v0`.
+        shaping: A discount g: each step is rewarded with g P' - P besides, where P is 0.35 (1 - log10(1 + gap in mm) /
+            3) before the grasp, at least 0, then 0.5 with the fruit in hand, 0.6 off its stem and up to 0.8 on its way
+            down, and 0 once no fruit is left. Which policy gets most, by rewards discounted with g, does not change
+            (Ng, Harada and Russell 1999); 1 is for the sum of rewards. None, the default, leaves the reward as it is.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import pickenv
+        >>> from pickenv.wrappers import ToolStepping
+        >>> env = ToolStepping(gym.make("pickenv/Pick-v0"))
+        >>> env.reset(seed=0)[0].shape, env.action_space.shape
+        ((18,), (3,))
+
+    Change log:
+     * v0.5.0 - Added.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], shaping: float | None = None) -> None:
+        """Wrap ``env``.
+
+        Raises:
+            InputError: If its observations are not those of a picking task.
+        """
+        RecordConstructorArgs.__init__(self, shaping=shaping)
+        scaling, most = _steps_of(env, env.observation_space)
+        ScaledEnv.__init__(self, env, scaling, _seen_space(scaling), most, _tool_space(), _discount(shaping))
+
+
+class ToolSteppingVector(ScaledVector, RecordConstructorArgs):
+    """`ToolStepping` for the native vector environment.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import pickenv
+        >>> from pickenv.wrappers import ToolSteppingVector
+        >>> envs = ToolSteppingVector(gym.make_vec("pickenv/Pick-v0", num_envs=2))
+        >>> envs.reset(seed=0)[0].shape
+        (2, 18)
+
+    Change log:
+     * v0.5.0 - Added.
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], shaping: float | None = None) -> None:
+        """Wrap ``env``; ``shaping`` as in `ToolStepping`.
+
+        Raises:
+            InputError: If its observations are not those of a picking task.
+        """
+        RecordConstructorArgs.__init__(self, shaping=shaping)
+        scaling, most = _steps_of(env, env.single_observation_space)
+        ScaledVector.__init__(self, env, scaling, _seen_space(scaling), most, _tool_space(), _discount(shaping))
+
+
+def tool_steps_of(env: Any) -> ToolSteps:
+    """The formulas that suit an environment, single or native.
+
+    Raises:
+        InputError: If it is no picking environment.
+    """
+    inner = env.unwrapped
+    task = getattr(inner, "task", None)
+    if task is None or not isinstance(getattr(inner, "orchard", None), PickSetting):
+        raise InputError("ToolStepping moves a picking arm's tool; wrap a pickenv/Pick-v0 environment")
+    return ToolSteps(task.plant.arm.nominal, np.array(task.increment))
+
+
+def _steps_of(env: Any, space: spaces.Space[Any]) -> tuple[ToolSteps, float]:
+    scaling = tool_steps_of(env)
+    scaling.check((space.shape or (0,))[0])
+    return scaling, env.unwrapped.task.most_action
+
+
+def _discount(shaping: float | None) -> float | None:
+    if shaping is not None and not 0.0 < shaping <= 1.0:
+        raise InputError(f"shaping is {shaping}; give a discount above 0 and at most 1, or None")
+    return shaping
+
+
+def _seen_space(scaling: ToolSteps) -> spaces.Box:
+    n = scaling.joints
+    high = np.array([1.0] * n + [1.001] * 4 + [2.0] * 2 + [1.0] * 6, dtype=np.float32)
+    low = np.array([-1.0] * n + [-1.001] * 4 + [-2.0] * 2 + [0.0] * 6, dtype=np.float32)
+    return spaces.Box(low, high, dtype=np.float32)
+
+
+def _tool_space() -> spaces.Box:
+    return spaces.Box(-1.0, 1.0, (MOVES + 1,), dtype=np.float32)
+
+
+def _length(vector: Any) -> Any:
+    """Length of vectors ``(..., k)``, ``(..., 1)``."""
+    return ((vector * vector).sum(-1)[..., None]) ** 0.5

@@ -1,0 +1,222 @@
+"""What a film states of an arm without a picture of it, worked out by hand: attempts, lengths, speed, places, marks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pickenv.errors import InputError
+from pickenv.inspect.films.film_plan import Attempt, FilmPlan, attempts_of, grasp_offset, plan_film
+from pickenv.inspect.films.film_stage import FilmSet, film_stage, seen_along, tool_axis
+from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
+from pickenv.pictures.stage import Eye
+from pickenv.pictures.tree_shapes import MISSED_FRUIT, RIPE
+
+A, B, C = [0.5, 0.0, 0.3], [0.5, 0.2, 0.3], [0.3, 0.1, 0.6]
+OFF = np.array([0.002, 0.003, 0.001])
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def of_tracks(
+    fruit: Sequence[Sequence[Sequence[float]]],
+    misses: Sequence[dict[int, float]],
+    picks: Sequence[dict[int, int]],
+    tool: np.ndarray | None = None,
+    label: str = "raw",
+) -> RecordedPolicy:
+    """A policy whose tool is `OFF` beside its fruit; ``misses`` and ``picks`` by moment of each episode."""
+    longest = max(map(len, fruit))
+    shape = (len(fruit), longest)
+    places = np.array([[*track, *[track[-1]] * (longest - len(track))] for track in fruit])
+    miss, picked = np.full(shape, np.nan), np.zeros(shape, dtype=np.int64)
+    for e in range(len(fruit)):
+        for moment, mm in misses[e].items():
+            miss[e, moment] = mm
+        for moment, count in picks[e].items():
+            picked[e, moment:] += count
+    tool = places + OFF if tool is None else tool
+    nothing = np.zeros((*shape, 0))
+    return RecordedPolicy(
+        label=label, key=label.lower(), moments=np.array([len(track) for track in fruit]), joint_target=nothing,
+        joint_command=nothing, tool_position=tool, tool_rotation=np.full((*shape, 3, 3), np.nan),
+        fruit_position=places, position_error_mm=1e3 * np.linalg.norm(tool - places, axis=-1),
+        attitude_error_deg=np.zeros(shape), success=np.zeros(shape, bool), picked=picked, miss_mm=miss,
+        reward=np.zeros(shape),
+    )  # fmt: skip
+
+
+def run_of(*policies: RecordedPolicy) -> RecordedEpisodes:
+    return RecordedEpisodes(
+        env_id="x/Pick", plant="", gripper="li_cup", tolerance_mm=5.0, seed=0,
+        seeds=tuple(range(len(policies[0].moments))), period=0.1, nominal=None, true_geometry=None, policies=policies,
+    )  # fmt: skip
+
+
+def moved(place: Sequence[float], metres: float) -> list[float]:
+    return [place[0] + metres, place[1], place[2]]
+
+
+@pytest.mark.parametrize(
+    ("track", "misses", "picks", "found"),
+    [
+        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {5: 1}, [Attempt(0, 3, 5, True), Attempt(6, 8, 8, False)]),
+        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {8: 1}, [Attempt(0, 3, 5, False), Attempt(6, 8, 8, True)]),
+        ([A] * 3 + [B] * 5, {3: 7.0}, {}, [Attempt(0, 3, 3, False)]),  # the next fruit at the moment of closing
+        ([A] * 4 + [moved(A, 0.061)] * 3, {2: 7.0}, {}, [Attempt(0, 2, 3, False)]),
+        ([A] * 4 + [moved(A, 0.059)] * 3, {2: 7.0}, {}, [Attempt(0, 2, 2, False)]),  # it swings, and is the same
+        ([A] * 5, {0: 1.0, 4: 3.0}, {0: 1}, [Attempt(0, 0, 0, True), Attempt(1, 4, 4, False)]),
+        ([A] * 5, {4: 3.0}, {4: 2}, [Attempt(0, 4, 4, True)]),
+        ([A] * 5, {}, {}, []),
+    ],
+)
+def test_attempts_begin_after_the_last_and_end_with_the_pick_or_the_next_fruit(track, misses, picks, found):
+    policy = of_tracks([track, [B] * 12], [misses, {}], [picks, {}])
+    assert attempts_of(policy, 0) == found and attempts_of(policy, 1) == []
+
+
+def test_the_offset_of_a_grasp_is_from_the_fruit_that_was_gone_for():
+    track, close = [A] * 3 + [B] * 5, 3
+    policy = of_tracks([track], [{close: 7.0}], [{}])
+    np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(0, 3, 3, False)), np.array(B) + OFF - A, atol=1e-12)
+    np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(4, 5, 5, False)), OFF, atol=1e-12)
+    np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(0, 0, 0, False)), OFF, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "fps", "episodes"), [(6.0, 10, 3), (4.9, 10, 3), (4.8, 10, 2), (1.0, 10, 1), (19.6, 10, 12)]
+)
+def test_as_many_episodes_are_shown_as_three_moments_to_a_frame_allow(seconds, fps, episodes):
+    """Each has 40 moments, and its last nine times more."""
+    policy = of_tracks([[A] * 40] * 12, [{10: 2.0, 30: 2.0}] * 12, [{}] * 12)
+    plan = plan_film(run_of(policy), seconds=seconds, frames_per_second=fps)
+    count = round(seconds * fps)
+    assert len(plan.frames) == count and plan.frames_per_second == fps and plan.policies == (0,) and not plan.reaching
+    assert plan.speed == pytest.approx(49 * episodes * 0.1 / seconds)
+    way = [(e, t) for e in range(episodes) for t in [*range(40), *[39] * 9]]
+    expected = [way[round(i)] for i in np.linspace(0, len(way) - 1, count)]
+    assert [(frame.episode, frame.moment) for frame in plan.frames] == expected
+
+
+@pytest.mark.parametrize(("step", "arrived"), [(4e-4, 5), (6e-4, 11)])
+def test_a_reach_is_shown_until_its_tools_stand(step, arrived):
+    """The tool comes by 10 mm at a time for five moments, and then crawls."""
+    along = np.cumsum([0.0] + [0.01] * 5 + [step] * 6 + [0.0] * 8)
+    tool = np.array(A) + along[:, None] * UP
+    policy = of_tracks([[A] * 20], [{19: 3.0}], [{19: 1}], tool=tool[None])
+    slow = of_tracks([[A] * 20], [{19: 3.0}], [{}], tool=np.broadcast_to(A, (1, 20, 3)), label="LS")
+    plan = plan_film(run_of(policy, slow, policy), seconds=2.0, frames_per_second=20)
+    assert plan.reaching and plan.policies == (0, 2)
+    assert plan.speed == pytest.approx((arrived + 1 + 9) * 0.1 / 2.0)
+    way = [*range(arrived + 1), *[19] * 9]
+    assert {frame.moment for frame in plan.frames} == set(way) and plan.frames[-1].moment == 19
+    still = plan_film(run_of(slow), seconds=1.0)
+    assert still.reaching and {frame.moment for frame in still.frames} == {0, 19}
+    twice = of_tracks([[A] * 20], [{3: 3.0, 19: 3.0}], [{}])
+    assert not plan_film(run_of(policy, twice)).reaching
+    assert not plan_film(run_of(of_tracks([[A] * 20], [{}], [{3: 1, 5: 1}]))).reaching
+
+
+def test_films_last_one_to_120_seconds_of_one_to_60_frames():
+    episodes = run_of(of_tracks([[A] * 5], [{}], [{}]))
+    for seconds, fps in ((1.0, 1), (120.0, 1), (1.0, 60)):
+        assert len(plan_film(episodes, seconds=seconds, frames_per_second=fps).frames) == round(seconds * fps)
+    for seconds, fps in ((0.99, 10), (120.1, 10), (2.0, 0), (2.0, 61)):
+        with pytest.raises(InputError, match="give 1 to 120 s, 1 to 60"):
+            plan_film(episodes, seconds=seconds, frames_per_second=fps)
+
+
+@pytest.fixture
+def film_set() -> FilmSet:
+    """Two policies for three fruit, the last two 44 mm apart for one of them: one misses B, the other takes all."""
+    near = moved(B, 0.044)
+    raw = of_tracks([[A] * 6 + [B] * 4, [C] * 4], [{3: 2.0, 8: 9.0}, {3: 4.0}], [{5: 1}, {3: 1}])
+    ls = of_tracks([[A] * 4 + [near] * 6, [C] * 4], [{3: 1.0, 8: 1.5}, {3: 0.5}], [{3: 1, 8: 1}, {3: 1}], label="LS")
+    episodes = run_of(raw, ls)
+    return FilmSet(episodes, plan_film(episodes, seconds=6.0), (400, 360), dark=False)
+
+
+def frame_at(plan: FilmPlan, episode: int, moment: int):
+    return next(frame for frame in plan.frames if (frame.episode, frame.moment) == (episode, moment))
+
+
+def test_fruit_is_one_where_policies_go_for_it_within_45_mm(film_set):
+    assert film_set.shown == [0, 1]
+    np.testing.assert_array_equal(film_set.fruit[0], [A, B])
+    np.testing.assert_array_equal(film_set.fruit[1], [C])
+    assert film_set.attempts[0][0] == [Attempt(0, 3, 5, True), Attempt(6, 8, 8, False)]
+    assert film_set.attempts[1][0] == [Attempt(0, 3, 3, True), Attempt(4, 8, 8, True)]
+    farther = film_set.episodes.policies[1].fruit_position.copy()
+    farther[0, 4:, 0] = 0.5 + 0.046
+    apart = replace(film_set.episodes.policies[1], fruit_position=farther)
+    made = replace(film_set, episodes=replace(film_set.episodes, policies=(film_set.episodes.policies[0], apart)))
+    np.testing.assert_allclose(made.fruit[0], [A, B, [0.546, 0.2, 0.3]])
+
+
+def test_the_ground_lies_at_least_200_mm_below_all_and_at_halves_of_a_metre(film_set):
+    assert film_set.points[:, 2].min() == pytest.approx(0.3) and film_set.ground == 0.0
+    lower = film_set.episodes.policies[0].tool_position.copy()
+    lower[..., 2] -= 0.15
+    low = replace(film_set.episodes.policies[0], tool_position=lower)
+    made = replace(film_set, episodes=replace(film_set.episodes, policies=(low, film_set.episodes.policies[1])))
+    assert made.ground == -0.5
+    assert len(film_set.points) == 3 + 2 * 2 * 10
+
+
+def test_everything_is_in_sight_of_an_eye_behind_the_arm(film_set):
+    columns, rows, depth = film_set.eye.project(film_set.points, film_set.size).T
+    assert (depth > 0).all() and columns.min() >= 0 and columns.max() <= 400 and rows.min() >= 0 and rows.max() <= 360
+    gaze = film_set.eye.target - film_set.eye.position
+    ahead = np.concatenate([film_set.fruit[0], film_set.fruit[1]]).mean(axis=0)[:2]
+    assert gaze[:2] @ ahead > 0 and gaze[2] < 0 and np.cross([*ahead, 0.0], gaze)[2] < 0  # from its left, looking down
+
+
+@pytest.mark.parametrize(
+    ("side", "episode", "moment", "hanging", "held", "missed", "marks"),
+    [
+        (0, 0, 2, [A, B], [], 0, 0),
+        (0, 0, 4, [B], [A], 0, 1),
+        (0, 0, 5, [B], [], 0, 1),
+        (0, 0, 8, [B], [], 1, 2),
+        (1, 0, 3, [B], [], 0, 1),
+        (1, 0, 9, [], [], 0, 2),
+        (0, 1, 0, [C], [], 0, 2),
+        (0, 1, 3, [], [], 0, 3),
+    ],
+)
+def test_each_fruit_hangs_is_held_gone_or_missed_as_the_policy_left_it(
+    film_set, side, episode, moment, hanging, held, missed, marks
+):
+    frame = frame_at(film_set.plan, episode, moment)
+    stage = film_stage(film_set, frame, side)
+    drawn, loose, crate = stage.balls[-3:]
+    np.testing.assert_allclose(drawn.centre.reshape(-1, 3), np.reshape(hanging, (-1, 3)), atol=1e-12)
+    np.testing.assert_allclose(loose.centre.reshape(-1, 3), np.reshape(held, (-1, 3)), atol=1e-12)
+    assert len(crate.centre) == frame.stated[side].picked and (drawn.radius == 0.03).all()
+    colours = [tuple(colour) for colour in drawn.colour[:, :3].tolist()]
+    assert colours.count(tuple(MISSED_FRUIT)) == missed and colours.count(tuple(RIPE)) == len(hanging) - missed
+    assert len(stage.dial.marks_mm) == marks and stage.dial.tolerance_mm == 5.0
+    right = np.cross(film_set.eye.axes()[2], UP)
+    right /= np.linalg.norm(right)
+    across = [1e3 * OFF @ right, 1e3 * OFF @ np.cross(UP, right)]
+    np.testing.assert_allclose(stage.dial.marks_mm, [across] * marks if marks else np.empty((0, 2)), atol=1e-9)
+    said = [words for words in stage.words if words.text.startswith("missed by")]
+    assert len(said) == missed
+    for words in said:
+        assert words.text == "missed by 9.0 mm"
+        np.testing.assert_allclose(words.place, np.array(B) - [0.0, 0.0, 0.045])
+
+
+def test_an_offset_is_seen_across_the_tool_from_where_the_eye_stands():
+    eye = Eye(np.array([0.0, -5.0, 0.0]), np.zeros(3))
+    np.testing.assert_allclose(seen_along(UP, np.array([1.0, 2.0, 3.0]), eye), [1.0, 2.0], atol=1e-12)
+    np.testing.assert_allclose(
+        seen_along(np.array([1.0, 0.0, 0.0]), np.array([1.0, 2.0, 3.0]), eye), [-3.0, 2.0], atol=1e-12
+    )
+    policy = of_tracks([[A] * 4], [{}], [{}])
+    np.testing.assert_array_equal(tool_axis(policy, 0, 1), UP)
+    turned = np.zeros((1, 4, 3, 3))
+    turned[0, 1] = np.arange(9.0).reshape(3, 3)
+    np.testing.assert_array_equal(tool_axis(replace(policy, tool_rotation=turned), 0, 1), [2.0, 5.0, 8.0])
