@@ -28,6 +28,7 @@ from pickenv.agents.policies.servo import ServoReach
 from pickenv.arm import Arm
 from pickenv.envs.shared.task import FEEDBACK
 from pickenv.errors import InputError
+from pickenv.wrappers.tool_steps import ToolSteps
 
 CALIBRATED_PRIOR = 0.2
 """Share of the parameters' tolerances that an adaptive policy expects to be left behind a calibration."""
@@ -168,4 +169,6 @@ def _kind_of_files(folder: str, files: tuple[str, ...]) -> Kind:
 def _kind_of_policy(policy: LearnedPolicy | RememberingPolicy) -> Kind:
     if isinstance(policy, RememberingPolicy):
         return Kind(("camera",), sequential=True)
+    if isinstance(policy.scaling, ToolSteps):
+        raise InputError("this policy picks, and cannot be compared on reaches; judge it in pickenv/Pick-v0")
     return Kind(("camera",) if policy.scaling.camera else ("encoders",))

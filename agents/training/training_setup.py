@@ -277,7 +277,7 @@ def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:
     return {key: np.array([each[key] for each in found]) for key in ("position_error_mm", "is_success")}
 
 
-def _judged_picking(policy: LearnedPolicy, training: Training, episodes: int) -> dict[str, float]:
+def _judged_picking(policy: Any, training: Training, episodes: int) -> dict[str, float]:
     env = make_environment(training, episodes, "NextStep")
     observation, infos = env.reset(seed=HELD_OUT)
     over, found = np.zeros(episodes, dtype=np.bool_), np.zeros((len(FRUIT), episodes))

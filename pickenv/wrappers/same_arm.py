@@ -235,7 +235,13 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint."""
         run, inner = self.run, cast(Any, self.env)
-        own = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
+        own: dict[str, Any] = {
+            "seeds": run.seeds,
+            "count": run.count,
+            "tokens": run.tokens,
+            "joints": run.joints,
+            "arms": self._arms,
+        }
         own = {f"run/{key}": np.array(value) for key, value in own.items()} | {"run/pick": np.array(run.pick)}
         below: dict[str, NDArray[Any]] = inner.state_arrays()
         return own | below

@@ -101,7 +101,7 @@ class FruitTable:
 
     def meet(self, going: Flags, targets: Rows, point: Array, moved: Array, axis: Array, dt: Array) -> None:
         """Let each tool take along what it holds, and push what is in its way; arguments (N, ...)."""
-        for row in np.flatnonzero(going & (self.held >= 0) & ~self.off):
+        for row in np.flatnonzero(going & (self.held >= 0) & ~self.off).tolist():
             self.scenes[row].carry(point[row], moved[row])
         found = contact(self.orchard.station, self.rest + self.displacement, self.diameters, point, axis)
         for row in np.flatnonzero(going & found.touched.any(axis=1)).tolist():

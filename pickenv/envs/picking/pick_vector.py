@@ -171,7 +171,8 @@ class PickVectorEnv(StreamVectorEnv):
         return self.batch.finished()
 
     def _observation(self) -> NDArray[np.float32]:
-        return self.batch.observations(*self._bounds)
+        low, high = (np.asarray(bound, dtype=np.float32) for bound in self._bounds)
+        return self.batch.observations(low, high)
 
     def _information(self) -> Information:
         return self.batch.information()
