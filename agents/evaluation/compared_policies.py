@@ -168,4 +168,4 @@ def _kind_of_files(folder: str, files: tuple[str, ...]) -> Kind:
 def _kind_of_policy(policy: LearnedPolicy | RememberingPolicy) -> Kind:
     if isinstance(policy, RememberingPolicy):
         return Kind(("camera",), sequential=True)
-    return Kind(("camera",) if policy.scaling.camera else ("encoders",))
+    return Kind(("camera",) if getattr(policy.scaling, "camera", False) else ("encoders",))

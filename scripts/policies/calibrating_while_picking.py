@@ -190,7 +190,7 @@ def figure_of(found: dict[str, dict[str, Array]]) -> Any:
     with new_figure(WIDTH, 2.9) as figure:
         panels = figure.subplots(1, len(found), sharey=True)
         for axes, (place, each) in zip(panels, found.items(), strict=True):
-            axes.set(title=place, xlabel="pick on the same arm", yscale="log")
+            axes.set(title=place, xlabel="pick on the same arm", ylim=(0.0, None))
             for number, (name, errors) in enumerate(each.items()):
                 points = [over(errors, slice(k, k + 1)) for k in range(PICKS)]
                 x, colour = np.arange(1, PICKS + 1), f"C{number}"
