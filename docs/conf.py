@@ -40,6 +40,7 @@ myst_heading_anchors = 3
 html_theme = "furo"
 html_title = f"pickenv {release}"
 html_copy_source = False
+html_static_path, html_css_files = ["_static"], ["site.css"]
 html_theme_options = {"sidebar_hide_name": False}
 default_role = "code"  # docstrings write `name`, as Markdown does
 autodoc_member_order = "bysource"
@@ -163,7 +164,7 @@ def write_generated() -> None:
     for card in CARDS.values():
         pages[f"environments/{card}.md"] = environment_page(f"pickenv/{card}")
     cards = "\n".join(CARDS.values())
-    pages["environments/index.md"] = f"# Environments\n\n```{{toctree}}\n:maxdepth: 1\n\n{cards}\n```\n"
+    pages["environments/index.md"] = f"# Cards of the environments\n\n```{{toctree}}\n:maxdepth: 1\n\n{cards}\n```\n"
     pages |= cards_of_files()
     for name, text in pages.items():
         path = HERE / "_generated" / name
@@ -207,6 +208,7 @@ REPAIRS = (
     (r'<aside class="sidebar-drawer">', r'<aside class="sidebar-drawer" aria-label="Pages of the site">'),
     (r'<aside class="(toc-drawer[^"]*)">', r'<aside class="\1" aria-label="Parts of this page">'),
     (r"<pre>(?=<span></span>)", r'<pre tabindex="0">'),
+    (r'<div class="(table-wrapper[^"]*)">', r'<div class="\1" tabindex="0">'),
 )
 """What the theme leaves out of its pages, and who reads them by ear or by keyboard needs."""
 

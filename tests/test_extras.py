@@ -77,6 +77,7 @@ MAKE = "import gymnasium, pickenv\ngymnasium.make"
     ("modules", "code"),
     [
         (("torch",), MAKE + "_vec('pickenv/Reach-v0', 2, executor='torch')"),
+        (("llvmlite",), MAKE + "_vec('pickenv/Reach-v0', 2, executor='compiled')"),
         (("matplotlib",), MAKE + "('pickenv/Reach-v0', render_mode='rgb_array')"),
         (
             ("matplotlib",),

@@ -16,7 +16,23 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 RUN = ("README.md", "docs/commands.md")
 """Pages whose blocks are run, one after the other in one folder; other pages have tests of their own."""
-PLAIN = ("README.md", "docs/quickstart.md", "docs/index.md", "docs/installation.md")
+LONG_WINDED = (
+    "changelog",
+    "findings",
+    "harvester-sight",
+    "papers",
+    "results",
+    "so101",
+    "tolerance-studies",
+    "twin",
+    "column-descriptions",
+)
+"""Pages of results and formats, of which some sentences are longer, and one that is made of CHANGELOG."""
+PLAIN = (
+    *("README.md", "CONTRIBUTING.md", "SECURITY.md"),
+    *(f"docs/{page.name}" for page in sorted((ROOT / "docs").glob("*.md")) if page.stem not in LONG_WINDED),
+    *(f"docs/tutorials/{page.name}" for page in sorted((ROOT / "docs/tutorials").glob("*.md"))),
+)
 MOST_WORDS = 35
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
@@ -123,7 +139,7 @@ def sentences(text: str) -> Iterator[str]:
 @pytest.mark.parametrize("name", PLAIN)
 def test_no_sentence_is_long(name: str) -> None:
     found = [each for each in sentences(page(name)) if each]
-    assert len(found) >= 3
+    assert found
     assert [each for each in found if len(each.split()) > MOST_WORDS] == []
 
 

@@ -7,11 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid
 from pickenv.errors import InputError
+from pickenv.extras import require
 from pickenv.files import write_json, write_whole
 from pickenv.inspect.runs.run_folder import Run, recorded_run, unedited
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
@@ -24,7 +22,6 @@ ROWS = "rows.json"
 """Its rows there, for people and other programs."""
 
 KEYS = ("policy", "compensation", "feedback", "plant", "gripper")
-
 
 HEADS = ("mean (mm)", "95 % interval (mm)", "median arm (mm)", "95th arm (mm)", "success (%)", "cycle (s)")
 """What stands beside `KEYS`; an interval where the number has none of its own column follows in brackets."""
@@ -100,6 +97,10 @@ def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
         return write_whole(path, write)
     if path.suffix != ".parquet":
         raise InputError(f"cannot write {path}: give a file name that ends in .csv or .parquet")
+    require("pyarrow")
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     return write_whole(path, lambda temporary: pq.write_table(pa.Table.from_pylist(flat), temporary))
 
 

@@ -177,7 +177,7 @@ def _write(folder: Path, name: str, found: Sequence[dict[str, Any]], card: dict[
     import minari
     from minari.data_collector import EpisodeBuffer
 
-    out = folder.parents[2]
+    out = folder.parents[2].resolve()  # Minari loses its way on relative paths
     with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=out, ignore_cleanup_errors=True) as temporary:
         buffers = [
             EpisodeBuffer(id=i, **{key: value for key, value in each.items() if key != "said"})

@@ -275,5 +275,5 @@ def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:
         said = ["" if found[key] is None or key not in card else f"{found[key]:.2f}" for key in shown]
         rows.append([card["name"], str(card["episodes"]), str(card["steps"]), f"{card['mean_return']:.2f}", *said])
     heads = ("data set", "episodes", "steps", "return, mean", *(numbers[key] for key in shown))
-    caption = f"simulated; MINARI_DATASETS_PATH={out} lets Minari find them by name"
+    caption = f"simulated; MINARI_DATASETS_PATH={out.resolve()} lets Minari find them by name"
     print_table(f"Recorded with seed {cards[0]['seed']}", heads, rows, words=("data set",), caption=caption)

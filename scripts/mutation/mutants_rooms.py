@@ -28,7 +28,7 @@ CORE, SECOND, OTHER = 40, 10, 3
 def room(sources: str, modules: str, tests: str, names: str, most: int = OTHER) -> Room:
     """A room from folder and names of its modules, and of its tests."""
     return Room(
-        tuple(f"{sources}/{name}.py" for name in modules.split()),
+        tuple((Path(sources) / f"{name}.py").as_posix() for name in modules.split()),
         tuple(f"{tests}/{Path(name).parent / f'test_{Path(name).name}.py'}" for name in names.split()),
         most,
     )

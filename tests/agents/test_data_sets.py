@@ -96,7 +96,8 @@ def test_what_was_cut_off_leaves_no_data_set(tmp_path):
 
 def test_the_command_says_what_it_recorded(tmp_path, monkeypatch, capsys):
     told = tmp_path / "cards.json"
-    words = ["--quality", "random", "--episodes", "2", "--out", str(tmp_path / "sets"), "--json", str(told)]
+    monkeypatch.chdir(tmp_path)
+    words = ["--quality", "random", "--episodes", "2", "--out", "sets", "--json", str(told)]
     monkeypatch.setattr("sys.argv", ["pickenv", "datasets", *words])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -233,6 +233,20 @@ def test_no_difference_is_only_what_lies_within_the_margin(ends, said):
     assert Estimate(0.0, ends).verdict(0.05) == said
 
 
+def test_the_command_says_every_setting():
+    """What a run folder says makes the same comparison again."""
+    settings = GridSettings(
+        policies=("scripted", "servo"), compensations=("raw", "ls"), feedback=("camera",), plants=("field",),
+        grippers=("li_cup",), arms=3, episodes=5, tolerances="fine", camera_noise_mm=1.5, fruit_noise_mm=2.0, seed=7,
+        protocol=CalibrationPlan(epochs=9),
+    )  # fmt: skip
+    assert command_of(settings) == (
+        "pickenv evaluate --policy scripted --policy servo --compensation raw --compensation ls --feedback camera "
+        "--plant field --gripper li_cup --arms 3 --episodes 5 --tolerances fine --camera-noise 1.5 --fruit-noise 2 "
+        "--epochs 9 --seed 7"
+    )
+
+
 def test_rows_are_written_and_read(grid, tmp_path):
     rows = grid.rows()
     with write_rows(tmp_path / "rows.csv", rows).open(encoding="utf-8") as file:

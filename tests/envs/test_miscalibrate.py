@@ -33,7 +33,7 @@ class JointReach(gym.Env[Any, Any]):
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        g = self.nominal
+        self.asked, g = options, self.nominal
         self.wanted = g.lower + self.np_random.uniform(0.3, 0.7, g.joints) * (g.upper - g.lower)
         self.goal = forward(g, self.wanted).position
         self.data.qpos[:] = self.data.ctrl[:] = (g.lower + g.upper) / 2
@@ -137,7 +137,9 @@ def test_a_geometry_will_do_for_the_truth():
     nominal = geometry_in_mujoco(env.model, "tool")
     moved = replace(nominal, base=nominal.base._replace(position=nominal.base.position + np.array([0.0, 0.003, 0.0])))
     wrapped = Miscalibrate(env, nominal, moved)
-    assert wrapped.reset(seed=0)[1]["tool_error_mm"] == pytest.approx(3.0, abs=1e-9)
+    asked = {"goal": "any"}
+    assert wrapped.reset(seed=0, options=asked)[1]["tool_error_mm"] == pytest.approx(3.0, abs=1e-9)
+    assert env.asked is asked
     np.testing.assert_allclose(wrapped.tool_error(), [0.0, 0.003, 0.0], rtol=0, atol=1e-12)
 
 

@@ -99,6 +99,15 @@ def test_words_stand_in_their_corner_and_nowhere_else(corner):
     assert ("left" in corner) == (columns.max() < 160) and ("right" in corner) == (columns.min() > 320)
 
 
+def test_what_a_picture_is_about_is_written_larger_and_nothing_else():
+    blank = np.full((360, 480, 3), 128, dtype=np.uint8)
+    tall = []
+    for words in (Words("raw"), Words("raw", large=True)):
+        rows = np.nonzero(np.any(lettered(blank, Stage(EYE, words=(words,))) != 128, axis=-1))[0]
+        tall.append(np.ptp(rows))
+    assert tall[1] > tall[0] and not Words("raw").large
+
+
 def test_words_at_a_place_of_the_world_stand_there():
     blank, place = np.full((360, 480, 3), 128, dtype=np.uint8), np.array([0.4, 0.2, 0.1])
     changed = np.any(lettered(blank, Stage(EYE, words=(Words("x", place),))) != 128, axis=-1)

@@ -19,7 +19,9 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 ROOMS = ("arm", "calibration", "envs", "wrappers", "agents", "inspect", "study", "orchard", "harvester")
 HEAVY = 1_000_000
-"""Bytes of a page."""
+"""Bytes of a page with all that it loads, but for films."""
+FILMS = (".gif", ".mp4")
+LOADED = (".css", ".js", ".png", ".webp", ".svg", ".jpg", ".woff2")
 
 
 @pytest.fixture(scope="module")
@@ -64,17 +66,25 @@ def test_every_link_between_pages_has_a_target_and_no_page_is_heavy(site: Path) 
     assert len(pages) > 25
     anchors = {page: set(re.findall(r'\bid="([^"]+)"', text)) for page, text in pages.items()}
     for page, text in pages.items():
-        assert len(text.encode()) < HEAVY, page
+        loaded = {page}
         for link in re.findall(r'(?:href|src)="([^"]+)"', text):
             if re.match(r"[a-z]+:|#$|//", link):
                 continue
             path, _, anchor = unquote(link).partition("#")
             target = (page.parent / path.partition("?")[0]).resolve() if path else page
             assert target.exists(), f"{page.name}: {link}"
+            loaded |= {target} if target.suffix in LOADED else set()
             if anchor and target in anchors:
                 assert anchor in anchors[target] or page.name in ("search.html", "genindex.html"), (
                     f"{page.name}: {link}"
                 )
+        weight = sum(file.stat().st_size for file in loaded)
+        assert weight < HEAVY, f"{page.relative_to(site)} weighs {weight} bytes"
+
+
+def test_only_films_are_left_out_of_the_weight(site: Path) -> None:
+    shown = {path.suffix for path in (site / "_images").iterdir()}
+    assert shown <= {*FILMS, *LOADED} and FILMS[0] in shown
 
 
 NOTEBOOKS = sorted(

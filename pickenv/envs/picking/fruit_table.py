@@ -104,9 +104,10 @@ class FruitTable:
         for row in np.flatnonzero(going & (self.held >= 0) & ~self.off):
             self.scenes[row].carry(point[row], moved[row])
         found = contact(self.orchard.station, self.rest + self.displacement, self.diameters, point, axis)
-        for row in np.flatnonzero(going & found.touched.any(axis=1)):
+        for row in np.flatnonzero(going & found.touched.any(axis=1)).tolist():
             n = self.present[row]
-            mine = Contact(*(part[row, :n] for part in found))
+            across, gap, overlap, touched = found
+            mine = Contact(across[row, :n], gap[row, :n], overlap[row, :n], touched[row, :n])
             self.scenes[row].meet(mine, int(targets[row]), moved[row], float(dt[row]))
             self.note(row)
 
@@ -128,15 +129,16 @@ class FruitTable:
         """The inverse of `state_arrays`."""
         ends = np.cumsum(state["present"])[:-1]
         for row, (fruit, grip) in enumerate(zip(np.split(state["each"], ends), state["grips"], strict=True)):
-            parts, first = {}, 0
+            parts: dict[str, Any] = {}
+            first = 0
             for name in EACH:
                 width = NUMBERS.get(name, 0) or 1
                 parts[name] = fruit[:, first : first + width].copy() if width > 1 else fruit[:, first].copy()
                 first += width
-            given = {name: parts[name] for name in ("rest", "diameters", "masses", "chance", "seen")}
-            flags = {name: parts[name].astype(np.bool_) for name in ("visible", "reachable")}
+            given: dict[str, Any] = {name: parts[name] for name in ("rest", "diameters", "masses", "chance", "seen")}
+            given |= {name: parts[name].astype(np.bool_) for name in ("visible", "reachable")}
             strength = trees.Strength(parts["pull"], parts["twist"])
-            scene = PickScene(orchard=self.orchard, strength=strength, **given, **flags)
+            scene = PickScene(orchard=self.orchard, strength=strength, **given)
             for name in LOOSE:
                 getattr(scene, name)[:] = parts[name]
             held, across, along, *rest = grip.tolist()

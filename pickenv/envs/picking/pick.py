@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array
+from pickenv.arm import Array, Frame
 from pickenv.envs.picking.pick_arm import PickMotion, PickSight, act_arm, apart_mm, begin_arm, look_at_arm
 from pickenv.envs.picking.pick_reach import reach_of
 from pickenv.envs.picking.pick_scene import PickScene
@@ -187,7 +187,8 @@ class PickEnv(ArmEnv):
         task, self.orchard = make_pick(**on_ladder("Pick", difficulty, split, arguments))
         super().__init__(task, render_mode, executor)
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
-        self.observation_space, self.action_space = pick_spaces(task)
+        seen, self.action_space = pick_spaces(task)
+        self.observation_space, self._bounds = seen, (seen.low, seen.high)
         self.scene: PickScene | None = None
         self._motion: PickMotion | None = None
         self._sight: PickSight | None = None
@@ -247,7 +248,7 @@ class PickEnv(ArmEnv):
         gripper, dt = self._plain((command, period))
         self._still = 0.0 if moved else min(STILL, self._still + dt)
         self._step += 1
-        before = self._plain(self._sight.tool)
+        before = tuple(self._plain(self._sight.tool))
         believed, tool = self._look(period)
         scene.advance(before, tool, self._number, dt)
         scene.work_gripper(gripper, self._number, believed, tool)
@@ -269,7 +270,7 @@ class PickEnv(ArmEnv):
         tool, believed = tuple(self._plain(self._sight.tool)), tuple(self._plain(self._sight.believed))
         return draw_pick(self.task.plant.arm.nominal, command, tool, believed, self.scene, self._number, self.dark)
 
-    def _look(self, dt: Scalar) -> tuple[list[float], list[float]]:
+    def _look(self, dt: Scalar) -> tuple[Frame, Frame]:
         """Let time pass at the present joint target; frames of the believed and the true tool."""
         assert self._motion is not None
         command, moment = self._command(self._motion.target), self._word(self._step)
@@ -277,7 +278,7 @@ class PickEnv(ArmEnv):
             self._x, self.task, self.plant, self._motion, command, self._key, moment, dt
         )
         self._sent_command = np.array(self._plain(command))
-        return self._plain(self._sight.believed), self._plain(self._sight.tool)
+        return tuple(self._plain(self._sight.believed)), tuple(self._plain(self._sight.tool))
 
     def _choose(self, believed: Sequence[float]) -> None:
         """Go after the nearest waiting fruit, or stay with the last one."""
@@ -303,8 +304,8 @@ class PickEnv(ArmEnv):
                 scene.waiting.sum() / MOST_LEFT,
             ],
         ]
-        space = self.observation_space
-        return np.asarray(np.concatenate(parts).clip(space.low, space.high), dtype=np.float32)
+        low, high = self._bounds
+        return np.asarray(np.concatenate(parts).clip(low, high), dtype=np.float32)
 
     def _information(self) -> Information:
         scene, sight = self.scene, self._sight

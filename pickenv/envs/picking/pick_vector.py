@@ -74,7 +74,8 @@ class PickVectorEnv(StreamVectorEnv):
         self.task: Task = task
         self.metadata["render_fps"] = task.situation.frames_per_second
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
-        self.single_observation_space, self.single_action_space = pick_spaces(task)
+        seen, self.single_action_space = pick_spaces(task)
+        self.single_observation_space, self._bounds = seen, (seen.low, seen.high)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.compensator: Compensate | None = None
@@ -96,7 +97,7 @@ class PickVectorEnv(StreamVectorEnv):
         """Everything that the next step depends on, for a checkpoint."""
         ahead = {row: each[0] for row, each in enumerate(self._next) if each is not None}
         states = [ahead.get(row, rng.bit_generator.state) for row, rng in enumerate(self._rngs)]
-        own = {"rngs": np.array([words_of_state(state) for state in states], dtype=np.uint64)}
+        own: dict[str, NDArray[Any]] = {"rngs": np.array([words_of_state(state) for state in states], dtype=np.uint64)}
         own |= {"elapsed": self._elapsed, "over": self._over, "armed": self._armed}
         return {key: np.array(value) for key, value in (own | self.batch.state_arrays()).items()}
 
@@ -110,7 +111,7 @@ class PickVectorEnv(StreamVectorEnv):
         self.batch.take_state_arrays(state)
 
     def _checked(self, actions: ArrayLike) -> Array:
-        return np.clip(self.batch.numbers_of_actions(actions), -1.0, 1.0)
+        return np.asarray(np.clip(self.batch.numbers_of_actions(actions), -1.0, 1.0))
 
     def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
         for row in rows[seeded[rows]].tolist():
@@ -170,8 +171,7 @@ class PickVectorEnv(StreamVectorEnv):
         return self.batch.finished()
 
     def _observation(self) -> NDArray[np.float32]:
-        space = self.single_observation_space
-        return self.batch.observations(space.low, space.high)
+        return self.batch.observations(*self._bounds)
 
     def _information(self) -> Information:
         return self.batch.information()

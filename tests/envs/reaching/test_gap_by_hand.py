@@ -94,6 +94,12 @@ def test_wrapped_environments_show_and_bound_these_numbers(arguments):
     raw = bare.reset(seed=1)[0]
     np.testing.assert_array_equal(env.reset(seed=1)[0], scaling.shown(raw))
     np.testing.assert_array_equal(several.reset(seed=1)[0][0], scaling.shown(raw))
+    asked = {"goal_joints": np.array(bare.unwrapped.task.middle) + 0.1}
+    raw = bare.reset(seed=2, options=asked)[0]
+    np.testing.assert_array_equal(env.reset(seed=2, options=asked)[0], scaling.shown(raw))
+    np.testing.assert_array_equal(several.reset(seed=2, options=asked)[0][0], scaling.shown(raw))
+    assert not np.array_equal(env.reset(seed=2)[0], scaling.shown(raw))
+    env.reset(seed=1)
     plain = GapScaling(gym.make("pickenv/Reach-v0", **arguments), actions=False)
     plain.reset(seed=1)
     for wrapped in (env, plain):

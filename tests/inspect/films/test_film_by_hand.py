@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from pickenv.arm import forward, load_arm
+from pickenv.arm.kinematics.link_points import nominal_points
 from pickenv.errors import InputError
+from pickenv.inspect.colours import RED
+from pickenv.inspect.films import make_film
 from pickenv.inspect.films.film_plan import Attempt, FilmPlan, attempts_of, grasp_offset, plan_film
-from pickenv.inspect.films.film_stage import FilmSet, film_stage, seen_along, tool_axis
+from pickenv.inspect.films.film_stage import FilmSet, arm_parts, film_stage, seen_along, tool_axis
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
+from pickenv.pictures.arm_shapes import GAIN, hand_solids
 from pickenv.pictures.stage import Eye
-from pickenv.pictures.tree_shapes import MISSED_FRUIT, RIPE
+from pickenv.pictures.tree_shapes import MISSED_FRUIT, RIPE, sprig
 
 A, B, C = [0.5, 0.0, 0.3], [0.5, 0.2, 0.3], [0.3, 0.1, 0.6]
 OFF = np.array([0.002, 0.003, 0.001])
-UP = np.array([0.0, 0.0, 1.0])
+UP, SIDE = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
 
 
 def of_tracks(
@@ -83,6 +89,8 @@ def test_the_offset_of_a_grasp_is_from_the_fruit_that_was_gone_for():
     np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(0, 3, 3, False)), np.array(B) + OFF - A, atol=1e-12)
     np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(4, 5, 5, False)), OFF, atol=1e-12)
     np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(0, 0, 0, False)), OFF, atol=1e-12)
+    swung = of_tracks([[A] * 3 + [moved(A, 0.02)] * 3], [{close: 7.0}], [{}])
+    np.testing.assert_allclose(grasp_offset(swung, 0, Attempt(0, 3, 3, False)), OFF, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -195,6 +203,7 @@ def test_each_fruit_hangs_is_held_gone_or_missed_as_the_policy_left_it(
     np.testing.assert_allclose(drawn.centre.reshape(-1, 3), np.reshape(hanging, (-1, 3)), atol=1e-12)
     np.testing.assert_allclose(loose.centre.reshape(-1, 3), np.reshape(held, (-1, 3)), atol=1e-12)
     assert len(crate.centre) == frame.stated[side].picked and (drawn.radius == 0.03).all()
+    assert sum(len(rods.radius) for rods in stage.rods if (rods.radius == 0.004).all()) == len(hanging)  # their stems
     colours = [tuple(colour) for colour in drawn.colour[:, :3].tolist()]
     assert colours.count(tuple(MISSED_FRUIT)) == missed and colours.count(tuple(RIPE)) == len(hanging) - missed
     assert len(stage.dial.marks_mm) == marks and stage.dial.tolerance_mm == 5.0
@@ -205,8 +214,50 @@ def test_each_fruit_hangs_is_held_gone_or_missed_as_the_policy_left_it(
     said = [words for words in stage.words if words.text.startswith("missed by")]
     assert len(said) == missed
     for words in said:
-        assert words.text == "missed by 9.0 mm"
+        assert words.text == "missed by 9.0 mm" and words.colour == RED
         np.testing.assert_allclose(words.place, np.array(B) - [0.0, 0.0, 0.045])
+
+
+def test_words_about_a_miss_are_lighter_on_dark_pages(film_set):
+    stage = film_stage(replace(film_set, dark=True), frame_at(film_set.plan, 0, 8), 0)
+    assert [words.colour for words in stage.words if words.text.startswith("missed")] == [(255, 128, 128)]
+
+
+def test_a_reach_has_its_fruit_with_a_sprig_and_a_crate():
+    episodes = run_of(of_tracks([[A] * 6], [{5: 3.0}], [{5: 1}]))
+    plan = plan_film(episodes, seconds=2.0)
+    for moment, picked in ((0, 0), (5, 1)):
+        stage = film_stage(FilmSet(episodes, plan, (400, 360), dark=False), frame_at(plan, 0, moment), 0)
+        hanging, held, crate = stage.balls[-3:]
+        assert (len(hanging.centre), len(held.centre), len(crate.centre)) == (1 - picked, picked, picked)
+        drawn = sprig(np.array(A), 0.06)
+        np.testing.assert_array_equal(stage.rods[-1].start, drawn.rods[0].start)
+        np.testing.assert_array_equal(stage.meshes[-1].corners, drawn.meshes[0].corners)
+
+
+@pytest.mark.parametrize(("moment", "closed"), [(4, False), (5, True), (7, True)])
+def test_a_hand_is_closed_from_the_grasp_on(moment, closed):
+    policy = of_tracks([[A] * 8], [{5: 3.0}], [{}])
+    episodes = replace(run_of(policy), gripper="compliant_hand")
+    found = arm_parts(episodes, policy, 0, moment, (1, 2, 3))
+    expected = hand_solids(policy.tool_position[0, moment], UP, 0.0375, closed)
+    np.testing.assert_array_equal(found.rods[0].end, expected.rods[0].end)
+    other = hand_solids(policy.tool_position[0, moment], UP, 0.0375, not closed)
+    assert not np.allclose(found.rods[0].end, other.rods[0].end)
+
+
+def test_the_ghost_stands_where_the_tool_of_the_believed_arm_would_be():
+    """Also of an arm whose last link has a length."""
+    nominal = load_arm("ur5").nominal
+    target = (nominal.lower + nominal.upper) / 2 + 0.3
+    believed = forward(nominal, target).position
+    assert np.linalg.norm(nominal_points(nominal, target)[-2] - believed) > 0.01
+    policy = of_tracks([[A] * 4], [{}], [{}], tool=np.broadcast_to(believed + 0.002 * SIDE, (1, 4, 3)))
+    joints = np.broadcast_to(target, (1, 4, 6))
+    policy = replace(policy, joint_target=joints, joint_command=joints + 0.01)
+    found = arm_parts(replace(run_of(policy), nominal=nominal), policy, 0, 2, (1, 2, 3))
+    ghost = next(rods for rods in found.rods if len(rods.colour) and rods.colour[0, 3] < 255)
+    np.testing.assert_allclose(ghost.end[-1], believed + (1 - GAIN) * 0.002 * SIDE, atol=1e-9)
 
 
 def test_an_offset_is_seen_across_the_tool_from_where_the_eye_stands():
@@ -220,3 +271,19 @@ def test_an_offset_is_seen_across_the_tool_from_where_the_eye_stands():
     turned = np.zeros((1, 4, 3, 3))
     turned[0, 1] = np.arange(9.0).reshape(3, 3)
     np.testing.assert_array_equal(tool_axis(replace(policy, tool_rotation=turned), 0, 1), [2.0, 5.0, 8.0])
+
+
+def test_a_film_goes_into_folders_that_are_made_or_there_and_says_what_it_states(film_set, tmp_path, monkeypatch):
+    kinds = iter(["comparison", "comparison", "demo"])
+    monkeypatch.setattr(make_film, "read_run", lambda path: SimpleNamespace(kind=next(kinds)))
+    monkeypatch.setattr(make_film, "load_part", lambda run, part: film_set.episodes)
+    monkeypatch.setattr(make_film, "write_film", lambda pictures, path, fps: path.write_text(f"{fps}"))
+    out = tmp_path / "some" / "where" / "film.mp4"
+    for fps in (5, 20):
+        made = make_film.film(tmp_path, out, policies=["LS"], seconds=2.0, frames_per_second=fps)
+        assert made.path == out and out.read_text() == str(fps)
+        assert made.plan == plan_film(film_set.episodes, ["LS"], 2.0, fps)
+    with pytest.raises(InputError, match="is a run of kind 'demo'"):
+        make_film.film(tmp_path, out)
+    with pytest.raises(InputError, match=r"let it end in \.gif or \.mp4"):
+        make_film.film(tmp_path, "film.avi")
