@@ -248,7 +248,7 @@ def judge(
         policy with a memory; of picking, what became of the fruit of 16 canopies: collected, damaged, attempted and
         reachable, means per canopy.
     """
-    if training.env_id == "pickenv/Pick-v0":
+    if training.env_id == "pickenv/Pick-v0" and isinstance(policy, LearnedPolicy):
         return _judged_picking(policy, training, episodes or 16)
     env: Any = make_environment(training, episodes or 256, "Disabled")
     if isinstance(policy, RememberingPolicy):

@@ -235,16 +235,10 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint."""
         run, inner = self.run, cast(Any, self.env)
-        own: dict[str, Any] = {
-            "seeds": run.seeds,
-            "count": run.count,
-            "tokens": run.tokens,
-            "joints": run.joints,
-            "arms": self._arms,
-        }
-        own = {f"run/{key}": np.array(value) for key, value in own.items()} | {"run/pick": np.array(run.pick)}
+        own = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
+        kept: dict[str, NDArray[Any]] = {f"run/{key}": np.array(value) for key, value in own.items()}
         below: dict[str, NDArray[Any]] = inner.state_arrays()
-        return own | below
+        return kept | {"run/pick": np.array(run.pick)} | below
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state_arrays`, around environments made with the same arguments."""

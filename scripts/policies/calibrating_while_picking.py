@@ -190,13 +190,14 @@ def figure_of(found: dict[str, dict[str, Array]]) -> Any:
     with new_figure(WIDTH, 2.9) as figure:
         panels = figure.subplots(1, len(found), sharey=True)
         for axes, (place, each) in zip(panels, found.items(), strict=True):
-            axes.set(title=place, xlabel="pick on the same arm", yscale="log")
+            axes.set(title=place, xlabel="pick on the same arm")
             for number, (name, errors) in enumerate(each.items()):
                 points = [over(errors, slice(k, k + 1)) for k in range(PICKS)]
                 x, colour = np.arange(1, PICKS + 1), f"C{number}"
                 axes.plot(x, [point.value for point in points], color=colour, label=name, linewidth=1.3)
                 ends = [point.ci95 or (point.value, point.value) for point in points]
                 axes.fill_between(x, *np.array(ends, dtype=float).T, color=colour, alpha=0.2, linewidth=0)
+        panels[0].set_ylim(bottom=0.0)
         panels[0].set_ylabel("mean error (mm), 95 % interval")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=2)
