@@ -70,6 +70,7 @@ def moved(place: Sequence[float], metres: float) -> list[float]:
     [
         ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {5: 1}, [Attempt(0, 3, 5, True), Attempt(6, 8, 8, False)]),
         ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {8: 1}, [Attempt(0, 3, 5, False), Attempt(6, 8, 8, True)]),
+        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {4: 1}, [Attempt(0, 3, 4, True), Attempt(5, 8, 8, False)]),
         ([A] * 3 + [B] * 5, {3: 7.0}, {}, [Attempt(0, 3, 3, False)]),  # the next fruit at the moment of closing
         ([A] * 4 + [moved(A, 0.061)] * 3, {2: 7.0}, {}, [Attempt(0, 2, 3, False)]),
         ([A] * 4 + [moved(A, 0.059)] * 3, {2: 7.0}, {}, [Attempt(0, 2, 2, False)]),  # it swings, and is the same
@@ -199,6 +200,7 @@ def test_each_fruit_hangs_is_held_gone_or_missed_as_the_policy_left_it(
 ):
     frame = frame_at(film_set.plan, episode, moment)
     stage = film_stage(film_set, frame, side)
+    assert [words.large for words in stage.words[:4]] == [True, False, False, False]  # the policy's name
     drawn, loose, crate = stage.balls[-3:]
     np.testing.assert_allclose(drawn.centre.reshape(-1, 3), np.reshape(hanging, (-1, 3)), atol=1e-12)
     np.testing.assert_allclose(loose.centre.reshape(-1, 3), np.reshape(held, (-1, 3)), atol=1e-12)
