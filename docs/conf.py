@@ -208,6 +208,7 @@ REPAIRS = (
     (r'<aside class="sidebar-drawer">', r'<aside class="sidebar-drawer" aria-label="Pages of the site">'),
     (r'<aside class="(toc-drawer[^"]*)">', r'<aside class="\1" aria-label="Parts of this page">'),
     (r"<pre>(?=<span></span>)", r'<pre tabindex="0">'),
+    (r'<th class="([^"]*)"><p></p></th>', r'<td class="\1"></td>'),
     (r'<div class="(table-wrapper[^"]*)">', r'<div class="\1" tabindex="0">'),
 )
 """What the theme leaves out of its pages, and who reads them by ear or by keyboard needs."""

@@ -48,7 +48,7 @@ class Newcomer:
 
 
 NEWCOMERS: Mapping[str, Newcomer] = {
-    "RL researcher": Newcomer(FULL, ("Ten lines", "Train and compare policies"), r"LS misses by .*? fruit\."),
+    "RL researcher": Newcomer(FULL, ("Ten lines", "Train and compare policies"), r"LS │ [\d.]+ \([^)]*\)"),
     "calibration engineer": Newcomer(CORE, ("Calibrate a robot of your own",), r"verdict: .*"),
     "orchard roboticist": Newcomer(CORE, ("Plan a harvest",), r".*raw to ls .* mm.*"),
     "student": Newcomer(CORE, ("Ten lines",), r"corrected: .* mm.*"),
@@ -136,7 +136,7 @@ def walk(who: str, python: str, folder: Path) -> Walk:
         seconds.append(round(time.perf_counter() - start, 1))
         busy.append(round(_processor_seconds() - before, 1))
         print(f"{who}: {seconds[-1]:6.1f} s  {text.splitlines()[0]}", file=sys.stderr, flush=True)
-    found = re.findall(newcomer.last, " ".join(said.split()) if "LS misses" in newcomer.last else said)
+    found = re.findall(newcomer.last, " ".join(said.split()) if "│" in newcomer.last else said)
     commands = tuple(text for _, text in lines)
     return Walk(
         who, commands, tuple(seconds), tuple(busy), round(megabytes(place / ".venv"), 0), found[-1] if found else ""
