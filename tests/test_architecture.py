@@ -367,6 +367,7 @@ IN_CODE = {
     "ROUNDING": "a rounding error",
     "OVERLAP": "where pushing fruit apart ends",
     "REVERSED": "where a formula changes",
+    "STIRRED": "a rounding error of joints that stand still",
 }
 """Numbers with a unit that belong to the code, and why; those of instruments, arms and fruit stand in TOML files."""
 

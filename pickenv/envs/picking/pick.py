@@ -85,7 +85,7 @@ class PickEnv(ArmEnv):
 
     So haste costs more than the time it saves. Of the scripted policy with a calibrated arm on 60 canopies of some
     seven fruit in reach, relative to the same policy with gentle moves and half a second of waiting (simulated; mean
-    and 95 % interval per canopy, tests/envs/test_pick.py):
+    and 95 % interval per canopy, tests/envs/picking/test_pick.py):
 
     | What is left out                 | Fruit collected        | Reward                 |
     |----------------------------------|------------------------|------------------------|

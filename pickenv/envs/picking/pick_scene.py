@@ -327,11 +327,6 @@ class PickScene:
         self.displacement[:] = moved * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
 
 
-def draw_scene(orchard: PickSetting, reach: Reach, rng: np.random.Generator, given: Any = None) -> PickScene:
-    """The fruit of an episode, at least one of it in reach; see `draw_scenes`."""
-    return draw_scenes(orchard, reach, [rng], [given])[0]
-
-
 def draw_scenes(
     orchard: PickSetting, reach: Reach, rngs: Sequence[np.random.Generator], given: Sequence[Any]
 ) -> list[PickScene]:

@@ -12,7 +12,7 @@ from pickenv.arm import forward
 from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.picking.pick_arm import upright_turn
 from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_scene import draw_scene, looked_at, make_setting, to_base, to_orchard
+from pickenv.envs.picking.pick_scene import draw_scenes, looked_at, make_setting, to_base, to_orchard
 from pickenv.errors import InputError
 from pickenv.orchard import load_canopy, occlusion, sample_fruit, shipped
 
@@ -146,8 +146,12 @@ def test_an_environment_of_which_nothing_is_said_is_the_one_of_the_class():
 def test_fruit_is_drawn_until_some_is_in_reach_but_not_for_ever(env, given, asked):
     calls = []
     with pytest.raises(InputError, match="within the arm's reach"):
-        draw_scene(env.orchard, lambda seen: calls.append(seen) or np.zeros(len(seen), bool),
-                   np.random.default_rng(0), given)  # fmt: skip
+        draw_scenes(
+            env.orchard,
+            lambda seen: calls.append(seen) or np.zeros(len(seen), bool),
+            [np.random.default_rng(0)],
+            [given],
+        )
     assert len(calls) == asked
 
 
