@@ -234,7 +234,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint."""
-        run, inner = self.run, cast(Any, self.env)
+        run, inner = self.run, cast(Any, self.env.unwrapped)
         own = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
         kept: dict[str, NDArray[Any]] = {f"run/{key}": np.array(value) for key, value in own.items()}
         below: dict[str, NDArray[Any]] = inner.state_arrays()
@@ -245,7 +245,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         run, own = self.run, {key[4:]: value.copy() for key, value in state.items() if key.startswith("run/")}
         run.seeds, run.count, run.tokens, run.joints = (own[key] for key in ("seeds", "count", "tokens", "joints"))
         run.pick, self._arms = int(own["pick"]), own["arms"]
-        inner: Any = self.env
+        inner: Any = self.env.unwrapped
         inner.take_state_arrays({key: value for key, value in state.items() if not key.startswith("run/")})
 
     def _begin(self) -> None:

@@ -130,8 +130,7 @@ class Sb3Vec(VecEnv):
         seen = self.seen if scaled is None else scaled.raw
         seen = seen if isinstance(seen, dict) else {"flat": seen}
         own = {"returns": self._returns, "lengths": self._lengths} | {f"raw/{key}": part for key, part in seen.items()}
-        outer: Any = self.envs
-        kept = own | {f"env/{key}": value for key, value in outer.state_arrays().items()}
+        kept = own | {f"env/{key}": value for key, value in self._remembering().state_arrays().items()}
         return {key: np.array(value) for key, value in kept.items()}
 
     def take_state(self, state: dict[str, NDArray[Any]]) -> None:
@@ -142,8 +141,15 @@ class Sb3Vec(VecEnv):
         scaled = self._scaled()
         if scaled is not None:
             scaled.raw, self.seen = self.seen, scaled.scaling.shown(self.seen)
-        outer: Any = self.envs
-        outer.take_state_arrays({key[4:]: value for key, value in state.items() if key.startswith("env/")})
+        below = {key[4:]: value for key, value in state.items() if key.startswith("env/")}
+        self._remembering().take_state_arrays(below)
+
+    def _remembering(self) -> Any:
+        """The outermost of wrappers and environments that gives its state as arrays, and that of all within."""
+        env: Any = self.envs
+        while isinstance(env, VectorWrapper) and not hasattr(env, "state_arrays"):
+            env = env.env
+        return env
 
     def _scaled(self) -> ScaledVector | None:
         """The scaling around the environments."""

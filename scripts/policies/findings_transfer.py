@@ -96,8 +96,8 @@ def transfer_sentence(grid: PolicyGrid) -> str:
     best = mean_over_arms(grid.cell("calibrated", COMPENSATIONS[-1], "encoders", "qiao2026").errors_mm)
     return (
         f"A policy trained on calibrated arms leaves {_of(best)} mm behind {policy_label(COMPENSATIONS[-1])}; "
-        f"{', '.join(said)}; randomised arms without a calibration leave {_of(raw)} mm. All this is of policies "
-        "without memory and camera, whom nothing tells which arm they have; it says nothing of others. A policy that "
+        f"{', '.join(said)}; randomised arms without a calibration leave {_of(raw)} mm, all of policies "
+        "without memory and camera, whom nothing tells which arm they have: one that "
         "sees and remembers its past picks calibrates its arm by itself: [how](learning.md"
         "#learning-to-calibrate-while-picking)."
     )

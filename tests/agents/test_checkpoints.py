@@ -113,7 +113,7 @@ def test_a_truncated_checkpoint_is_refused(checkpoint):
         {"blobs": {"state.pt": b""}},
         {"blobs": {"state.pt": b"PK\x03\x04 half a file"}},
         {"kind": "policy"},
-        {"version": 3},
+        {"version": 4},
         {"version": 1},
     ],
     ids=str,
@@ -126,7 +126,7 @@ def test_a_checkpoint_of_other_content_is_refused_with_one_sentence(checkpoint, 
 @pytest.mark.parametrize("settings", [{}, None, [], "text", 1])
 def test_settings_that_are_none_are_refused_with_one_sentence(checkpoint, settings):
     found = read_container(checkpoint, None, remake="")
-    write_container(checkpoint, found.kind, {**found.header, "training": settings}, {}, found.blobs, version=2)
+    write_container(checkpoint, found.kind, {**found.header, "training": settings}, {}, found.blobs, version=3)
     refused(checkpoint, "is not a checkpoint or is damaged")
 
 
