@@ -81,7 +81,10 @@ ROOMS = {
         "picking assignment interference harvest environments",
     ),
     "picking env": room(
-        "pickenv/envs/picking", "pick pick_scene pick_reach", "tests/envs", "pick_by_hand pick_canopy pick"
+        "pickenv/envs/picking",
+        "pick pick_arm pick_batch pick_reach pick_scene pick_start pick_vector fruit_table",
+        "tests/envs/picking",
+        "pick_by_hand pick_canopy pick pick_vector",
     ),
     "harvesting env": room(
         "pickenv/envs/harvesting",

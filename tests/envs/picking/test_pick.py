@@ -34,6 +34,8 @@ class Known:
         self.plant = plant
 
     def predict(self, joints):
+        if joints.ndim > 1:
+            return np.array([self.predict(row) for row in joints])
         command = joints.tolist()
         _, tool = self.plant.advance(math, self.plant.initial_state(math, command), command, 0.0)
         return pose_error(forward(self.plant.geometry, joints), pose_of(tool))

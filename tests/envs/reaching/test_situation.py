@@ -202,7 +202,7 @@ def test_fruit_is_picked_in_the_same_situations():
     noisy, as_sent, _ = picks(joint_noise=1.0)
     assert np.array_equal(sent, as_sent) and not np.array_equal(seen, noisy)
     _, _, warm = picks(hours_on=4.0, start_spread=0.5, control_period_s=[0.05, 0.2])
-    assert warm._state.rise[0] > env._state.rise[0] + 1.0
+    assert warm._motion.plant.rise[0] > env._motion.plant.rise[0] + 1.0
     np.testing.assert_array_equal(warm.scene.rest, env.scene.rest)
 
 
