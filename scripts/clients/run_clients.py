@@ -16,6 +16,7 @@ import os
 import re
 import resource
 import shlex
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -104,7 +105,8 @@ def run(name: str, folder: Path, quick: bool) -> dict[str, Any]:
         return found
     python = set_up(folder / name, packages)
     place = folder / "work" / f"{name}-{key[:16]}"
-    place.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(place, ignore_errors=True)  # of a run that was cut off: RL Zoo counts what it finds
+    place.mkdir(parents=True)
     given = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     said = ""
