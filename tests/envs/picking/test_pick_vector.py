@@ -73,15 +73,15 @@ def test_native_single_and_synchronous_are_equal_to_the_bit_when_episodes_end_at
     sync = SyncVectorEnv([alone] * count, autoreset_mode=mode)
     native = gym.make_vec("pickenv/Pick-v0", count, autoreset_mode=mode, **given)
     steps = ToolSteppingVector(native)
-    singles, rng = [alone() for _ in range(count)], np.random.default_rng(0)
+    singles, rng = {i: alone() for i in range(count)}, np.random.default_rng(0)
     for one, other in zip(sync.reset(seed=11), native.reset(seed=11), strict=True):
         assert_same(one, other)
-    for i, env in enumerate(singles):
+    for i, env in singles.items():
         env.reset(seed=11 + i)
     options = {"fruit": ABOVE[0]}
     seen = native.reset(options=options)[0]
     assert_same(sync.reset(options=options)[0], seen)
-    assert_same(np.array([env.reset(options=options)[0] for env in singles]), seen)
+    assert_same(np.array([env.reset(options=options)[0] for env in singles.values()]), seen)
     ended, ends = np.zeros(count, bool), set()
     for step in range(LONGEST + 10):
         mask = np.arange(count) == step - 4  # two of them begin anew, one after the other
@@ -97,12 +97,14 @@ def test_native_single_and_synchronous_are_equal_to_the_bit_when_episodes_end_at
         found = sync.step(actions), native.step(actions)
         for one, other in zip(*found, strict=True):
             assert_same(one, other, f"step {step}")
-        if step < 4:
-            for i, env in enumerate(singles):
-                observation, reward, *_ = env.step(actions[i])
-                np.testing.assert_array_equal(observation, found[1][0][i])
-                assert reward == found[1][1][i]
         seen, ended = found[1][0], found[1][2] | found[1][3]
+        for i, env in list(singles.items()) if step < 4 else ():
+            observation, reward, *_ = env.step(actions[i])
+            last = ended[i] and mode is AutoresetMode.SAME_STEP
+            np.testing.assert_array_equal(observation, found[1][4]["final_obs"][i] if last else seen[i])
+            assert reward == found[1][1][i]
+            if ended[i]:
+                del singles[i]
         ends |= {step for _ in range(ended.sum())}
     assert len(ends) > 1
 
