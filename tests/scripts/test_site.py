@@ -67,13 +67,13 @@ def test_every_link_between_pages_has_a_target_and_no_page_is_heavy(site: Path) 
     anchors = {page: set(re.findall(r'\bid="([^"]+)"', text)) for page, text in pages.items()}
     for page, text in pages.items():
         loaded = {page}
-        for link in re.findall(r'(?:href|src)="([^"]+)"', text):
+        for tag, link in re.findall(r'<(\w+)[^>]*?\s(?:href|src)="([^"]+)"', text):
             if re.match(r"[a-z]+:|#$|//", link):
                 continue
             path, _, anchor = unquote(link).partition("#")
             target = (page.parent / path.partition("?")[0]).resolve() if path else page
             assert target.exists(), f"{page.name}: {link}"
-            loaded |= {target} if target.suffix in LOADED else set()
+            loaded |= {target} if target.suffix in LOADED and tag != "a" else set()  # what is linked waits for a click
             if anchor and target in anchors:
                 assert anchor in anchors[target] or page.name in ("search.html", "genindex.html"), (
                     f"{page.name}: {link}"
