@@ -38,7 +38,9 @@ VARIANTS = {
     "ideal": {"plant": "ideal", "vision": "ideal", "fruit_size": "apple", "out_of_range": "refuse"},
 }
 CASES = list(zip(list(VARIANTS)[2:5], AutoresetMode, strict=True))
-REST = [(name, mode) for name in VARIANTS for mode in AutoresetMode if (name, mode) not in CASES]
+MODES = list(AutoresetMode)
+REST = [(name, MODES[(i + turn) % 3]) for turn in (0, 1) for i, name in enumerate(VARIANTS)]  # two of each one's three
+REST = [case for case in REST if case not in CASES]
 
 
 def assert_same(one, other, where=""):
