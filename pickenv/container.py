@@ -94,6 +94,12 @@ def _reason(error: Exception) -> str:
     return " ".join(str(text).split())[:160]
 
 
+def npz_path(path: str | Path) -> Path:
+    """The path, with ``.npz`` appended if it is missing."""
+    path = Path(path)
+    return path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
+
+
 def write_container(
     path: str | Path,
     kind: str,

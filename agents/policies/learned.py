@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Arm, load_arm
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.container import read_container, refusing_damage, write_container
+from pickenv.container import npz_path, read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 from pickenv.wrappers.gap import Scaling, joined_observation
 from pickenv.wrappers.tool_steps import ToolSteps
@@ -86,11 +86,7 @@ class LearnedPolicy:
             "squashed": self.squashed,
             "record": dict(self.record),
         }
-        arrays = {f"weight{i}": np.asarray(value, dtype=np.float32) for i, value in enumerate(self.weights)}
-        arrays |= {f"bias{i}": np.asarray(value, dtype=np.float32) for i, value in enumerate(self.biases)}
-        path = Path(path)
-        path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
-        return write_container(path, KIND, header, arrays, version=FORMAT)
+        return write_container(npz_path(path), KIND, header, layer_arrays(self.weights, self.biases), version=FORMAT)
 
 
 def shipped_baselines() -> list[str]:
@@ -112,9 +108,24 @@ def load_policy(name: str | Path, arm: Arm | None = None) -> LearnedPolicy:
     found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
     with refusing_damage(path, f"a {KIND} file", REMAKE):
         policy = _from_parts(found.header, found.arrays)
-    if arm is not None and policy.arm_fingerprint != arm.fingerprint():
-        raise InputError(f"{path} was trained for arm '{policy.arm}', not for '{arm.name}'; train one for this arm")
+    check_trained_for(arm, path, policy.arm, policy.arm_fingerprint)
     return policy
+
+
+def check_trained_for(arm: Arm | None, path: Path, name: str, fingerprint: str) -> None:
+    """Refuse a file's policy, trained for the arm of this name and fingerprint, where another arm is given.
+
+    Raises:
+        InputError: If it is another.
+    """
+    if arm is not None and fingerprint != arm.fingerprint():
+        raise InputError(f"{path} was trained for arm '{name}', not for '{arm.name}'; train one for this arm")
+
+
+def layer_arrays(weights: Sequence[Array], biases: Sequence[Array]) -> dict[str, NDArray[np.float32]]:
+    """Layers as a file holds them, in single precision."""
+    named = ((name, values) for name, values in (("weight", weights), ("bias", biases)))
+    return {f"{name}{i}": np.asarray(each, dtype=np.float32) for name, values in named for i, each in enumerate(values)}
 
 
 def policy_path(name: str | Path) -> Path:

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.agents.policies.adaptive import LookingReach
-from pickenv.agents.policies.learned import REMAKE, policy_path
+from pickenv.agents.policies.learned import REMAKE, check_trained_for, layer_arrays, policy_path
 from pickenv.arm import Arm, forward
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.container import read_container, refusing_damage, write_container
+from pickenv.container import npz_path, read_container, refusing_damage, write_container
 from pickenv.errors import InputError
-from pickenv.wrappers.same_arm import PickMemory
+from pickenv.wrappers.same_arm import PickMemory, scaled_joints
 
 REMEMBERING, REMEMBERING_FORMAT = "policy with a memory", 1
 
@@ -148,11 +148,8 @@ class RememberingPolicy:
             "record": dict(self.record),
         }
         arrays = {name: np.asarray(value, dtype=np.float32) for name, value in self.arrays.items()}
-        arrays |= {f"weight{i}": np.asarray(value, dtype=np.float32) for i, value in enumerate(self.weights)}
-        arrays |= {f"bias{i}": np.asarray(value, dtype=np.float32) for i, value in enumerate(self.biases)}
-        path = Path(path)
-        path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
-        return write_container(path, REMEMBERING, header, arrays, version=REMEMBERING_FORMAT)
+        arrays |= layer_arrays(self.weights, self.biases)
+        return write_container(npz_path(path), REMEMBERING, header, arrays, version=REMEMBERING_FORMAT)
 
 
 def load_remembering(name: str | Path, arm: Arm | None = None) -> RememberingPolicy:
@@ -169,8 +166,7 @@ def load_remembering(name: str | Path, arm: Arm | None = None) -> RememberingPol
     found = read_container(path, REMEMBERING, remake=REMAKE, version=REMEMBERING_FORMAT)
     with refusing_damage(path, f"a {REMEMBERING}", REMAKE):
         policy = _policy_of(found.header, found.arrays)
-    if arm is not None and policy.arm_fingerprint != arm.fingerprint():
-        raise InputError(f"{path} was trained for arm '{policy.arm}', not for '{arm.name}'; train one for this arm")
+    check_trained_for(arm, path, policy.arm, policy.arm_fingerprint)
     return policy
 
 
@@ -199,18 +195,14 @@ class RememberingReach(LookingReach):
     def _corrected(self, joints: Array) -> Array:
         if len(self._tokens) != len(joints):
             self._tokens, self._state = self.policy.memory.empty(len(joints)), self.policy.begin(len(joints))
-        seen = self.policy.memory.shown(self._scaled(joints), self._tokens)
+        seen = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens)
         actions, self._state = self.policy.aim(seen, self._state)
         return self.policy.memory.aim(self.geometry, joints, actions)
 
     def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:
         error = seen - forward(self.geometry, joints).position
         self._tokens = self._tokens.copy()
-        self._tokens[rows] = self.policy.memory.after(self._tokens[rows], self._scaled(joints), error)
-
-    def _scaled(self, joints: Array) -> Array:
-        low, high = self.geometry.lower, self.geometry.upper
-        return np.asarray(2.0 * (joints - low) / (high - low) - 1.0)
+        self._tokens[rows] = self.policy.memory.after(self._tokens[rows], scaled_joints(self.geometry, joints), error)
 
 
 def _policy_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> RememberingPolicy:

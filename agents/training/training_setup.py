@@ -14,6 +14,7 @@ from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.agents.training.hyperparams import check_algorithm, class_named, tuned
 from pickenv.arm.files.content import content_sha256
+from pickenv.container import npz_path
 from pickenv.envs.picking.pick_vector import PickVectorEnv
 from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
 from pickenv.errors import InputError
@@ -139,7 +140,7 @@ def inputs_of(training: Training) -> Inputs:
         InputError: If the calibration is missing or of another arm, or a plant is impossible.
     """
     arms = make_environment(training, 1, "Disabled").task.plant
-    calibration = None if training.compensate is None else file_sha256(_calibration_file(training.compensate))
+    calibration = None if training.compensate is None else file_sha256(npz_path(training.compensate))
     return Inputs(content_sha256(arms), calibration)
 
 
@@ -151,7 +152,7 @@ def check_inputs(training: Training, begun: Inputs) -> None:
     """
     restore = "put back what the training was begun with, or begin another with another --out"
     if training.compensate is not None:
-        path = _calibration_file(training.compensate)
+        path = npz_path(training.compensate)
         if not path.is_file():
             raise InputError(f"calibration {path} (--compensate) is missing; {restore}")
         if file_sha256(path) != begun.calibration:
@@ -161,10 +162,6 @@ def check_inputs(training: Training, begun: Inputs) -> None:
         raise InputError(f"plant {plant} (--plant) is missing; {restore}")
     if inputs_of(training).arms != begun.arms:
         raise InputError(f"plant {plant} (--plant, or its tolerances) has other numbers than it had; {restore}")
-
-
-def _calibration_file(name: str) -> Path:
-    return Path(name) if name.endswith(".npz") else Path(f"{name}.npz")
 
 
 def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:

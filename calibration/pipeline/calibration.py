@@ -21,7 +21,7 @@ from pickenv.calibration.model.terms import specification, term_from
 from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, uncertainty_from
 from pickenv.calibration.residuals.residual_models import LearntResidual
 from pickenv.calibration.residuals.saved_arrays import named_part, part_of
-from pickenv.container import read_container, refusing_damage, write_container
+from pickenv.container import npz_path, read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
 
@@ -214,7 +214,7 @@ class Calibration:
             "record": self.record,
         }
         _from_parts(header, arrays)
-        return write_container(_with_suffix(path), KIND, header, arrays, version=FORMAT)
+        return write_container(npz_path(path), KIND, header, arrays, version=FORMAT)
 
     @staticmethod
     def load(path: str | Path, arm: Arm | None = None, unit: str | None = None) -> Calibration:
@@ -230,7 +230,7 @@ class Calibration:
             InputError: If the file is missing, damaged in any byte, holds what cannot move an arm (numbers that are
                 not finite, a base that is no rotation), is of another version, of another arm or of another unit.
         """
-        path = _with_suffix(path)
+        path = npz_path(path)
         found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
         with refusing_damage(path, f"a {KIND} file", REMAKE):
             calibration = _from_parts(found.header, found.arrays)
@@ -288,8 +288,3 @@ def _learnt(kind: str | None, arrays: Mapping[str, NDArray[Any]], geometry: Geom
     if tried.shape not in ((3,), (6,)) or not np.isfinite(tried).all():
         raise InputError(f"its learnt residual gives {tried.shape} numbers, not 3 or 6 finite ones")
     return learnt
-
-
-def _with_suffix(path: str | Path) -> Path:
-    path = Path(path)
-    return path if path.suffix == ".npz" else path.with_name(path.name + ".npz")

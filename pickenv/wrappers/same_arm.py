@@ -89,6 +89,12 @@ class PickMemory:
         return np.asarray((joints + np.einsum("...ij,...j->...i", back, shift)).clip(geometry.lower, geometry.upper))
 
 
+def scaled_joints(geometry: Geometry, joints: Array) -> Array:
+    """Joints ``(..., n)``, -1 to 1 between their limits."""
+    low, high = geometry.lower, geometry.upper
+    return np.asarray(2.0 * (joints - low) / (high - low) - 1.0)
+
+
 class _Run:
     """The arms' present picks, row by row; every pose is looked up by the row's seed and the pick's number."""
 
@@ -130,8 +136,7 @@ class _Run:
     @property
     def scaled(self) -> Array:
         """The present joints, -1 to 1 between their limits."""
-        low, high = self.geometry.lower, self.geometry.upper
-        return np.asarray(2.0 * (self.joints - low) / (high - low) - 1.0)
+        return scaled_joints(self.geometry, self.joints)
 
     def shown(self) -> NDArray[np.float32]:
         """The present observations."""

@@ -209,7 +209,7 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
         ((18,), (3,))
 
     Change log:
-     * v0.5.0 - Added.
+     * v0.3.0 - Added.
     """
 
     def __init__(self, env: gym.Env[Any, Any], shaping: float | None = None) -> None:
@@ -235,7 +235,7 @@ class ToolSteppingVector(ScaledVector, RecordConstructorArgs):
         (2, 18)
 
     Change log:
-     * v0.5.0 - Added.
+     * v0.3.0 - Added.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], shaping: float | None = None) -> None:

@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import pickenv
 from pickenv import InputError
 from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachVectorEnv
+from tests.envs.same import assert_same
 
 EARLY = {"end_on_success": True, "tolerance_mm": 400.0, "angle_tolerance_deg": 100.0}
 """A capture region so large that random actions end episodes at different times."""
@@ -65,21 +66,6 @@ def synchronous(count, mode, name="Reach", max_episode_steps=STEPS, **arguments)
         )
 
     return SyncVectorEnv([single] * count, autoreset_mode=mode)
-
-
-def assert_same(one, other, where=""):
-    if isinstance(one, dict):
-        assert one.keys() == other.keys(), where
-        for key in one:
-            assert_same(one[key], other[key], f"{where}/{key}")
-    elif isinstance(one, np.ndarray) and one.dtype == object:
-        for i, (a, b) in enumerate(zip(one, other, strict=True)):
-            assert (a is None) == (b is None), where
-            if a is not None:
-                assert_same(a, b, f"{where}[{i}]")
-    else:
-        assert one.dtype == other.dtype, where
-        np.testing.assert_array_equal(one, other, err_msg=where)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

@@ -9,6 +9,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 from pickenv.envs.picking.pick_vector import PickVectorEnv
 from pickenv.errors import InputError
 from pickenv.wrappers import ToolStepping, ToolSteppingVector
+from tests.envs.same import assert_same
 
 ABOVE = np.array([[[0.6, -0.767, 0.549]], [[0.62, -0.78, 0.57]], [[0.6, -0.77, 0.6]]])
 """A fruit near each tool, so that episodes with one of them end after some fifteen steps, at different times."""
@@ -41,21 +42,6 @@ CASES = list(zip(list(VARIANTS)[2:5], AutoresetMode, strict=True))
 MODES = list(AutoresetMode)
 REST = [(name, MODES[(i + turn) % 3]) for turn in (0, 1) for i, name in enumerate(VARIANTS)]  # two of each one's three
 REST = [case for case in REST if case not in CASES]
-
-
-def assert_same(one, other, where=""):
-    if isinstance(one, dict):
-        assert one.keys() == other.keys(), where
-        for key in one:
-            assert_same(one[key], other[key], f"{where}/{key}")
-    elif one.dtype == object:
-        for i, (a, b) in enumerate(zip(one, other, strict=True)):
-            assert (a is None) == (b is None), where
-            if a is not None:
-                assert_same(a, b, f"{where}[{i}]")
-    else:
-        assert one.dtype == other.dtype, where
-        np.testing.assert_array_equal(one, other, err_msg=where)
 
 
 def towards(raw):
