@@ -139,7 +139,8 @@ def walk(who: str, python: str, folder: Path) -> Walk:
     if not found:
         raise SystemExit(f"{who}: no last number in what {lines[-1][1].splitlines()[0]} printed:\n{said}")
     commands = tuple(text for _, text in lines)
-    return Walk(who, commands, tuple(seconds), tuple(busy), round(megabytes(place / ".venv"), 0), found[-1].strip())
+    last = " ".join(found[-1].replace("│", " ").split())
+    return Walk(who, commands, tuple(seconds), tuple(busy), round(megabytes(place / ".venv"), 0), last)
 
 
 def _processor_seconds() -> float:
