@@ -246,7 +246,9 @@ ROOMS = {
         "effects/guides effects/own_waves plant/campaign plant/plant",
         most=SECOND,
     ),
-    "sight": room("pickenv/orchard", "circles sight sight_errors", "tests/orchard", "circles sight", most=SECOND),
+    "sight": room(
+        "pickenv/orchard", "circles sight sight_errors", "tests/orchard", "circle_matches circles sight", most=SECOND
+    ),
     "conditions": room(
         "calibration/pipeline", "conditions_study", "tests/calibration/pipeline", "conditions", most=SECOND
     ),
@@ -255,7 +257,7 @@ ROOMS = {
         "pickenv/bench",
         "bench_tables gain_folds gains run_bench spread_rows peers real_sets",
         "tests/bench",
-        "bench_tables gains spread_rows gains_page bench_command",
+        "bench_parts bench_tables gains spread_rows gains_page bench_command",
         most=SECOND,
     ),
     "compare": room(
@@ -299,7 +301,7 @@ ROOMS = {
         "pickenv/inspect/figures",
         "field_figure plot_harvest plot_pixels plot_policies plot_conditions plot_slices",
         "tests/inspect/figures",
-        "misalignments figure_numbers pixel_errors",
+        "misalignments figure_titles figure_numbers pixel_errors",
         most=SECOND,
     ),
     "reports": room(

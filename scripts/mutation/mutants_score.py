@@ -84,9 +84,9 @@ was written for.
 
 **First try** is such a sample, scored before any of its survivors was seen: the honest score of the tests as
 they were then. Since then tests were written, and code that makes no difference was taken out. **Fresh since**
-is another such sample, drawn with a new seed after that. **Now** counts the changes tried in any sample, in
-files that are the same since: among them are those that tests were written for, so that its interval says too
-much. What survived counts as surviving until it is tried again.
+are further such samples, each drawn with a new seed after that, in their order. **Now** counts the changes tried
+in any sample, in files that are the same since: among them are those that tests were written for, so that its
+interval says too much. What survived counts as surviving until it is tried again.
 
 Made by `make mutants ARGS=--known` of what `scripts/mutation/mutants_kept.json` holds, which tries nothing; samples
 are tried by `make mutants ARGS="--room ROOM --sample 10 --seed SEED"`, survivors anew by `make mutants ARGS=--again`.
@@ -113,8 +113,9 @@ def page_of(now: Iterable[Score], samples: Iterable[Score], survivors: list[str]
     for room in latest | fresh:
         drawn = fresh.get(room, [])
         cells = [room, str((latest.get(room) or drawn[-1]).mutants)]
-        for one in (drawn[0] if drawn else None, drawn[-1] if len(drawn) > 1 else None):
-            cells += [str(one.seed), f"{one.killed} of {one.tried}: {one.share}"] if one else ["–", "–"]
+        for some in (drawn[:1], drawn[1:]):
+            cells += ["; ".join(str(one.seed) for one in some) or "–"]
+            cells += ["; ".join(f"{one.killed} of {one.tried}: {one.share}" for one in some) or "–"]
         one = latest.get(room)
         cells += [str(one.tried), str(one.killed), str(one.late), one.share] if one else ["–"] * 3 + ["not tried since"]
         lines.append("| " + " | ".join(cells) + " |")

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
@@ -305,6 +306,11 @@ def test_one_fruit_on_one_arm_is_enough_and_none_of_either_is_not():
     for arms, episodes in ((0, 1), (1, 0)):
         with pytest.raises(InputError, match=f"there are {arms} arms and {episodes} episodes"):
             roll_out(lambda env, seed: Still(env, seed, []), arms, episodes, 11, steps=1)
+
+
+def test_unless_told_otherwise_a_rollout_has_the_steps_of_an_episode():
+    found = roll_out(lambda env, seed: Still(env, seed, []), 1, 1, 11)
+    assert len(found.error_mm) == gym.spec("pickenv/Reach-v0").max_episode_steps == 60
 
 
 def test_each_arm_has_its_own_compensator_and_what_was_wanted_is_the_goals_attitude():

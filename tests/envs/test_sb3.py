@@ -8,7 +8,8 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
 
 from pickenv import InputError
-from pickenv.wrappers import CompensationVectorWrapper, GapScaling, GapScalingVector
+from pickenv.seeds import seed_words, stream
+from pickenv.wrappers import CompensationVectorWrapper, GapScaling, GapScalingVector, SameArmVector
 from pickenv.wrappers.gap import Scaling
 from pickenv.wrappers.sb3 import Sb3Vec, make_sb3_vec
 
@@ -42,6 +43,14 @@ def test_the_last_step_tells_how_it_ended():
     _, rewards, dones, infos = envs.step(np.zeros((2, 6)))
     assert rewards.dtype == np.float32 and dones.all()
     assert infos[0]["TimeLimit.truncated"] and infos[0]["position_error_mm"] > 0
+
+
+def test_seeds_of_environments_are_those_of_the_trainings_stream_and_else_fresh_ones():
+    """So that no training meets an episode of an evaluation, whose stream of the same seed is another."""
+    envs = make_sb3_vec("pickenv/Reach-v0", 3)
+    assert envs.seed(4) == seed_words(stream(4, "training"), 3)
+    drawn = [*envs.seed(), *envs.seed()]
+    assert len(set(drawn)) == 6 and not set(drawn) & set(envs.seed(4))
 
 
 @pytest.mark.parametrize("tolerance_mm", [1e5, 1e-3])
@@ -106,6 +115,7 @@ def test_the_last_step_sums_up_its_episode():
         for i in range(3):
             assert ("episode" in infos[i]) == dones[i]
             if dones[i]:
+                assert set(infos[i]["episode"]) == {"r", "l", "t"} and infos[i]["episode"]["t"] == 0.0
                 assert infos[i]["episode"]["r"] == pytest.approx(sums[i], abs=1e-5)
                 assert infos[i]["episode"]["l"] == lengths[i]
         ends += dones.sum()
@@ -113,15 +123,21 @@ def test_the_last_step_sums_up_its_episode():
     assert ends > 5
 
 
-@pytest.mark.parametrize("name", ["Reach", "ReachGoal", "ReachScaled"])
+def remembering():
+    """A wrapper with a memory of its own, whose runs of picks begin anew in the step that ends them."""
+    envs = gym.make_vec("pickenv/Reach-v0", num_envs=4, feedback="camera", arms="per_episode", population=20)
+    return Sb3Vec(SameArmVector(envs, picks=5, window=2, looks=1))
+
+
+@pytest.mark.parametrize("name", ["Reach", "ReachGoal", "ReachScaled", None])
 def test_a_stream_goes_on_from_its_state(name):
     def made():
-        return make_sb3_vec(f"pickenv/{name}-v0", 4, **EARLY)
+        return remembering() if name is None else make_sb3_vec(f"pickenv/{name}-v0", 4, **EARLY)
 
     one, other = made(), made()
     one.seed(1)
     one.reset()
-    actions = np.random.default_rng(0).uniform(-1, 1, (30, 4, 6)).astype(np.float32)
+    actions = np.random.default_rng(0).uniform(-1, 1, (30, 4, *one.action_space.shape)).astype(np.float32)
     for action in actions[:7]:
         one.step(action)
     state = one.state()

@@ -1,5 +1,6 @@
 """Plans: complete, free of conflicts, never below the lower bound, and good where they claim to be."""
 
+from collections import Counter
 from dataclasses import replace
 from itertools import permutations, product
 
@@ -11,6 +12,7 @@ from pickenv.harvester.arm_paths import ultrasonic_hold
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.joint_motion import travel_time
 from pickenv.harvester.machine import load_machine
+from pickenv.harvester.optimiser import _changed
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.rules import li_rule, lower_bound
 from pickenv.harvester.work import Work, timetable, zone_work
@@ -193,3 +195,38 @@ def test_an_arm_travels_from_the_height_of_its_last_fruit_to_below_the_next(mach
         for j in range(6):
             way = height[i] - (height[j] - work.approach[j])
             assert work.travel[i, j] == pytest.approx(float(travel_time(way, speed, acceleration)))
+
+
+def changes_of(plan, reached, source):
+    """Every plan that one fruit of arm ``source``, moved or exchanged, leads to, and how probable each is."""
+    found = Counter()
+    for place, target in product(range(len(plan[source])), range(len(plan))):
+        rest = [list(queue) for queue in plan]
+        fruit = rest[source].pop(place)
+        share = 1.0 / len(plan[source]) / len(plan)
+        for other in range(len(rest[target])):
+            swapped = [list(queue) for queue in rest]
+            taken, swapped[target][other] = swapped[target][other], fruit
+            swapped[source].insert(place, taken)
+            possible = reached[target][fruit] and reached[source][taken]
+            found[tuple(map(tuple, swapped)) if possible else None] += 0.5 * share / len(rest[target])
+        for other in range(len(rest[target]) + 1):
+            moved = [list(queue) for queue in rest]
+            moved[target].insert(other, fruit)
+            often = (0.5 if rest[target] else 1.0) * share / len(moved[target])
+            found[tuple(map(tuple, moved)) if reached[target][fruit] else None] += often
+    return found
+
+
+@pytest.mark.parametrize("plan", [[[0, 1, 2], [3, 4], []], [[0], [1, 2], [3, 4]]])
+def test_a_fruit_is_moved_anywhere_or_exchanged_with_any_as_often_and_nothing_else_changes(plan):
+    """Fruit 1 and arm 1, and fruit 3 and arm 0, do not go together; the plan that is given stays as it is."""
+    reached = [[j != {0: 3, 1: 1}.get(arm) or j in plan[arm] for j in range(5)] for arm in range(3)]
+    rng, before = np.random.default_rng(0), [list(queue) for queue in plan]
+    made = [_changed(plan, reached, rng, 0) for _ in range(6000)]
+    often = Counter(None if each is None else tuple(map(tuple, each)) for each in made)
+    expected = changes_of(plan, reached, 0)
+    assert plan == before and set(often) == set(expected) and sum(expected.values()) == pytest.approx(1.0)
+    for each, share in expected.items():
+        assert abs(often[each] / 6000 - share) < 4.5 * np.sqrt(share * (1 - share) / 6000), each
+    assert _changed([[], [0, 1]], [[True] * 2] * 2, rng, 0) is None

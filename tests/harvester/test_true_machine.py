@@ -5,13 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import forward
+from pickenv.arm import forward, load_plant
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.trees import sample_image
-from pickenv.harvester.true_machine import Controller, Nominal, _local_inverse, load_true_machine, tip_errors
+from pickenv.harvester.true_machine import (
+    Controller,
+    Nominal,
+    _local_inverse,
+    _seated,
+    load_true_machine,
+    tip_errors,
+)
 
 TABLE3_MM = np.array([[3.0, 5.9], [6.6, 8.4], [6.4, 8.2], [6.9, 8.5]])
 
@@ -111,3 +118,26 @@ def test_one_machine_has_the_bits_that_it_has_among_many(true):
     alone = [true.tips(joints[i : i + 1, :3], slaves[i : i + 1])[0] for i in range(300)]
     np.testing.assert_array_equal(alone, many)
     np.testing.assert_array_equal(true.tips(joints[7, :3], slaves[7]), many[7])
+
+
+def test_a_slave_sits_where_its_seat_puts_it_to_the_right_ahead_and_up_of_frame_3(true):
+    """Frame 3 has x to the right, y down and z ahead; each slave's offset lies along x."""
+    plant, q = load_plant("li2016_slave"), np.random.default_rng(8).uniform(-0.2, 0.2, (5, 3))
+    straight = _seated(plant, 0.0, 0.0, 0.0, 0.0)
+    for offset, seat in ((0.0, (1e-3, 2e-3, 3e-3)), (-0.35, (0.0, -4e-3, 0.0))):
+        moved = _seated(plant, offset, *seat)
+        away = moved.tool_pose(q).position - straight.tool_pose(q).position
+        np.testing.assert_allclose(away, np.tile([offset + seat[0], -seat[2], seat[1]], (5, 1)), atol=1e-12)
+        drawn = forward(moved.arm.nominal, q).position - forward(straight.arm.nominal, q).position
+        np.testing.assert_allclose(drawn, np.tile([offset, 0.0, 0.0], (5, 1)), atol=1e-12)
+
+
+def test_errors_are_those_of_frame_3_and_then_of_each_cup(machine, true):
+    rng = np.random.default_rng(9)
+    masters = np.tile([-1.5, 1.0, 0.5], (4, 1)) + rng.uniform(-0.05, 0.05, (4, 3))
+    slaves = rng.uniform(machine.slave.lower, machine.slave.upper, (4, 3, 3))
+    found = tip_errors(true, Controller(machine), masters, slaves)
+    assert found.shape == (4, 4, 3)
+    frame = true.frame3(masters).position - machine.frame3(masters)
+    np.testing.assert_allclose(found, np.concatenate([frame[:, None], true.tips(masters, slaves)
+                               - machine.tips(masters, slaves)], axis=1), atol=1e-12)  # fmt: skip

@@ -130,12 +130,13 @@ def test_the_page_gives_each_rooms_rate_with_its_interval_and_what_was_left_out(
     assert script.table([now]).splitlines()[1].endswith(" 120     20      18              1  90.0 % (70 to 97)")
 
 
-def test_beside_what_stands_now_the_page_gives_the_first_and_the_last_fresh_sample(script):
+def test_beside_what_stands_now_the_page_gives_the_first_sample_and_every_fresh_one(script):
     drawn = [("plant", 1, 77), ("plant", 3, 78), ("plant", 4, 79), ("gate", 4, 77)]
     samples = [script.score_of(r, 90, ["failed"] * n + ["passed"] * (4 - n), seed) for r, n, seed in drawn]
     page = script.page_of([script.score_of("plant", 90, ["failed"] * 4)], samples, [], {})
     whole = "100.0 % (51 to 100)"
-    assert f"| plant | 90 | 77 | 1 of 4: 25.0 % (5 to 70) | 79 | 4 of 4: {whole} | 4 | 4 | 0 | {whole} |" in page
+    fresh = f"78; 79 | 3 of 4: 75.0 % (30 to 95); 4 of 4: {whole}"
+    assert f"| plant | 90 | 77 | 1 of 4: 25.0 % (5 to 70) | {fresh} | 4 | 4 | 0 | {whole} |" in page
     assert f"| gate | 90 | 77 | 4 of 4: {whole} | – | – | – | – | – | not tried since |" in page
 
 

@@ -115,7 +115,7 @@ class TorchBatch(Batch):
 
     def put(self, column: Tensor, where: Any, values: Scalar) -> None:
         """Write into some environments of a column."""
-        column[where] = values.to(column.dtype) if isinstance(values, Tensor) else values
+        column[where] = values.to(column.dtype)
 
     def copy(self, values: Tensor) -> Tensor:
         """A tensor in memory of its own."""

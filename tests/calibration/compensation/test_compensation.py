@@ -195,6 +195,25 @@ def test_the_joints_asked_for_are_not_written_over(qiao):
     assert np.array_equal(joints, before)
 
 
+class Learnt:
+    """A residual that is as good as a network."""
+
+    def predict(self, joints):
+        return 1e-4 * np.sin(3.0 * np.asarray(joints)[..., :6])
+
+
+@pytest.mark.parametrize("residual", [None, Learnt()], ids=["geometry", "learnt"])
+@pytest.mark.parametrize("arm", ["qiao2026", "ur5e"])
+def test_the_compiled_compensator_has_the_bits_of_numpy(arm, residual):
+    """The picking arm has one lost direction; of UR5e's poses some need the singular value decomposition."""
+    pytest.importorskip("llvmlite")
+    g = load_arm(arm).nominal
+    plain = Compensator(g, replace(g, a=g.a + 2e-4, theta=g.theta + 1e-3), residual)
+    joints = random_joints(g, 900, np.random.default_rng(0))
+    joints[:20] = np.where(np.arange(20)[:, None] % 2, g.lower, g.upper)
+    np.testing.assert_array_equal(plain.compiled(900)(joints), plain(joints))
+
+
 def moved(compensator, one, other):
     """How far apart the tool is expected at two sets of commands, m."""
     return np.linalg.norm(compensator.predict(one).position - compensator.predict(other).position, axis=1)

@@ -166,6 +166,25 @@ def test_the_fewest_harmonics_within_three_per_cent_of_the_best_are_taken(equati
     assert len(whole) == 2 * wanted and all(len(path) == 2 * wanted for path in paths)
 
 
+def test_harmonics_are_chosen_again_among_finer_orders_two_tenths_around_those_chosen(planted, monkeypatch):
+    """By joint and order, as each choice is made here of its own equations."""
+    data, bare = planted
+    monkeypatch.setattr(term_choice, "refined", lambda wave, *_: wave)
+    (found,) = terms_of("periodic", ARM, bare, data)
+    blocks = [data.select(held) for _, held in contiguous_folds(data.groups, 5)]
+
+    def taken(wave):
+        model = Linearised.of(bare, (wave,))
+        places = model.coefficients_of(0)
+        _, whole = chosen_orders(BlockEquations.of(model, blocks), model.fitted, places.reshape(-1, 2))
+        return {(wave.joints[i], wave.orders[i]) for i in range(len(wave.orders)) if places[2 * i] in whole}
+
+    coarse = taken(every_order(ARM.nominal))
+    near = sorted({(joint, round(order + k / 10, 6)) for joint, order in coarse for k in range(-2, 3)})
+    again = taken(PeriodicTerm(tuple(joint for joint, _ in near), tuple(order for _, order in near)))
+    assert set(zip(found.joints, found.orders, strict=True)) == again and len(again) == len(found.orders) >= 3
+
+
 def test_candidates_are_all_revolute_joints_and_half_orders_up_to_thirty(qiao):
     term = every_order(qiao.nominal)
     turning = [i for i, slides in enumerate(qiao.nominal.prismatic) if not slides]
