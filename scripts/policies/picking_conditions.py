@@ -1,0 +1,208 @@
+"""When does learning beat scripted picking? The script, in haste, and with learnt numbers, where one thing rules each.
+
+Policy search (`pickenv.agents.training.policy_search`) learns the script's nine numbers with five seeds in each
+condition. All then pick the same 60 canopies, which no search saw; differences are paired by canopy, and 95 % intervals
+cross searches and canopies. What is done is kept in the folder, so that a run that was cut off goes on.
+
+Run: python scripts/policies/picking_conditions.py [--generations 8] [--canopies 60] [--out runs/picking_conditions]
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from pickenv.agents.evaluation.canopies import pick_canopies
+from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
+from pickenv.agents.training.policy_search import KNOBS, Search, arguments_of, search
+from pickenv.agents.training.training_setup import HELD_OUT
+from pickenv.arm import Array
+from pickenv.envs.picking.pick_scene import ORDERS
+from pickenv.envs.picking.pick_vector import PickVectorEnv
+from pickenv.envs.shared.situation import CONTROL_PERIOD
+from pickenv.files import write_json
+from pickenv.intervals import crossed_interval, mean_interval
+from pickenv.seeds import seed_words, stream
+
+SEEDS = range(5)
+"""Of the searches."""
+
+CLUMPS = {"fruit_map": "v_trellis", "fruit": 25.0}
+CONDITIONS: dict[str, dict[str, Any]] = {
+    "as in Pick-v0": {},
+    "late: readings and actions up to a period late": {"difficulty": "orchard"},
+    "haste: 10 s a canopy": {"max_episode_steps": 100},
+    "sway: clumps, fruit pushes fruit": CLUMPS,
+    "occlusion: what pictures of trees left unseen": {"vision": "measured_errors"},
+}
+"""What one thing rules, and the environment's arguments."""
+
+PLACES = {"as in Pick-v0": {}, "clumps": CLUMPS}
+"""Where the order in which fruit is named is tried."""
+
+SCRIPTS: dict[str, dict[str, Any]] = {"scripted": {}, "scripted, hasty": HASTY}
+LEARNT = "learnt"
+HEADS = ("policy", "collected", "of scripted", "damaged", "attempts", "picks/h")
+UNITS = {"tool_speed": ("m/s", 1.0), "settle": ("s", 1.0), "patience": ("s", 1.0), "gain": ("", 1.0)}
+"""Of the learnt numbers; all others are shown in mm (or mrad)."""
+
+CURVE = 16
+"""Canopies after every few generations, as many as `pickenv train` judges by."""
+
+
+def kept(path: Path, make: Callable[[], Any]) -> Any:
+    """What a file holds, or what is made and written there."""
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, make())
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def searched(out: Path, name: str, generations: int) -> Search:
+    """The searches of a condition."""
+
+    def run() -> dict[str, Any]:
+        found = search(CONDITIONS[name], SEEDS, generations)
+        return {key: getattr(found, key).tolist() for key in ("steps", "means", "rewards")}
+
+    return Search(**{key: np.array(value) for key, value in kept(out / _file(name, "search"), run).items()})
+
+
+def picked(arguments: dict[str, Any], canopies: int, policy: dict[str, Any], seed: Any = None) -> dict[str, Any]:
+    """What becomes of each of the canopies to judge by; of several policies, of each one's ``(policies, canopies)``."""
+    count = max((len(np.atleast_1d(each)) for key, each in policy.items() if key != "aim"), default=1)
+    split = {"split": "test"} if "difficulty" in arguments else {}
+    envs = PickVectorEnv(canopies * count, **arguments, **split)
+    each = {key: np.repeat(value, canopies, axis=0) if count > 1 else value for key, value in policy.items()}
+    seeds = seed_words(stream(0, "fruit"), canopies) if seed is None else [seed + i for i in range(canopies)]
+    found = pick_canopies(ScriptedPick(envs, **each), envs, seeds * count)
+    return {key: value.reshape(count, canopies).tolist() for key, value in found.items()}
+
+
+def row_of(place: str, policy: str, values: dict[str, Any], reference: dict[str, Any]) -> dict[str, Any]:
+    """One row of a table, from `picked`; differences to the reference are paired by canopy."""
+    values = {key: np.array(each) for key, each in values.items()}
+    apart = values["collected"] - np.array(reference["collected"])
+    return {
+        "place": place,
+        "policy": policy,
+        "trainings": len(apart) if len(apart) > 1 else 0,
+        "canopies": apart.shape[1],
+        **{key: float(each.mean()) for key, each in values.items()},
+        "collected_ci95": ends_of(values["collected"]),
+        "difference": float(apart.mean()),
+        "difference_ci95": ends_of(apart),
+        "picks_per_hour": 3600.0 * float(values["collected"].sum() / (CONTROL_PERIOD * values["steps"].sum())),
+    }
+
+
+def ends_of(values: Array) -> list[float] | None:
+    """95 % interval of the mean of values (trainings, canopies), over both where there are several trainings."""
+    ends = mean_interval(values[0]) if len(values) == 1 else crossed_interval(values.T)
+    return None if ends is None else list(ends)
+
+
+def lines_of(rows: list[dict[str, Any]], heads: tuple[str, ...] = HEADS) -> list[str]:
+    """The tables in Markdown, a place at a time; the first row of each is what others are compared with."""
+    lines = []
+    for place in dict.fromkeys(row["place"] for row in rows):
+        lines += [f"**{place}**", "", f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
+        for number, row in enumerate(row for row in rows if row["place"] == place):
+            apart = "" if not number else _with(row["difference"], row["difference_ci95"], "+.2f")
+            cells = (row["policy"], _with(row["collected"], row["collected_ci95"], ".2f"), apart)
+            rest = (f"{row['damaged']:.2f}", f"{row['attempted']:.2f}", f"{row['picks_per_hour']:.0f}")
+            lines.append(f"| {' | '.join((*cells, *rest))} |")
+        lines.append("")
+    return lines
+
+
+def condition_rows(out: Path, name: str, generations: int, canopies: int) -> list[dict[str, Any]]:
+    """The script, in haste, and learnt."""
+    found = arguments_of(searched(out, name, generations).learnt)
+    each = {}
+    for policy, arguments in {**SCRIPTS, LEARNT: found}.items():
+        path = out / _file(name, policy.replace(", ", "_") + f"_{canopies}")
+        each[policy] = kept(path, partial(picked, CONDITIONS[name], canopies, arguments))
+    return [row_of(name, policy, values, each["scripted"]) for policy, values in each.items()]
+
+
+def order_rows(out: Path, canopies: int) -> list[dict[str, Any]]:
+    """The script where fruit is named in another order."""
+    rows = []
+    for place, arguments in PLACES.items():
+        each = {}
+        for order in ORDERS:
+            path = out / _file(f"order {place}", f"{order}_{canopies}")
+            each[order] = kept(path, partial(picked, {**arguments, "order": order}, canopies, {}))
+        rows += [row_of(place, order, values, each["nearest"]) for order, values in each.items()]
+    return rows
+
+
+def curve(out: Path, generations: int) -> dict[str, Any]:
+    """Fruit per held-out canopy after every fourth generation, ``(points, seeds)``; `pickenv train` has the same."""
+    name = next(iter(CONDITIONS))
+    found = searched(out, name, generations)
+    at = list(range(0, generations + 1, max(generations // 4, 1)))
+    points = found.means[at].reshape(-1, len(KNOBS))
+    run = kept(out / _file(name, "curve"), lambda: picked(CONDITIONS[name], CURVE, arguments_of(points), seed=HELD_OUT))
+    collected = np.mean(run["collected"], axis=1).reshape(len(at), len(SEEDS))
+    return {"steps": found.steps[at].tolist(), "collected": collected.tolist()}
+
+
+def learnt_lines(out: Path, generations: int) -> list[str]:
+    """What the searches ended with: means over the seeds, least and largest, in Markdown."""
+    names = [name for name in arguments_of(np.zeros(len(KNOBS))) if name != "aim"]
+    heads = ["condition", *(f"{name}{_unit(name)}" for name in names), *(f"aim {axis} (mm)" for axis in "xyz")]
+    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
+    for condition in CONDITIONS:
+        found = arguments_of(searched(out, condition, generations).learnt)
+        columns = [found[name] * UNITS.get(name, ("", 1e3))[1] for name in names] + list(1e3 * found["aim"].T)
+        lines.append(f"| {condition} | {' | '.join(_range(each) for each in columns)} |")
+    return lines
+
+
+def _range(values: Array) -> str:
+    return f"{values.mean():.2g} ({values.min():.2g} to {values.max():.2g})"
+
+
+def _unit(name: str) -> str:
+    unit = UNITS.get(name, ("mm", 1e3))[0]
+    return f" ({unit})" if unit else ""
+
+
+def _file(condition: str, what: str) -> Path:
+    return Path(condition.split(":")[0].replace(" ", "_")) / f"{what}.json"
+
+
+def _with(value: float, ends: list[float] | None, form: str) -> str:
+    return f"{value:{form}}" + ("" if ends is None else f" ({ends[0]:{form}} to {ends[1]:{form}})")
+
+
+def main(
+    generations: Annotated[int, typer.Option(help="Generations of each search.", min=4)] = 8,
+    canopies: Annotated[int, typer.Option(help="Canopies to judge by.", min=8)] = 60,
+    out: Annotated[Path, typer.Option(help="Folder for searches, canopies and tables.")] = Path(
+        "runs/picking_conditions"
+    ),
+) -> None:
+    """Search, judge, print; with tables, learnt numbers and the curve in conditions.json."""
+    rows = [row for name in CONDITIONS for row in condition_rows(out, name, generations, canopies)]
+    orders = order_rows(out, canopies)
+    print("\n".join([*lines_of(rows), *lines_of(orders, ("order", *HEADS[1:])), *learnt_lines(out, generations)]))
+    numbers = {
+        name: {key: value.tolist() for key, value in arguments_of(searched(out, name, generations).learnt).items()}
+        for name in CONDITIONS
+    }
+    found = {"rows": rows, "orders": orders, "learnt": numbers, "curve": curve(out, generations)}
+    write_json(out / "conditions.json", {"generations": generations, "simulated": True, **found})
+    print(f"wrote {out / 'conditions.json'}")
+
+
+if __name__ == "__main__":
+    typer.run(main)
