@@ -212,7 +212,7 @@ def tabulated(seen: Sightings, ranges: int, parts: int) -> dict[str, Any]:
     edges = np.quantile(seen.depth, np.arange(1, ranges) / ranges)
     row = np.searchsorted(edges, seen.depth)
     both = np.isfinite(seen.error).all(axis=1) & np.isfinite(seen.again).all(axis=1)
-    pair = [np.clip(np.corrcoef(seen.error[both, i], seen.again[both, i])[0, 1], 0.0, 1.0) for i in range(3)]
+    pair = [max(float(np.corrcoef(seen.error[both, i], seen.again[both, i])[0, 1]), 0.0) for i in range(3)]
     table: dict[str, Any] = {
         "trees": len(np.unique(seen.tree)),
         "pictures": seen.pictures,

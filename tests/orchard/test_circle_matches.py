@@ -28,15 +28,15 @@ def test_a_whole_rim_is_voted_for_at_its_middle_with_its_radius(radius):
     assert (column, row, voted) == (round(MIDDLE[0]), round(MIDDLE[1]), radius)
 
 
-@pytest.mark.parametrize("radius", [10.0, 20.0])
+@pytest.mark.parametrize("radius", [8.0, 10.0, 20.0, 24.0])
 def test_votes_are_shares_of_the_rim_whatever_the_radius(radius):
-    """Somewhat less, for edges are rounded to pixels and votes shared with the next radii."""
+    """Somewhat less, for edges are rounded to pixels and votes shared with the next radii; no end counts for more."""
 
     def voted(share, least_arc):
         return len(_voted(replace(SEARCH, least_arc=least_arc), rim(share, radius), (110, 120)))
 
-    assert voted(1.0, 0.6) == 1 and voted(1.0, 1.0) == 0
-    assert voted(0.5, 0.3) == 1 and voted(0.5, 0.5) == 0
+    assert voted(1.0, 0.8) == 1 and voted(1.0, 0.9) == 0
+    assert voted(0.5, 0.4) == 1 and voted(0.5, 0.5) == 0
 
 
 def test_edges_whose_votes_fall_beside_the_picture_count_for_nothing():

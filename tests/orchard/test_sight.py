@@ -25,6 +25,7 @@ from pickenv.orchard import (
     shipped,
     sighted,
 )
+from pickenv.orchard.render import Leaves, render_stereo
 from pickenv.orchard.sight import picture, sightings
 from pickenv.orchard.sight_errors import (
     Sightings,
@@ -41,6 +42,45 @@ VIEW = Viewpoint(np.array([0.1, -1.0, 1.6]), np.array([0.0, 1.0, 0.0]))
 FRUIT = np.array([[0.1, 0.05, 1.6], [-0.2, 0.2, 1.75], [0.35, 0.3, 1.5], [0.3, 0.1, 1.75], [-0.1, 0.39, 1.45]])
 LISTED = ("tree", "depth", "visible", "found", "error", "again")
 TABLES = [load_sight_errors(name) for name in shipped("sight")]
+
+
+def test_a_picture_shows_every_leaf_that_hangs_before_either_eye():
+    """As where all leaves of the row are drawn; most hang beside the picture, and some reach into its right one."""
+    eyes = load_eyes("rendered", LEAFY)
+    leaves = foliage(eyes, np.random.default_rng(0))
+    found = picture(eyes, VIEW, FRUIT, np.full(5, 0.06), leaves, np.random.default_rng(1))
+    eye = VIEW.left_eye(eyes.camera)
+    every = Leaves(camera_frame(leaves.places, eye, VIEW.looking), leaves.shapes, leaves.colours)
+    places = camera_frame(FRUIT, eye, VIEW.looking)
+    whole = render_stereo(eyes.camera, places, np.full(5, 0.06), every, eyes.look, np.random.default_rng(1))
+    for name in ("left", "right", "visible"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
+
+
+def test_pictures_that_are_averaged_have_less_noise_by_the_root_of_their_number():
+    eyes = load_eyes("rendered", load_canopy("li2016_bare"))
+    eyes = replace(eyes, look=replace(eyes.look, pixel_noise=12.0))
+
+    def noise(looks):
+        pairs = [picture(eyes, VIEW, FRUIT[:0], np.zeros(0), None, np.random.default_rng(k), looks) for k in (0, 1)]
+        return np.var(pairs[0].left.astype(float) - pairs[1].left)  # with that of the background
+
+    assert noise(1) - noise(4) == pytest.approx(2 * 12.0**2 * (1 - 1 / 4), rel=0.05)
+
+
+def test_false_detections_lie_anywhere_in_the_picture_as_deep_as_the_canopy():
+    eyes = load_eyes("measured_errors", LEAFY)
+    eyes = replace(eyes, errors=replace(eyes.errors, false_per_picture=3000.0))
+    found = see(eyes, VIEW, FRUIT, np.full(5, 0.06), np.random.default_rng(3)).false
+    assert abs(len(found) - 3000) < 4 * np.sqrt(3000)
+    local = camera_frame(found, VIEW.left_eye(eyes.camera), VIEW.looking)
+    half = np.array(eyes.camera.image) / 2 / eyes.camera.focal_length
+    numbers = np.column_stack([local[:, :2] / local[:, 2:] / half, local[:, 2]])
+    ends = [(-1.0, 1.0), (-1.0, 1.0), (LEAFY.standoff, LEAFY.standoff + LEAFY.depth)]
+    for values, (low, high) in zip(numbers.T, ends, strict=True):
+        width = high - low
+        assert low - 1e-9 <= values.min() < low + 0.01 * width and high - 0.01 * width < values.max() <= high + 1e-9
+        assert abs(values.mean() - (low + high) / 2) < 4 * width / np.sqrt(12 * len(found))
 
 
 @pytest.mark.parametrize("vision", VISIONS)

@@ -1,13 +1,14 @@
 """What is wrong with a whole data set is said in one sentence; what every kind of measurement calibrates to."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import random_joints, simulated_tracker
-from pickenv.calibration.identification.diagnosis import telling_views
+from pickenv.calibration.identification.diagnosis import mixed_unit, telling_views
 from pickenv.calibration.identification.ladder import RUNGS
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.model.kinds.distances import DistanceObservations
@@ -95,6 +96,20 @@ def test_rows_that_are_grossly_off_are_left_out_with_their_reason(qiao, data, ot
     assert said.weight == ("note" if why is None and count == 1 else "caution" if why else said.weight)
     assert ("fit only if " in said.text) == (why is not None) and (why or "left out") in said.text
     assert found.position["geometric"].mean < 0.05
+
+
+@pytest.mark.parametrize(
+    ("sigma", "explained"),
+    [([7.9] * 8 + [50.0] * 2, True), ([7.9] * 7 + [50.0] * 3, False), ([8.0] * 10, False), ([8.5] * 10, False)],
+    ids=["eight of ten", "seven of ten", "just too far", "too far"],
+)
+def test_a_unit_explains_rows_where_it_brings_eight_of_ten_within_eight_deviations(qiao, data, sigma, explained):
+    def sizes_of(read):
+        moved = (read.position != data.position[:10]).all()
+        return SimpleNamespace(sigma=np.array(sigma) if moved else np.full(10, 50.0))
+
+    why = mixed_unit(qiao, SimpleNamespace(sizes_of=sizes_of), data, np.arange(10))
+    assert (why is not None and why.startswith("the position is read in")) == explained and (why is None) != explained
 
 
 @pytest.mark.parametrize("count", [1, 8])
