@@ -26,7 +26,7 @@ PASSED = 10.0
 GENTLE = 0.75
 """Share of the speed that bruises fruit at which the tool moves: it leaves room for swing and following error."""
 
-HASTY = {"settle": 0.0, "tool_speed": np.inf}
+HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
 
 OUT, BELOW, AT = range(3)

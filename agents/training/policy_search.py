@@ -78,7 +78,7 @@ def arguments_of(units: Array) -> dict[str, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class Searches:
     """What searches from several seeds went through; they run side by side and share nothing.
 
     Attributes:
@@ -99,7 +99,7 @@ class Search:
 
 def search(
     arguments: Mapping[str, Any], seeds: Sequence[int], generations: int, candidates: int = 32, canopies: int = 2
-) -> Search:
+) -> Searches:
     """Search with every seed; the script itself comes first.
 
     Args:
@@ -136,4 +136,4 @@ def search(
         rewards.append(found["reward"].mean(axis=(1, 2)))
         steps.append(steps[-1] + found["steps"].sum(axis=(1, 2)))
     envs.close()
-    return Search(np.array(steps), np.array(means), np.array(rewards))
+    return Searches(np.array(steps), np.array(means), np.array(rewards))

@@ -13,22 +13,27 @@ import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
 from pickenv.agents.evaluation.canopies import pick_canopies
 from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
-from pickenv.agents.training.policy_search import KNOBS, Search, arguments_of, search
+from pickenv.agents.training.policy_search import KNOBS, Searches, arguments_of, search
 from pickenv.agents.training.training_setup import HELD_OUT
 from pickenv.arm import Array
 from pickenv.envs.picking.pick_scene import ORDERS
 from pickenv.envs.picking.pick_vector import PickVectorEnv
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.files import write_json
+from pickenv.inspect.colours import policy_colours
+from pickenv.inspect.figures.style import WIDTH, headline, new_figure, rgb, save_figure
 from pickenv.intervals import crossed_interval, mean_interval
 from pickenv.seeds import seed_words, stream
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SEEDS = range(5)
 """Of the searches."""
@@ -64,14 +69,14 @@ def kept(path: Path, make: Callable[[], Any]) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def searched(out: Path, name: str, generations: int) -> Search:
+def searched(out: Path, name: str, generations: int) -> Searches:
     """The searches of a condition."""
 
     def run() -> dict[str, Any]:
         found = search(CONDITIONS[name], SEEDS, generations)
         return {key: getattr(found, key).tolist() for key in ("steps", "means", "rewards")}
 
-    return Search(**{key: np.array(value) for key, value in kept(out / _file(name, "search"), run).items()})
+    return Searches(**{key: np.array(value) for key, value in kept(out / _file(name, "search"), run).items()})
 
 
 def picked(arguments: dict[str, Any], canopies: int, policy: dict[str, Any], seed: Any = None) -> dict[str, Any]:
@@ -144,15 +149,32 @@ def order_rows(out: Path, canopies: int) -> list[dict[str, Any]]:
     return rows
 
 
-def curve(out: Path, generations: int) -> dict[str, Any]:
-    """Fruit per held-out canopy after every fourth generation, ``(points, seeds)``; `pickenv train` has the same."""
-    name = next(iter(CONDITIONS))
+def curve(out: Path, name: str, generations: int) -> dict[str, Any]:
+    """Fruit per held-out canopy after every other generation, ``(points, seeds)``; `pickenv train` has the same."""
     found = searched(out, name, generations)
-    at = list(range(0, generations + 1, max(generations // 4, 1)))
-    points = found.means[at].reshape(-1, len(KNOBS))
-    run = kept(out / _file(name, "curve"), lambda: picked(CONDITIONS[name], CURVE, arguments_of(points), seed=HELD_OUT))
+    at = list(range(0, generations + 1, 2))
+    points = arguments_of(found.means[at].reshape(-1, len(KNOBS)))
+    run = kept(out / _file(name, "curve"), partial(picked, CONDITIONS[name], CURVE, points, HELD_OUT))
     collected = np.mean(run["collected"], axis=1).reshape(len(at), len(SEEDS))
     return {"steps": found.steps[at].tolist(), "collected": collected.tolist()}
+
+
+def drawn(curves: dict[str, dict[str, Any]]) -> Figure:
+    """Fruit per held-out canopy during the searches, a panel for each condition; each begins as the script."""
+    with new_figure(WIDTH, 3.0) as figure:
+        learnt, script = rgb(policy_colours([LEARNT, "scripted"]))
+        axes: Any = figure.subplots(1, len(curves), sharey=True)
+        for axis, (name, found) in zip(axes, curves.items(), strict=True):
+            steps, values = (np.array(found[key]) for key in ("steps", "collected"))
+            axis.plot(steps / 1e3, values, color=learnt, linewidth=0.8, alpha=0.5)
+            line = axis.plot(steps.mean(axis=1) / 1e3, values.mean(axis=1), color=learnt)
+            base = axis.axhline(values[0].mean(), color=script, linestyle="--")
+            axis.set_xlabel("steps of learning (thousands)")
+            headline(axis, f"{_short(name)}: from {values[0].mean():.1f} to {values[-1].mean():.1f} fruit")
+        axes[0].set_ylabel("fruit per canopy")
+        axes[0].set_ylim(bottom=0.0)
+        figure.legend([*line, base], [f"learnt, mean of {len(SEEDS)}", "scripted"], loc="outside lower center", ncols=2)
+    return figure
 
 
 def learnt_lines(out: Path, generations: int) -> list[str]:
@@ -176,8 +198,12 @@ def _unit(name: str) -> str:
     return f" ({unit})" if unit else ""
 
 
+def _short(condition: str) -> str:
+    return condition.split(":")[0]
+
+
 def _file(condition: str, what: str) -> Path:
-    return Path(condition.split(":")[0].replace(" ", "_")) / f"{what}.json"
+    return Path(_short(condition).replace(" ", "_")) / f"{what}.json"
 
 
 def _with(value: float, ends: list[float] | None, form: str) -> str:
@@ -190,6 +216,7 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder for searches, canopies and tables.")] = Path(
         "runs/picking_conditions"
     ),
+    figure: Annotated[Path | None, typer.Option(help="Learning curves, in place of some in the folder.")] = None,
 ) -> None:
     """Search, judge, print; with tables, learnt numbers and the curve in conditions.json."""
     rows = [row for name in CONDITIONS for row in condition_rows(out, name, generations, canopies)]
@@ -199,9 +226,11 @@ def main(
         name: {key: value.tolist() for key, value in arguments_of(searched(out, name, generations).learnt).items()}
         for name in CONDITIONS
     }
-    found = {"rows": rows, "orders": orders, "learnt": numbers, "curve": curve(out, generations)}
+    curves = {name: curve(out, name, generations) for name in list(CONDITIONS)[:2]}
+    found = {"rows": rows, "orders": orders, "learnt": numbers, "curves": curves}
     write_json(out / "conditions.json", {"generations": generations, "simulated": True, **found})
-    print(f"wrote {out / 'conditions.json'}")
+    path = save_figure(drawn(curves), figure or out / "conditions-curve.png")
+    print(f"wrote {out / 'conditions.json'} and {path}")
 
 
 if __name__ == "__main__":
