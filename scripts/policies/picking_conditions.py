@@ -48,12 +48,22 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 }
 """What one thing rules, and the environment's arguments."""
 
+TAKEN_APART = tuple(CONDITIONS)[:2]
+"""Conditions in which the learnt numbers are taken apart, and the curve is drawn."""
+
 PLACES = {"as in Pick-v0": {}, "clumps": CLUMPS}
 """Where the order in which fruit is named is tried."""
+
+AIM = ("aim_x", "aim_y", "aim_z")
+PARTS = {"learnt aim alone": AIM, "all but the aim": tuple(name for name in KNOBS if name not in AIM)}
+"""What of the learnt numbers is tried without the others."""
 
 SCRIPTS: dict[str, dict[str, Any]] = {"scripted": {}, "scripted, hasty": HASTY}
 LEARNT = "learnt"
 HEADS = ("policy", "collected", "of scripted", "damaged", "attempts", "picks/h")
+SHOWN = (("damaged", ".2f"), ("picks_per_hour", ".0f"))
+"""Of script, haste and learnt."""
+
 UNITS = {"tool_speed": ("m/s", 1.0), "settle": ("s", 1.0), "patience": ("s", 1.0), "gain": ("", 1.0)}
 """Of the learnt numbers; all others are shown in mm (or mrad)."""
 
@@ -127,6 +137,19 @@ def lines_of(rows: list[dict[str, Any]], heads: tuple[str, ...] = HEADS) -> list
     return lines
 
 
+def beside(rows: list[dict[str, Any]]) -> list[str]:
+    """One line a condition in Markdown: script, haste and learnt beside each other."""
+    heads = ("condition", "scripted", "hasty, of scripted", "learnt, of scripted", "damaged", "picks/h")
+    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
+    for place in CONDITIONS:
+        script, hasty, learnt = (row for row in rows if row["place"] == place)
+        apart = (_with(row["difference"], row["difference_ci95"], "+.2f") for row in (hasty, learnt))
+        cells = (place, _with(script["collected"], script["collected_ci95"], ".2f"), *apart)
+        rest = (", ".join(f"{row[key]:{form}}" for row in (script, hasty, learnt)) for key, form in SHOWN)
+        lines.append(f"| {' | '.join((*cells, *rest))} |")
+    return [*lines, ""]
+
+
 def condition_rows(out: Path, name: str, generations: int, canopies: int) -> list[dict[str, Any]]:
     """The script, in haste, and learnt."""
     found = arguments_of(searched(out, name, generations).learnt)
@@ -134,6 +157,18 @@ def condition_rows(out: Path, name: str, generations: int, canopies: int) -> lis
     for policy, arguments in {**SCRIPTS, LEARNT: found}.items():
         path = out / _file(name, policy.replace(", ", "_") + f"_{canopies}")
         each[policy] = kept(path, partial(picked, CONDITIONS[name], canopies, arguments))
+    return [row_of(name, policy, values, each["scripted"]) for policy, values in each.items()]
+
+
+def part_rows(out: Path, name: str, generations: int, canopies: int) -> list[dict[str, Any]]:
+    """The script with a part of what was learnt."""
+    each = {
+        "scripted": kept(out / _file(name, f"scripted_{canopies}"), partial(picked, CONDITIONS[name], canopies, {}))
+    }
+    for part, knobs in PARTS.items():
+        points = searched(out, name, generations).learnt * [knob in knobs for knob in KNOBS]
+        path = out / _file(name, f"{part.replace(' ', '_')}_{canopies}")
+        each[part] = kept(path, partial(picked, CONDITIONS[name], canopies, arguments_of(points)))
     return [row_of(name, policy, values, each["scripted"]) for policy, values in each.items()]
 
 
@@ -221,13 +256,18 @@ def main(
     """Search, judge, print; with tables, learnt numbers and the curve in conditions.json."""
     rows = [row for name in CONDITIONS for row in condition_rows(out, name, generations, canopies)]
     orders = order_rows(out, canopies)
-    print("\n".join([*lines_of(rows), *lines_of(orders, ("order", *HEADS[1:])), *learnt_lines(out, generations)]))
+    parts = [row for name in TAKEN_APART for row in part_rows(out, name, generations, canopies)]
+    print(
+        "\n".join(
+            [*beside(rows), *lines_of(parts), *lines_of(orders, ("order", *HEADS[1:])), *learnt_lines(out, generations)]
+        )
+    )
     numbers = {
         name: {key: value.tolist() for key, value in arguments_of(searched(out, name, generations).learnt).items()}
         for name in CONDITIONS
     }
-    curves = {name: curve(out, name, generations) for name in list(CONDITIONS)[:2]}
-    found = {"rows": rows, "orders": orders, "learnt": numbers, "curves": curves}
+    curves = {name: curve(out, name, generations) for name in TAKEN_APART}
+    found = {"rows": rows, "parts": parts, "orders": orders, "learnt": numbers, "curves": curves}
     write_json(out / "conditions.json", {"generations": generations, "simulated": True, **found})
     path = save_figure(drawn(curves), figure or out / "conditions-curve.png")
     print(f"wrote {out / 'conditions.json'} and {path}")
