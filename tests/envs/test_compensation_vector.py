@@ -1,6 +1,7 @@
 """The compensation seam of vector environments."""
 
 import dataclasses
+import itertools
 
 import gymnasium as gym
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from gymnasium.vector import SyncVectorEnv
 
 from pickenv import InputError
-from pickenv.calibration import Compensator
+from pickenv.calibration import Bpnn, Compensator
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 
@@ -40,7 +41,10 @@ def test_observations_stay_and_the_true_error_shrinks(compensator):
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_native_and_synchronous_agree(compensator, mode):
+@pytest.mark.parametrize("learnt", [False, True], ids=["geometry", "geometry and network"])
+def test_native_and_synchronous_agree(compensator, mode, learnt):
+    compensator = dataclasses.replace(compensator, residual=network(6) if learnt else None)
+
     def single():
         return gym.make("pickenv/Reach-v0", max_episode_steps=3, executor="numpy", disable_env_checker=True)
 
@@ -59,18 +63,28 @@ class Learnt:
         return 1e-4 * np.sin(3.0 * np.asarray(joints)[..., :6])
 
 
+def network(joints, seed=0):
+    """A small one that says tenths of millimetres, with inner layers in eight bits."""
+    rng, sizes = np.random.default_rng(seed), (joints, 24, 16, 8, 6)
+    weights = tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in itertools.pairwise(sizes))
+    scales = np.zeros(joints), np.ones(joints), weights, tuple(np.full(b, 0.1) for b in sizes[1:])
+    return Bpnn(*scales, np.zeros(6), np.full(6, 1e-4), np.zeros(1), fast=True)
+
+
+@pytest.mark.parametrize("off", [1e-3, 0.3], ids=["an arm nearly right", "an arm far off"])
 @pytest.mark.parametrize("plant", ["qiao2026", "ideal:ur5e"])
-def test_the_compiled_compensator_has_the_bits_of_numpy(plant):
+def test_the_compiled_compensator_has_the_bits_of_numpy(plant, off):
     """The picking arm has one lost direction; of UR5e's poses some need the singular value decomposition."""
     pytest.importorskip("llvmlite")
     task = native(1, plant=plant).unwrapped.task
     g = task.plant.arm.nominal
-    identified = dataclasses.replace(g, a=g.a + 2e-4, theta=g.theta + 1e-3)
+    identified = dataclasses.replace(g, a=g.a + 2e-4, theta=g.theta + off)
     shares = np.random.default_rng(0).random((900, g.joints))
     joints = g.lower + (g.upper - g.lower) * shares
-    for residual in (None, Learnt()):
+    for residual in (None, Learnt(), network(g.joints)):
         plain = Compensator(g, identified, residual)
         np.testing.assert_array_equal(plain.compiled(900)(joints), plain(joints))
+        np.testing.assert_array_equal(plain(joints[7:8]), plain(joints)[7:8])
     one, other = (
         taken(CompensationVectorWrapper(native(7, plant=plant, executor=executor), plain))
         for executor in ("numpy", "compiled")
