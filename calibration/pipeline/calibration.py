@@ -51,14 +51,20 @@ class Remainder:
     def predict(self, joints: ArrayLike) -> Array:
         """Pose residual ``(..., 6)``, m and rad, at joints ``(..., n)``; one learnt from positions turns nothing."""
         joints = np.asarray(joints, dtype=float)
+        learnt = None if self.learnt is None else self._learnt(self.learnt, joints)
+        if not self.model.terms and learnt is not None and learnt.shape[-1] == 6:
+            return learnt
         total = np.zeros((*joints.shape[:-1], 6))
         if self.model.terms:
             total += self.model.displacement(joints, self.conditions.repeated(joints.shape[:-1]))
-        if self.learnt is not None:
-            inputs = self.conditions.repeated(joints.shape[:-1]).inputs() if self.learnt.inputs.conditions else None
-            learnt = self.learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
+        if learnt is not None:
             total[..., : learnt.shape[-1]] += learnt
         return total
+
+    def _learnt(self, learnt: LearntResidual, joints: Array) -> Array:
+        """What the residual model says under the conditions."""
+        inputs = self.conditions.repeated(joints.shape[:-1]).inputs() if learnt.inputs.conditions else None
+        return learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +130,7 @@ class Calibration:
             iterations: See `Compensator`; one is the fastest.
             single_precision: See `Compensator`; for training in thousands of environments.
         """
-        learnt = self.learnt.in_single_precision() if with_residual and self.learnt is not None else None
+        learnt = self.learnt.faster() if with_residual and self.learnt is not None else None
         anything = self.model.terms or learnt is not None
         residual = Remainder(self.model, learnt, conditions or Conditions()) if anything else None
         sure = uncertainty_from(self.record)
