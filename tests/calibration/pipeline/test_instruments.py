@@ -23,6 +23,7 @@ from pickenv.calibration.assessment.instrument import said_of_instruments, with_
 from pickenv.calibration.identification.starts import rough_start, stations_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import frames_model
+from pickenv.calibration.pipeline.given import given_rows
 from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import (
     ANGLE_STD,
@@ -138,6 +139,23 @@ def test_reflectors_that_do_not_fit_the_arm_are_refused_with_the_one_tried(arm: 
     most = int(np.argmax(np.sum(data.seen, axis=0))) + 1
     with pytest.raises(InputError, match=f"after fitting base and reflector {most} the arm still misses"):
         rough_start(arm.nominal, replace(data, joints=data.joints[::-1]))
+
+
+def test_reflectors_of_known_places_start_base_and_tool_where_they_are_seen(arm: Arm) -> None:
+    """A tool mounted turned and a decimetre aside of its place, on a base elsewhere; without noise."""
+    tool = Pose(arm.nominal.tool.position + np.array([0.1, -0.05, 0.08]), rotation_matrix([0.9, -0.4, 0.7]))
+    base = Pose(np.array([1.0, -2.0, 0.5]), rotation_matrix([0.1, 0.2, 2.0]))
+    data = KINDS["placed reflectors"](replace(arm.nominal, base=base, tool=tool), 40, np.random.default_rng(5), 0.0)
+    found = rough_start(arm.nominal, data)
+    for start, true in ((found.tool, tool), (found.base, base)):
+        np.testing.assert_allclose(start.position, true.position, atol=1e-6)
+        np.testing.assert_allclose(start.rotation, true.rotation, atol=1e-6)
+
+
+def test_several_column_descriptions_are_one_for_each_file(arm: Arm) -> None:
+    for count in (2, 4):
+        with pytest.raises(InputError, match=f"{count} column descriptions are given for 3 files; give one, or one"):
+            given_rows(arm, ["a.csv", "b.csv", "c.csv"], ["ur5_jacobi2025"] * count)
 
 
 def test_a_socket_that_was_never_fitted_cannot_be_judged(arm: Arm) -> None:

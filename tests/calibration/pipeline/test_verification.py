@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix, rotation_vector
 from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.assessment.metrics import block_interval
+from pickenv.calibration.assessment.metrics import block_interval, error_statistics
+from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.stacked import Stacked
@@ -21,7 +22,7 @@ from pickenv.calibration.pipeline.given import given_rows
 from pickenv.calibration.pipeline.restation import _start, frames_and_rows, restationed
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import calibrate
-from pickenv.calibration.pipeline.verification import verify
+from pickenv.calibration.pipeline.verification import Verification, verify
 from pickenv.cli import app
 from pickenv.errors import InputError
 
@@ -62,6 +63,29 @@ def true(ur5: Arm) -> Geometry:
 @pytest.fixture(scope="module")
 def result(ur5: Arm, true: Geometry) -> Result:
     return calibrate(ur5, seen(true, 1, rows=150), choices=PLAIN)
+
+
+@pytest.mark.parametrize("moved", [{}, {"base": (0.0123, 0.25), "tool": (4.5e-4, 0.01)}], ids=["as it was", "moved"])
+def test_every_number_on_the_screen_is_in_mm_or_degrees_and_so_it_is_for_programs(moved: dict) -> None:
+    """Lengths that frames moved by are kept in m and angles in rad; errors come in mm."""
+    nominal, mine = (error_statistics(size * np.arange(1.0, 41.0), np.arange(40) // 4) for size in (0.5, 0.02))
+    found = Verification(
+        "drifted", "it grew", mine, nominal, 0.321, rows=40, refitted=12 * bool(moved), moved=moved, since=None,
+        left_out=(),
+    )  # fmt: skip
+    text = " ".join(found.text().split())
+    assert text.startswith("verdict: DRIFTED: it grew") and "Errors on 40 rows" in text
+    for s in (nominal, mine):
+        low, high = s.mean_ci95 or (np.nan, np.nan)
+        assert " ".join([figure(s.rms), figure(s.mean), f"{figure(low)} to {figure(high)}", figure(s.p95)]) in text
+    assert "expected of the calibrated arm: 0.3210 mm RMS" in text
+    assert ("base and tool found from 12 other rows, of both arms" in text) == bool(moved)
+    assert ("base and tool as they were" in text) != bool(moved)
+    told = found.as_dict()["moved"]
+    for name, mm, deg in (("base", 12.3, 14.3239), ("tool", 0.45, 0.572958)):
+        assert (f"{name} {figure(mm)} {figure(deg)}" in text) == (name in moved)
+        if name in moved:
+            assert (told[name]["mm"], told[name]["deg"]) == pytest.approx((mm, deg), rel=1e-4)
 
 
 def test_new_rows_of_the_same_set_up_find_it_still_good(result: Result, true: Geometry) -> None:
