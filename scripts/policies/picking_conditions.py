@@ -197,17 +197,17 @@ def curve(out: Path, name: str, generations: int) -> dict[str, Any]:
 def drawn(curves: dict[str, dict[str, Any]]) -> Figure:
     """Fruit per held-out canopy during the searches, a panel for each condition; each begins as the script."""
     with new_figure(WIDTH, 3.0) as figure:
-        learnt, script = rgb(policy_colours([LEARNT, "scripted"]))
-        axes: Any = figure.subplots(1, len(curves), sharey=True)
+        learnt, script = rgb(policy_colours(["ppo", "scripted"]))
+        axes: Any = figure.subplots(1, len(curves))
         for axis, (name, found) in zip(axes, curves.items(), strict=True):
             steps, values = (np.array(found[key]) for key in ("steps", "collected"))
             axis.plot(steps / 1e3, values, color=learnt, linewidth=0.8, alpha=0.5)
             line = axis.plot(steps.mean(axis=1) / 1e3, values.mean(axis=1), color=learnt)
             base = axis.axhline(values[0].mean(), color=script, linestyle="--")
-            axis.set_xlabel("steps of learning (thousands)")
-            headline(axis, f"{_short(name)}: from {values[0].mean():.1f} to {values[-1].mean():.1f} fruit")
-        axes[0].set_ylabel("fruit per canopy")
-        axes[0].set_ylim(bottom=0.0)
+            axis.set_xlabel("learning (thousands of steps)")
+            axis.set_ylabel("collected (fruit per canopy)")
+            axis.set_ylim(np.floor(values.min()) - 0.5, np.ceil(values.max()))
+            headline(axis, f"{_short(name)}: {values[0].mean():.1f} to {values[-1].mean():.1f}")
         figure.legend([*line, base], [f"learnt, mean of {len(SEEDS)}", "scripted"], loc="outside lower center", ncols=2)
     return figure
 
@@ -254,6 +254,7 @@ def main(
     figure: Annotated[Path | None, typer.Option(help="Learning curves, in place of some in the folder.")] = None,
 ) -> None:
     """Search, judge, print; with tables, learnt numbers and the curve in conditions.json."""
+    curves = {name: curve(out, name, generations) for name in TAKEN_APART}
     rows = [row for name in CONDITIONS for row in condition_rows(out, name, generations, canopies)]
     orders = order_rows(out, canopies)
     parts = [row for name in TAKEN_APART for row in part_rows(out, name, generations, canopies)]
@@ -266,7 +267,6 @@ def main(
         name: {key: value.tolist() for key, value in arguments_of(searched(out, name, generations).learnt).items()}
         for name in CONDITIONS
     }
-    curves = {name: curve(out, name, generations) for name in TAKEN_APART}
     found = {"rows": rows, "parts": parts, "orders": orders, "learnt": numbers, "curves": curves}
     write_json(out / "conditions.json", {"generations": generations, "simulated": True, **found})
     path = save_figure(drawn(curves), figure or out / "conditions-curve.png")
