@@ -68,6 +68,17 @@ def test_the_scripted_policy_goes_to_the_fruits_joints_by_the_largest_increments
     assert action == pytest.approx([-0.5, 0.2, -1.0, 0.0, 0.5, 1.0], abs=1e-4)
 
 
+def test_the_scripted_policy_turns_to_every_fruit_that_joints_can_be_turned_to():
+    """Of random poses; for one of them the first joints that come to the place are 15 degrees off its attitude."""
+    wanted = forward(ARM, random_joints(ARM, 100, np.random.default_rng(0)))
+    here = np.tile((ARM.lower + ARM.upper) / 2, (100, 1))
+    turn = Rotation.from_matrix(wanted.rotation @ np.swapaxes(forward(ARM, here).rotation, 1, 2)).as_rotvec()
+    reading = SimpleNamespace(joints=here, seen=wanted.position, turn=turn)
+    found = forward(ARM, ScriptedReach(far_reaching()).wanted_joints(reading))
+    np.testing.assert_allclose(found.position, wanted.position, atol=1e-4)
+    np.testing.assert_allclose(found.rotation, wanted.rotation, atol=1e-3)
+
+
 @pytest.mark.parametrize(("short", "reached", "lost"), [(0.09, False, False), (0.11, False, True), (0.11, True, False)])
 def test_the_nearest_joints_are_taken_for_a_fruit_up_to_a_decimetre_out_of_reach(short, reached, lost, monkeypatch):
     """A camera's error may put it there; of several fruit the first that is farther out is named."""

@@ -152,6 +152,21 @@ def test_reflectors_of_known_places_start_base_and_tool_where_they_are_seen(arm:
         np.testing.assert_allclose(start.rotation, true.rotation, atol=1e-6)
 
 
+@pytest.mark.parametrize("known", [0, 1, 2])
+def test_fewer_than_three_known_places_say_nothing_of_how_the_tool_is_turned(arm: Arm, known: int) -> None:
+    """The base is found by the reflector that is seen most often, whose place the tool then is."""
+    base = Pose(np.array([1.0, -2.0, 0.5]), rotation_matrix([0.1, 0.2, 2.0]))
+    data = KINDS["placed reflectors"](replace(arm.nominal, base=base), 40, np.random.default_rng(5), 0.0)
+    assert data.places is not None
+    if known:
+        data = replace(data, points=data.points[:, :known], seen=data.seen[:, :known], places=data.places[:known])
+    else:
+        data = replace(data, places=None)
+    found = rough_start(arm.nominal, data)
+    np.testing.assert_allclose(found.base.rotation, base.rotation, atol=1e-6)
+    np.testing.assert_array_equal(found.tool.rotation, arm.nominal.tool.rotation)
+
+
 def test_several_column_descriptions_are_one_for_each_file(arm: Arm) -> None:
     for count in (2, 4):
         with pytest.raises(InputError, match=f"{count} column descriptions are given for 3 files; give one, or one"):
