@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.residuals.eight_bits import Layer
+from pickenv.calibration.residuals.eight_bits import Layer, rounded_layers
 from pickenv.calibration.residuals.standardising import column_std
 from pickenv.errors import InputError
 from pickenv.extras import is_there, require
@@ -61,7 +61,7 @@ SAMPLE = 2000
 """Inputs for which a network's weights are rounded."""
 
 
-def evenly(count: int, dimensions: int) -> Array:
+def _evenly(count: int, dimensions: int) -> Array:
     """Points ``(count, dimensions)`` that fill the unit cube evenly: a Kronecker sequence of square roots of primes."""
     primes = [n for n in range(2, 20 * dimensions + 20) if all(n % k for k in range(2, int(n**0.5) + 1))]
     return np.asarray(np.outer(np.arange(count) + 0.5, np.sqrt(primes[:dimensions])) % 1.0)
@@ -154,8 +154,8 @@ class Bpnn:
         from pickenv.calibration.residuals.network_code import CompiledNetwork
 
         count = len(self.input_mean)
-        spread = np.sqrt(3.0) * (2.0 * evenly(SAMPLE, count) - 1.0)
-        return CompiledNetwork(self._scaled, self.input_mean + self.input_std * spread)
+        spread = np.sqrt(3.0) * (2.0 * _evenly(SAMPLE, count) - 1.0)
+        return CompiledNetwork(rounded_layers(self._scaled, self.input_mean + self.input_std * spread))
 
     def arrays(self) -> dict[str, Array]:
         """All numbers by name, for saving."""

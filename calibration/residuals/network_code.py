@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.machine_code import adds_products_of_bytes, fused, machine
-from pickenv.calibration.residuals.eight_bits import STEPS, Layer, rounded_layers
+from pickenv.calibration.residuals.eight_bits import STEPS, Layer
 
 POSES, TILE, PACKED = 16, 4, 4
 """Poses that go through together, outputs that are summed side by side, bytes in a word."""
@@ -40,39 +39,39 @@ class CompiledNetwork:
     """Layers ready to be run.
 
     Args:
-        layers: As for `rounded_layers`.
-        sample: Inputs ``(N, in)`` like those to come.
+        layers: From `rounded_layers`.
     """
 
-    def __init__(self, layers: Sequence[Layer], sample: Array) -> None:
-        self._made_of = layers, sample
+    def __init__(self, layers: Sequence[Layer]) -> None:
+        self._layers = layers
         self._outputs = len(layers[-1].bias)
         in_bytes = adds_products_of_bytes()
         numbers, calls, at = list[NDArray[np.uint8]](), list[str](), 0
         sizes = [len(layers[0].weights), *(-(-len(layer.bias) // TILE) * TILE for layer in layers)]
-        for i, layer in enumerate(rounded_layers(layers, sample)):
+        for i, layer in enumerate(layers):
             packed = PACKED if in_bytes and layer.scale is not None else 1
             numbers.append(_arranged(layer, sizes[i], sizes[i + 1], packed))
             calls.append(_call(layer, i, i + 1 == len(layers), at, packed, sizes[i], sizes[i + 1]))
             at += len(numbers[-1])
         self._numbers, self._sizes = np.concatenate(numbers), sizes
+        self._numbers_at = self._numbers.ctypes.data
         self._engine, (address,) = machine(_code(calls, in_bytes, max(sizes)), ("network",), True)
         self._run = FUNCTION(address)
 
-    def __reduce__(self) -> tuple[type[CompiledNetwork], tuple[Any, Any]]:
+    def __reduce__(self) -> tuple[type[CompiledNetwork], tuple[Any]]:
         """Pickled and copied by its layers: code is made anew."""
-        return CompiledNetwork, self._made_of
+        return CompiledNetwork, (self._layers,)
 
     def __call__(self, rows: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Outputs ``(N, out)`` for inputs ``(N, in)``."""
-        count = len(rows)
+        count, inputs = len(rows), rows.shape[1]
         width = max(-(-count // POSES), 1) * POSES
-        given = np.zeros((rows.shape[1], width), dtype=np.float32)
-        given[:, :count] = rows.T
-        found = np.empty((self._sizes[-1], width), dtype=np.float32)
-        between = np.empty((2 * max(self._sizes), POSES), dtype=np.float32)
-        self._run(*(array.ctypes.data for array in (given, self._numbers, found, between)), width)
-        return found[: self._outputs, :count].T
+        table = np.empty((inputs + self._sizes[-1], width), dtype=np.float32)
+        table[:inputs, :count], table[:inputs, count:] = rows.T, 0.0
+        between = np.empty(2 * max(self._sizes) * POSES, dtype=np.float32)
+        given, values = (array.__array_interface__["data"][0] for array in (table, between))
+        self._run(given, self._numbers_at, given + table.strides[0] * inputs, values, width)
+        return table[inputs : inputs + self._outputs, :count].T
 
 
 def _arranged(layer: Layer, inputs: int, outputs: int, packed: int) -> NDArray[np.uint8]:

@@ -62,7 +62,7 @@ def test_the_code_does_what_is_written_down_plainly(sizes):
 
     layers, inputs = drawn(sizes)
     expected = through(rounded_layers(layers, inputs), inputs, 255)
-    found = CompiledNetwork(layers, inputs)(inputs)
+    found = CompiledNetwork(rounded_layers(layers, inputs))(inputs)
     apart = np.abs(found - expected).max(axis=1)
     assert np.median(apart) < 3e-6 and apart.max() < 3e-2  # a rounding to the other side is a step
     exact = through(layers, inputs)
@@ -77,7 +77,7 @@ def test_processors_that_cannot_multiply_bytes_find_the_same_bits(monkeypatch):
     found = []
     for able in dict.fromkeys((network_code.adds_products_of_bytes(), False)):
         monkeypatch.setattr(network_code, "adds_products_of_bytes", lambda able=able: able)
-        found.append(network_code.CompiledNetwork(layers, inputs)(inputs))
+        found.append(network_code.CompiledNetwork(rounded_layers(layers, inputs))(inputs))
     np.testing.assert_array_equal(found[0], found[-1])
 
 
@@ -88,5 +88,5 @@ def test_a_pose_at_which_no_neuron_fires_gets_the_biases():
     layers, inputs = drawn((2, 8, 8, 3))
     layers[0] = Layer(layers[0].weights, np.full(8, -100.0))
     layers[1] = Layer(layers[1].weights, np.full(8, -1.0))
-    found = CompiledNetwork(layers, inputs)(inputs)
+    found = CompiledNetwork(rounded_layers(layers, inputs))(inputs)
     np.testing.assert_allclose(found, np.tile(layers[2].bias, (len(inputs), 1)), rtol=1e-6)
