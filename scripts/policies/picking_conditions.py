@@ -89,13 +89,15 @@ def searched(out: Path, name: str, generations: int) -> Searches:
     return Searches(**{key: np.array(value) for key, value in kept(out / _file(name, "search"), run).items()})
 
 
-def picked(arguments: dict[str, Any], canopies: int, policy: dict[str, Any], seed: Any = None) -> dict[str, Any]:
+def picked(
+    arguments: dict[str, Any], canopies: int, policy: dict[str, Any], seeds: list[int] | None = None
+) -> dict[str, Any]:
     """What becomes of each of the canopies to judge by; of several policies, of each one's ``(policies, canopies)``."""
     count = max((len(np.atleast_1d(each)) for key, each in policy.items() if key != "aim"), default=1)
     split = {"split": "test"} if "difficulty" in arguments else {}
     envs = PickVectorEnv(canopies * count, **arguments, **split)
     each = {key: np.repeat(value, canopies, axis=0) if count > 1 else value for key, value in policy.items()}
-    seeds = seed_words(stream(0, "fruit"), canopies) if seed is None else [seed + i for i in range(canopies)]
+    seeds = seeds or seed_words(stream(0, "fruit"), canopies)
     found = pick_canopies(ScriptedPick(envs, **each), envs, seeds * count)
     return {key: value.reshape(count, canopies).tolist() for key, value in found.items()}
 
@@ -173,13 +175,20 @@ def part_rows(out: Path, name: str, generations: int, canopies: int) -> list[dic
 
 
 def order_rows(out: Path, canopies: int) -> list[dict[str, Any]]:
-    """The script where fruit is named in another order."""
+    """The script where fruit is named in another order, and where each seed chooses one by canopies of its own."""
     rows = []
+    own = [word for seed in SEEDS for word in seed_words(stream(seed, "training"), CURVE)]
     for place, arguments in PLACES.items():
-        each = {}
+        each, rewards = {}, []
         for order in ORDERS:
-            path = out / _file(f"order {place}", f"{order}_{canopies}")
-            each[order] = kept(path, partial(picked, {**arguments, "order": order}, canopies, {}))
+            given, folder = {**arguments, "order": order}, f"order {place}"
+            each[order] = kept(out / _file(folder, f"{order}_{canopies}"), partial(picked, given, canopies, {}))
+            tried = kept(out / _file(folder, f"{order}_tried"), partial(picked, given, len(own), {}, own))
+            rewards.append(np.reshape(tried["reward"], (len(SEEDS), CURVE)).mean(axis=1))
+        chosen = [tuple(ORDERS)[best] for best in np.argmax(rewards, axis=0)]
+        each[f"chosen ({', '.join(sorted(set(chosen)))})"] = {
+            key: [each[order][key][0] for order in chosen] for key in each["nearest"]
+        }
         rows += [row_of(place, order, values, each["nearest"]) for order, values in each.items()]
     return rows
 
@@ -188,8 +197,9 @@ def curve(out: Path, name: str, generations: int) -> dict[str, Any]:
     """Fruit per held-out canopy after every other generation, ``(points, seeds)``; `pickenv train` has the same."""
     found = searched(out, name, generations)
     at = list(range(0, generations + 1, 2))
+    held_out = [HELD_OUT + i for i in range(CURVE)]
     points = arguments_of(found.means[at].reshape(-1, len(KNOBS)))
-    run = kept(out / _file(name, "curve"), partial(picked, CONDITIONS[name], CURVE, points, HELD_OUT))
+    run = kept(out / _file(name, "curve"), partial(picked, CONDITIONS[name], CURVE, points, held_out))
     collected = np.mean(run["collected"], axis=1).reshape(len(at), len(SEEDS))
     return {"steps": found.steps[at].tolist(), "collected": collected.tolist()}
 
@@ -225,7 +235,8 @@ def learnt_lines(out: Path, generations: int) -> list[str]:
 
 
 def _range(values: Array) -> str:
-    return f"{values.mean():.2g} ({values.min():.2g} to {values.max():.2g})"
+    form = ".0f" if values.mean() > 10.0 else ".2f"
+    return f"{values.mean():{form}} ({values.min():{form}} to {values.max():{form}})"
 
 
 def _unit(name: str) -> str:
@@ -260,7 +271,12 @@ def main(
     parts = [row for name in TAKEN_APART for row in part_rows(out, name, generations, canopies)]
     print(
         "\n".join(
-            [*beside(rows), *lines_of(parts), *lines_of(orders, ("order", *HEADS[1:])), *learnt_lines(out, generations)]
+            [
+                *beside(rows),
+                *lines_of(parts),
+                *lines_of(orders, ("order", "collected", "of nearest", *HEADS[3:])),
+                *learnt_lines(out, generations),
+            ]
         )
     )
     numbers = {
