@@ -6,7 +6,7 @@ training, and where arms, readings and clocks are those of the rung "orchard" th
 paired by canopy, and their 95 % intervals cross trainings and canopies. What is done is kept in the folder, so that a
 run that was cut off goes on.
 
-Run: python scripts/policies/findings_picking.py [--steps 90000] [--brief] [--out runs/findings_picking]
+Run: python scripts/policies/findings_picking.py [--steps 250000] [--brief] [--out runs/findings_picking]
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ LEARNT = "PPO"
 def training(out: Path, seed: int, steps: int) -> Path:
     """The folder of a finished training."""
     folder = out / f"seed{seed}"
-    every = max(steps // 3, 1)
+    every = max(steps // 6, 1)
     what = Training("ppo", "pickenv/Pick-v0", steps, seed, checkpoint_every=every, evaluate_every=every)
     if not (folder / "policy.npz").is_file():
         train(what, folder, resume=(folder / CHECKPOINT).exists())
@@ -100,7 +100,7 @@ def curve(out: Path, scripted: float) -> Figure:
 
 
 def main(
-    steps: Annotated[int, typer.Option(help="Steps of each training.", min=2048)] = 90_000,
+    steps: Annotated[int, typer.Option(help="Steps of each training.", min=2048)] = 250_000,
     canopies: Annotated[int, typer.Option(help="Canopies to judge by.", min=8)] = 60,
     out: Annotated[Path, typer.Option(help="Folder for trainings, canopies, table and figure.")] = Path(
         "runs/findings_picking"
