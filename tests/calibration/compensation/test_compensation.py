@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pickenv.arm import forward, load_arm, noncompensable_error, pose_error
+from pickenv.arm import displace_pose, forward, load_arm, noncompensable_error, pose_error
 from pickenv.arm.kinematics.forward import chain_of
 from pickenv.calibration import Compensator, random_joints
 from pickenv.calibration.compensation.compensator import NEGLIGIBLE, _Expected, _expected, _nearer, corrected
@@ -225,13 +225,20 @@ def moved(compensator, one, other):
 
 def test_many_poses_in_single_precision_are_where_double_puts_them(protocol):
     calibration = protocol[0].calibration
-    learnt = replace(calibration.compensator().residual, learnt=calibration.learnt)  # the network in double precision
-    double = replace(calibration.compensator(), residual=learnt)
+    double = calibration.compensator(fast=False)
     compensator = replace(double, single_precision=True)
     joints = interior(compensator.nominal, 3000)
     apart = moved(compensator, compensator(joints), double(joints))
     assert 0 < apart.max() < 1e-6 and apart.mean() < 2e-7
     assert np.array_equal(calibration.compensate(joints), calibration.compensator()(joints))
+
+
+def test_what_nobody_waits_for_is_predicted_and_corrected_in_double_precision(protocol):
+    calibration, joints = protocol[0].calibration, interior(protocol[0].calibration.nominal, 50)
+    exact = displace_pose(forward(calibration.identified, joints), calibration.learnt.predict(joints))
+    np.testing.assert_array_equal(calibration.predict(joints).position, exact.position)
+    fast = calibration.compensator().predict(joints).position
+    assert 0 < np.abs(fast - exact.position).max() < 2e-5
 
 
 def test_without_a_residual_too_single_precision_is_a_rounding_and_only_where_it_is_asked_for(qiao):
@@ -285,7 +292,7 @@ class Frozen:
 def test_a_network_evaluated_once_and_in_eight_bits_is_enough(protocol, iterations, mean, most):
     """Of hundreds of micrometres that the network predicts, its change on the way and its steps leave one or two."""
     compensator = replace(protocol[0].calibration.compensator(), iterations=iterations)
-    exact = replace(compensator, residual=replace(compensator.residual, learnt=protocol[0].calibration.learnt))
+    exact = protocol[0].calibration.compensator(iterations=iterations, fast=False)
     joints = interior(compensator.nominal, 900)
     apart = moved(exact, compensator(joints), converged(exact, joints))
     assert apart.mean() < mean and apart.max() < most
