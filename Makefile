@@ -36,7 +36,7 @@ RELEASE := $(VENV)/.release
 BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatomic1 \
 	xvfb libxkbcommon-x11-0 libxcursor1 libxi6
 
-# One thread per process: two test processes with as many threads as cores each would only wait for one another.
+# One thread per process: processes with as many threads as cores each would only wait for one another.
 TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
@@ -68,7 +68,7 @@ test-browser: $(BROWSER)
 	$(PYTEST) -m browser tests/browser tests/inspect --durations=5 $(ARGS)
 
 docs: $(DOCS)
-	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html $(ARGS)
+	$(TEST_ENVIRONMENT) $(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html $(ARGS)
 
 links: $(DOCS)
 	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/linkcheck $(ARGS)

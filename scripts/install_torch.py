@@ -1,4 +1,4 @@
-"""Install torch for `make`: without CUDA, unless a graphics processor by NVIDIA is there or CUDA is asked for.
+"""Install torch: without CUDA, unless a graphics processor by NVIDIA is there or CUDA is asked for.
 
 On Linux the build that pip takes by itself brings gigabytes of CUDA. The build without it has the same version with
 "+cpu" behind, which pip takes for the newer one where PyTorch's index is named besides the usual one. Where that index
@@ -37,12 +37,12 @@ def wanted(choice: str, nvidia: bool) -> tuple[str, str]:
         SystemExit: If the choice is none of them.
     """
     if choice not in BUILDS:
-        raise SystemExit(f"TORCH={choice} is none of {', '.join(BUILDS)}")
+        raise SystemExit(f"'{choice}' is none of {', '.join(BUILDS)}")
     if choice != "auto":
-        return choice, f"TORCH={choice} was asked for"
+        return choice, f"{choice} was asked for"
     if nvidia:
-        return "cuda", "a driver by NVIDIA runs here; TORCH=cpu takes the small build"
-    return "cpu", "no driver by NVIDIA runs here; TORCH=cuda takes the build with CUDA"
+        return "cuda", "a driver by NVIDIA runs here; cpu takes the small build"
+    return "cpu", "no driver by NVIDIA runs here; cuda takes the build with CUDA"
 
 
 def pip_calls(build: str, system: str, constraints: str = "constraints.txt") -> list[tuple[str, ...]]:

@@ -29,7 +29,8 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs/installation.md"
 TABLE = re.compile(r"^\| newcomer \|.*?(?=\n\n)", re.MULTILINE | re.DOTALL)
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-FULL, CORE = 'pip install ".[rl,inspect]"', "pip install ."
+FULL = ("python scripts/install_torch.py", 'pip install ".[rl,inspect]"')
+CORE = ("pip install .",)
 
 
 @dataclass(frozen=True)
@@ -37,18 +38,18 @@ class Newcomer:
     """Who walks, and which parts of the README are theirs.
 
     Attributes:
-        install: The line of the README that installs what they need.
+        install: The lines of the README that install what they need.
         parts: Heads of the parts that they type after the demonstration.
         last: Pattern of the line with their last number, in what the last command prints.
     """
 
-    install: str
+    install: tuple[str, ...]
     parts: tuple[str, ...]
     last: str
 
 
 NEWCOMERS: Mapping[str, Newcomer] = {
-    "RL researcher": Newcomer(FULL, ("Ten lines", "Train and compare policies"), r"LS │ [\d.]+ \([^)]*\)"),
+    "RL researcher": Newcomer(FULL, ("Ten lines", "Train and compare policies"), r".*[-+][\d.]+ \(.*"),
     "calibration engineer": Newcomer(CORE, ("Calibrate a robot of your own",), r"verdict: .*"),
     "orchard roboticist": Newcomer(CORE, ("Plan a harvest",), r".*raw to ls .* mm.*"),
     "student": Newcomer(CORE, ("Ten lines",), r"corrected: .* mm.*"),
@@ -95,11 +96,9 @@ def typed(readme: str, newcomer: Newcomer) -> list[tuple[str, str]]:
     for head in ("Install", *newcomer.parts):
         for language, text in BLOCK.findall(part(readme, head)):
             lines += [(language, text)] if language == "python" else [("sh", line) for line in text.splitlines()]
-    kept = [each for each in lines if each[1] not in (FULL, CORE) or each[1] == newcomer.install]
+    kept = [each for each in lines if each[1] not in (*FULL, *CORE)]
     demo = next(i for i, each in enumerate(kept) if each[1].startswith("pickenv demo"))
-    install = kept.index(("sh", newcomer.install))
-    if install > demo:
-        kept.insert(demo, kept.pop(install))
+    kept[demo:demo] = [("sh", line) for line in newcomer.install]
     return [("sh", "git clone pickenv && cd pickenv"), *kept]
 
 
@@ -112,7 +111,7 @@ def walk(who: str, python: str, folder: Path) -> Walk:
     """Walk as a newcomer, in an empty folder.
 
     Raises:
-        SystemExit: If a command fails; with what it said.
+        SystemExit: If a command fails, or prints no last number; with what it said.
     """
     newcomer, place = NEWCOMERS[who], folder / "pickenv"
     lines = typed((ROOT / "README.md").read_text(encoding="utf-8"), newcomer)
@@ -136,11 +135,12 @@ def walk(who: str, python: str, folder: Path) -> Walk:
         seconds.append(round(time.perf_counter() - start, 1))
         busy.append(round(_processor_seconds() - before, 1))
         print(f"{who}: {seconds[-1]:6.1f} s  {text.splitlines()[0]}", file=sys.stderr, flush=True)
-    found = re.findall(newcomer.last, " ".join(said.split()) if "│" in newcomer.last else said)
+    found = re.findall(newcomer.last, said)
+    if not found:
+        raise SystemExit(f"{who}: no last number in what {lines[-1][1].splitlines()[0]} printed:\n{said}")
     commands = tuple(text for _, text in lines)
-    return Walk(
-        who, commands, tuple(seconds), tuple(busy), round(megabytes(place / ".venv"), 0), found[-1] if found else ""
-    )
+    last = " ".join(found[-1].replace("│", " ").split())
+    return Walk(who, commands, tuple(seconds), tuple(busy), round(megabytes(place / ".venv"), 0), last)
 
 
 def _processor_seconds() -> float:

@@ -43,8 +43,9 @@ ELSEWHERE = {
     ". .venv/bin/activate": "scripts/walks.py types it",
     'pip install ".[rl,inspect]"': "what runs this has it; tests/journeys/test_core_install.py installs",
     "pip install .": "likewise",
+    "python scripts/install_torch.py": "likewise",
 }
-COMMANDS = ("make", "pickenv", "pip", "python3", ".")
+COMMANDS = ("make", "pickenv", "pip", "python", "python3", ".")
 
 ENVIRONMENT = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))} | {
     "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",

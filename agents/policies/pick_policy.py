@@ -1,7 +1,8 @@
 """A scripted policy for `pickenv/Pick-v0`: from below, wait until the arm has settled, grasp, twist, retreat.
 
 It uses the observation alone. It trusts the nominal arm, so what it collects shows what the arm's errors cost. It moves
-gently enough not to bruise what it meets; `HASTY` does neither and shows what that costs.
+gently enough not to bruise what it meets; `HASTY` does neither and shows what that costs. How it does each is an
+argument, so that it can be learnt (`pickenv.agents.training.policy_search`). Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv.agents.policies.policy import ReachController
 from pickenv.arm import Pose, displace_pose, forward, inverse, joint_jacobian
@@ -19,82 +20,124 @@ from pickenv.envs.shared.situation import CONTROL_PERIOD
 ARRIVED = 2e-4
 """A joint within this of its goal is there, m or rad."""
 
+PASSED = 10.0
+"""Places on the way count as reached within so many times that."""
+
 GENTLE = 0.75
 """Share of the speed that bruises fruit at which the tool moves: it leaves room for swing and following error."""
 
-HASTY = {"settle": 0.0, "tool_speed": np.inf}
+HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
+
+OUT, BELOW, AT = range(3)
+"""Places on the way to a fruit: below the last one, below this one, and there."""
 
 
 class ScriptedPick(ReachController):
-    """Comes to each fruit from below; `settle` seconds of standing still before it grasps."""
+    """Comes to each fruit from below; `settle` seconds of standing still before it grasps.
 
-    def __init__(self, env: Any, settle: float = 0.5, approach: float = 0.10, tool_speed: float | None = None) -> None:
-        """Read the arm from ``env``, a `pickenv/Pick-v0`, wrapped or not.
+    Arguments are numbers, or one for each environment of a vector.
+    """
+
+    def __init__(
+        self,
+        env: Any,
+        settle: ArrayLike = 0.5,
+        approach: ArrayLike = 0.10,
+        tool_speed: ArrayLike | None = None,
+        *,
+        gain: ArrayLike = 1.0,
+        arrived: ArrayLike = ARRIVED,
+        aim: ArrayLike = (0.0, 0.0, 0.0),
+        patience: ArrayLike = np.inf,
+        iterations: int = 25,
+    ) -> None:
+        """Read the arm from ``env``, a `pickenv/Pick-v0`, single or native vector, wrapped or not.
 
         Args:
             env: The environment.
             settle: Time without motion before the grasp, s; at most 1.
             approach: Length of the straight way from below, m.
             tool_speed: Largest speed of the believed tool, m/s, gentle when left out; joint speeds hold in any case.
+            gain: Share of what is left of a way that one action commands; less than 1 where readings are late.
+            arrived: A joint within this of its goal is there, m or rad.
+            aim: How far beside the fruit as seen the tool goes ``(..., 3)``, base frame, m.
+            patience: Time for one fruit after which the gripper closes as soon as it can, s.
+            iterations: Steps of the inverse; fewer leave joints less near to mid-range, and are sooner done.
         """
         super().__init__(env)
         gentle = GENTLE * env.unwrapped.orchard.station.bruise_speed
-        self.settle, self.approach = settle, approach
-        self.tool_speed = gentle if tool_speed is None else tool_speed
+        self.settle, self.approach, self.aim = (np.asarray(each, dtype=float) for each in (settle, approach, aim))
+        self.tool_speed = np.asarray(gentle if tool_speed is None else tool_speed, dtype=float)
+        self.gain, self.arrived, self.patience = (np.asarray(each, dtype=float) for each in (gain, arrived, patience))
+        self.iterations = iterations
         self.reset()
 
     def reset(self) -> None:
         """Forget the last canopy."""
-        self._fruit: Array | None = None
-        self._way: list[Array] = []
-        self._exit: Array | None = None
+        self._begin(0)
+
+    def _begin(self, count: int) -> None:
+        n = self.geometry.joints
+        self._fruit, self._way = np.full((count, 3), np.nan), np.full((count, AT + 1, n), np.nan)
+        self._place, self._spent = np.full(count, BELOW), np.zeros(count)
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action."""
+        """The next action ``(n + 1,)``, or actions ``(N, n + 1)`` for observations of as many environments."""
         values = np.asarray(observation, dtype=float)
-        n = self.geometry.joints
-        span = self.geometry.upper - self.geometry.lower
-        joints = self.geometry.lower + (values[:n] + 1.0) / 2.0 * span
-        seen, turn, still = values[n + 3 : n + 6], values[n + 9 : n + 12], values[n + 12]
-        hanging, off = values[n + 14] > 0.5, values[n + 15] > 0.5
-        if hanging:
-            return self._step(joints, joints, 1.0)
-        if off:
-            return self._step(joints, self._below_now(joints), 0.0)
-        if self._fruit is None or not np.allclose(seen, self._fruit, atol=1e-6):
-            self._plan(joints, seen, turn)
-        while len(self._way) > 1 and np.abs(self._way[0] - joints).max() < ARRIVED * 10:
-            self._way.pop(0)
-        if len(self._way) == 1 and np.abs(self._way[0] - joints).max() < ARRIVED:
-            # Standing still is asked of the command: corrections smaller than the encoders' counts would never end.
-            return self._step(joints, joints, 1.0 if still >= self.settle - 1e-3 else 0.0)
-        return self._step(joints, self._way[0], 0.0)
+        single, values = values.ndim == 1, np.atleast_2d(values)
+        if len(self._fruit) != len(values):
+            self._begin(len(values))
+        n, rows = self.geometry.joints, np.arange(len(values))
+        joints = self.geometry.lower + (values[:, :n] + 1.0) / 2.0 * (self.geometry.upper - self.geometry.lower)
+        seen, turn, still = values[:, n + 3 : n + 6], values[:, n + 9 : n + 12], values[:, n + 12]
+        hanging, off = values[:, n + 14] > 0.5, values[:, n + 15] > 0.5
+        seeking = ~(hanging | off)
+        new = np.flatnonzero(seeking & ~np.isclose(seen, self._fruit, atol=1e-6).all(axis=-1))
+        if single and new.size:
+            self._plan(0, joints[0], seen[0], turn[0])
+        elif new.size:
+            self._plan(new, joints[new], seen[new], turn[new])
+        for _ in (OUT, BELOW):
+            near = self._away(joints, self._way[rows, self._place]) < self.arrived * PASSED
+            self._place += seeking & (self._place < AT) & near
+        goals = self._way[rows, np.where(off, BELOW, self._place)]
+        # Standing still is asked of the command: corrections smaller than the encoders' counts would never end.
+        there = seeking & (self._place == AT) & (self._away(joints, goals) < self.arrived)
+        stays = hanging | there | np.isnan(goals[:, 0])
+        late = seeking & (self._spent * CONTROL_PERIOD >= self.patience)
+        closes = hanging | late | (there & (still >= self.settle - 1e-3))
+        self._spent += 1.0
+        away = np.where(stays[:, None], 0.0, goals - joints)
+        if single:
+            return np.asarray([*self._shares(joints[0], away[0]), float(closes[0])], dtype=np.float32)
+        return np.concatenate([self._shares(joints, away), closes[:, None]], axis=-1, dtype=np.float32)
 
-    def _plan(self, joints: Array, seen: Array, turn: Array) -> None:
+    def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
         """Waypoints: down from the last fruit, below the next one, and up to it."""
         here = forward(self.geometry, joints)
-        upright = displace_pose(here, np.concatenate([np.zeros(3), turn])).rotation
-        down = self.approach * np.array([0.0, 0.0, 1.0])
-        at = self._solve(seen, upright, joints)
-        below = self._solve(seen - down, upright, at)
-        self._way = [below, at]
-        if self._fruit is not None and self._exit is not None:
-            self._way.insert(0, self._exit)
-        self._fruit, self._exit = seen.copy(), below
-
-    def _below_now(self, joints: Array) -> Array:
-        """Where the tool goes with a fruit in hand: the place below the fruit from which it came."""
-        return joints if self._exit is None else self._exit
+        upright = displace_pose(here, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
+        aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
+        down = np.broadcast_to(self.approach, len(self._fruit))[rows][..., None] * np.array([0.0, 0.0, 1.0])
+        at = self._solve(seen + aim, upright, joints)
+        last, below = self._way[rows, BELOW], self._solve(seen + aim - down, upright, at)
+        self._place[rows] = np.where(np.isnan(last[..., 0]), BELOW, OUT)
+        self._way[rows, OUT], self._way[rows, BELOW], self._way[rows, AT] = last, below, at
+        self._fruit[rows], self._spent[rows] = seen, 0.0
 
     def _solve(self, position: Array, rotation: Array, start: Array) -> Array:
         pose = Pose(position, rotation)
-        return inverse(self.geometry, pose, start, attitude_tolerance=1e-3, max_iterations=25, restarts=0).joints
+        most = self.iterations
+        return inverse(self.geometry, pose, start, attitude_tolerance=1e-3, max_iterations=most, restarts=0).joints
 
-    def _step(self, joints: Array, goal: Array, gripper: float) -> NDArray[np.float32]:
-        """Joints in step with each other, so that the tool's way is nearly straight."""
-        away = goal - joints
-        share = away / self.increment
-        way = float(np.linalg.norm(joint_jacobian(self.geometry, joints)[:3] @ away))
-        share /= max(1.0, float(np.abs(share).max()), way / (self.tool_speed * CONTROL_PERIOD))
-        return np.asarray([*share, gripper], dtype=np.float32)
+    @staticmethod
+    def _away(joints: Array, goals: Array) -> Array:
+        return np.asarray(np.abs(goals - joints).max(axis=-1))
+
+    def _shares(self, joints: Array, away: Array) -> Array:
+        """Shares of the joints' increments, in step with each other, so that the tool's way is nearly straight."""
+        wanted = self.gain[..., None] * away
+        share = wanted / self.increment
+        way = np.linalg.norm((joint_jacobian(self.geometry, joints)[..., :3, :] @ wanted[..., None])[..., 0], axis=-1)
+        most = np.maximum(np.abs(share).max(axis=-1), way / (self.tool_speed * CONTROL_PERIOD))
+        return np.asarray(share / np.maximum(1.0, most)[..., None])

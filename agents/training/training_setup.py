@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.agents.evaluation.calibrated import load_compensator
+from pickenv.agents.evaluation.canopies import FRUIT, pick_canopies
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.agents.training.hyperparams import check_algorithm, class_named, tuned
@@ -32,7 +33,6 @@ ENVIRONMENTS: dict[str, type[Native]] = {
     "pickenv/ReachGoal-v0": ReachGoalVectorEnv,
     "pickenv/Pick-v0": PickVectorEnv,
 }
-FRUIT = ("collected", "damaged", "attempted", "reachable")
 HELD_OUT = 2**62
 """Seeds of evaluation episodes start here; training seeds are below."""
 
@@ -246,7 +246,9 @@ def judge(
         reachable, means per canopy.
     """
     if training.env_id == "pickenv/Pick-v0" and isinstance(policy, LearnedPolicy):
-        return _judged_picking(policy, training, episodes or 16)
+        envs: Any = make_environment(training, episodes or 16, "NextStep")
+        found = pick_canopies(policy, envs, HELD_OUT)
+        return {name: float(found[name].mean()) for name in FRUIT}
     env: Any = make_environment(training, episodes or 256, "Disabled")
     if isinstance(policy, RememberingPolicy):
         found = _picked(policy, SameArmVector(env, **(training.remembering or {})))
@@ -272,18 +274,6 @@ def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:
         seen, _, _, _, infos = envs.step(action)
         found.append(infos.get("final_info", infos))
     return {key: np.array([each[key] for each in found]) for key in ("position_error_mm", "is_success")}
-
-
-def _judged_picking(policy: Any, training: Training, episodes: int) -> dict[str, float]:
-    env = make_environment(training, episodes, "NextStep")
-    observation, infos = env.reset(seed=HELD_OUT)
-    over, found = np.zeros(episodes, dtype=np.bool_), np.zeros((len(FRUIT), episodes))
-    while not over.all():
-        observation, _, terminated, truncated, infos = env.step(policy.act(observation))
-        ended = (terminated | truncated) & ~over
-        found[:, ended] = [infos[name][ended] for name in FRUIT]
-        over |= ended
-    return dict(zip(FRUIT, found.mean(axis=1).tolist(), strict=True))
 
 
 def words_of(row: dict[str, float]) -> str:

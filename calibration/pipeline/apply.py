@@ -165,7 +165,7 @@ def apply_calibration(
                 f"no joints within the limits reach this pose; the nearest miss it by "
                 f"{found.position_error[i] * 1e3:.3g} mm and {missed:.3g} deg"
             )
-    compensator = calibration.compensator(conditions=conditions)
+    compensator = calibration.compensator(conditions=conditions, fast=False)
     commands = toward(compensator, wanted, wanted_joints)
     before = pose_error(wanted, compensator.predict(wanted_joints))
     remaining = pose_error(wanted, compensator.predict(commands))

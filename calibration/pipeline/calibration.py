@@ -51,14 +51,20 @@ class Remainder:
     def predict(self, joints: ArrayLike) -> Array:
         """Pose residual ``(..., 6)``, m and rad, at joints ``(..., n)``; one learnt from positions turns nothing."""
         joints = np.asarray(joints, dtype=float)
+        learnt = None if self.learnt is None else self._learnt(self.learnt, joints)
+        if not self.model.terms and learnt is not None and learnt.shape[-1] == 6:
+            return learnt
         total = np.zeros((*joints.shape[:-1], 6))
         if self.model.terms:
             total += self.model.displacement(joints, self.conditions.repeated(joints.shape[:-1]))
-        if self.learnt is not None:
-            inputs = self.conditions.repeated(joints.shape[:-1]).inputs() if self.learnt.inputs.conditions else None
-            learnt = self.learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
+        if learnt is not None:
             total[..., : learnt.shape[-1]] += learnt
         return total
+
+    def _learnt(self, learnt: LearntResidual, joints: Array) -> Array:
+        """What the residual model says under the conditions."""
+        inputs = self.conditions.repeated(joints.shape[:-1]).inputs() if learnt.inputs.conditions else None
+        return learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +121,7 @@ class Calibration:
         conditions: Conditions | None = None,
         iterations: int = 2,
         single_precision: bool = False,
+        fast: bool = True,
     ) -> Compensator:
         """The map from joint targets to joint commands, for control loops and environments.
 
@@ -123,8 +130,11 @@ class Calibration:
             conditions: Payload and temperature, one value each, for terms and residuals that need them.
             iterations: See `Compensator`; one is the fastest.
             single_precision: See `Compensator`; for training in thousands of environments.
+            fast: Whether a network may be a micrometre off for its speed (`Bpnn.fast`).
         """
-        learnt = self.learnt.in_single_precision() if with_residual and self.learnt is not None else None
+        learnt = self.learnt if with_residual else None
+        if learnt is not None and fast:
+            learnt = learnt.faster()
         anything = self.model.terms or learnt is not None
         residual = Remainder(self.model, learnt, conditions or Conditions()) if anything else None
         sure = uncertainty_from(self.record)
@@ -169,7 +179,7 @@ class Calibration:
 
     def predict(self, joints: ArrayLike, conditions: Conditions | None = None) -> Pose:
         """Expected true tool pose at joint commands ``(..., n)``."""
-        return self.compensator(conditions=conditions).predict(joints)
+        return self.compensator(conditions=conditions, fast=False).predict(joints)
 
     def errors(self, data: Measurements, turn: Array | None = None) -> Array:
         """Measured minus predicted ``(N, 6)`` or ``(N, 3)``, m and rad, with terms and the learnt residual, where any.

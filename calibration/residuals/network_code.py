@@ -1,25 +1,37 @@
-"""A network of cut-off layers as machine code, in single precision: each pose by itself, in one fixed order of sums.
+"""A network as machine code, with its inner layers in eight bits: each pose by itself, in one fixed order of sums.
 
-So a pose has the same bits alone and among thousands, which a matrix product of a library does not give. Sixteen poses
-go through all layers together and stay in a core's first cache.
+Sixteen poses go through all layers together and stay in a core's first cache. What comes out of a hidden layer is
+rounded to 255 steps of each pose's own largest value, and meets the weights of `rounded_layers`. Sums of their products
+are whole numbers, exact in any order: processors that multiply bytes and those that take single precision for it find
+the same bits, and so do a pose alone and one among thousands.
 """
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.machine_code import fused, machine
+from pickenv.arm.kinematics.machine_code import adds_products_of_bytes, fused, machine
+from pickenv.calibration.residuals.eight_bits import STEPS, Layer
 
-LANES, POSES, TILE = 8, 16, 6
-"""Poses of one instruction, poses that go through together, outputs that are summed side by side."""
+POSES, TILE, PACKED = 16, 4, 4
+"""Poses that go through together, outputs that are summed side by side, bytes in a word."""
 
-Single = NDArray[np.float32]
+LEAST = 1e-30
+"""What the largest value of a pose counts at least."""
+
+SHIFT = 2.0**23
+"""Added to a number of single precision it leaves whole numbers, which then stand in its last bits."""
+
+SHIFTS = int(np.float32(SHIFT).view(np.uint32)) * 0x01010101 % 2**32
+"""The other bits, of four bytes in a word."""
+
+REAL, WHOLE = f"<{POSES} x float>", f"<{POSES} x i32>"
+BYTE_PRODUCTS = f"{WHOLE} @llvm.x86.avx512.vpdpbusd.512"
 FUNCTION = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 4, ctypes.c_int64)
 
 
@@ -27,62 +39,84 @@ class CompiledNetwork:
     """Layers ready to be run.
 
     Args:
-        layers: Matrices ``(in, out)``, and what each product is cut off below or, in the last layer, what is added.
+        layers: From `rounded_layers`.
     """
 
-    def __init__(self, layers: Sequence[tuple[Single, Single]]) -> None:
+    def __init__(self, layers: Sequence[Layer]) -> None:
         self._layers = layers
-        self._outputs = len(layers[-1][1])
-        sizes = [len(layers[0][0]), *(-(-len(limit) // TILE) * TILE for _, limit in layers)]
-        numbers = []
-        for (weight, limit), inputs, outputs in zip(layers, sizes[:-1], sizes[1:], strict=True):
-            padded = np.zeros((inputs, outputs), dtype=np.float32)
-            padded[: weight.shape[0], : weight.shape[1]] = weight
-            numbers += [padded.reshape(inputs, -1, TILE).swapaxes(0, 1).ravel(), np.resize(limit, outputs)]
-        self._numbers = np.concatenate(numbers).astype(np.float32)
-        self._engine, (address,) = machine(_code(tuple(sizes)), ("network",), True)
+        self._outputs = len(layers[-1].bias)
+        in_bytes = adds_products_of_bytes()
+        numbers, calls, at = list[NDArray[np.uint8]](), list[str](), 0
+        sizes = [len(layers[0].weights), *(-(-len(layer.bias) // TILE) * TILE for layer in layers)]
+        for i, layer in enumerate(layers):
+            packed = PACKED if in_bytes and layer.scale is not None else 1
+            numbers.append(_arranged(layer, sizes[i], sizes[i + 1], packed))
+            calls.append(_call(layer, i, i + 1 == len(layers), at, packed, sizes[i], sizes[i + 1]))
+            at += len(numbers[-1])
+        self._numbers, self._sizes = np.concatenate(numbers), sizes
+        self._numbers_at = self._numbers.ctypes.data
+        self._engine, (address,) = machine(_code(calls, in_bytes, max(sizes)), ("network",), True)
         self._run = FUNCTION(address)
-        self._height = max(sizes)
 
     def __reduce__(self) -> tuple[type[CompiledNetwork], tuple[Any]]:
         """Pickled and copied by its layers: code is made anew."""
         return CompiledNetwork, (self._layers,)
 
-    def __call__(self, rows: NDArray[np.floating[Any]]) -> Single:
+    def __call__(self, rows: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Outputs ``(N, out)`` for inputs ``(N, in)``."""
-        count = len(rows)
+        count, inputs = len(rows), rows.shape[1]
         width = max(-(-count // POSES), 1) * POSES
-        given = np.zeros((rows.shape[1], width), dtype=np.float32)
-        given[:, :count] = rows.T
-        found = np.empty((-(-self._outputs // TILE) * TILE, width), dtype=np.float32)
-        between = np.empty((2, self._height, POSES), dtype=np.float32)
-        self._run(*(array.ctypes.data for array in (given, self._numbers, found, between)), width)
-        return found[: self._outputs, :count].T
+        table = np.empty((inputs + self._sizes[-1], width), dtype=np.float32)
+        table[:inputs, :count], table[:inputs, count:] = rows.T, 0.0
+        between = np.empty(2 * max(self._sizes) * POSES, dtype=np.float32)
+        given, values = (array.__array_interface__["data"][0] for array in (table, between))
+        self._run(given, self._numbers_at, given + table.strides[0] * inputs, values, width)
+        return table[inputs : inputs + self._outputs, :count].T
 
 
-def _code(sizes: tuple[int, ...]) -> str:
-    """The network of layers of these sizes."""
-    last, first, offset, lines = len(sizes) - 2, "%given_here", 0, []
-    for i, (inputs, outputs) in enumerate(pairwise(sizes)):
-        weights, limits = 4 * offset, 4 * (offset + inputs * outputs)
-        offset += (inputs + 1) * outputs
-        into = "%found_here" if i == last else f"%between{i % 2}"
-        strides = ("%width" if i == 0 else POSES), ("%width" if i == last else POSES)
-        lines.append(f"""
-  %w{i} = getelementptr i8, ptr %numbers, i64 {weights}
-  %l{i} = getelementptr i8, ptr %numbers, i64 {limits}
-  call void @layer(ptr {first}, i64 {strides[0]}, ptr %w{i}, ptr %l{i}, ptr {into}, i64 {strides[1]}, i64 {inputs},
-                   i64 {outputs}, i1 {int(i == last)})""")
-        first = into
-    return f"""{_layer()}
-define void @network(ptr %given, ptr %numbers, ptr %found, ptr %between0, i64 %width) {{
+def _arranged(layer: Layer, inputs: int, outputs: int, packed: int) -> NDArray[np.uint8]:
+    """A layer's numbers in the order in which they are read: weights by tiles, then biases and scales."""
+    padded = np.zeros((inputs, outputs), dtype=np.float32 if packed == 1 else np.int8)
+    padded[: layer.weights.shape[0], : layer.weights.shape[1]] = layer.weights
+    tiles = padded.reshape(inputs // packed, packed, -1, TILE).transpose(2, 0, 3, 1)
+    ends = np.zeros((2, outputs), dtype=np.float32)
+    for end, values in zip(ends, (layer.bias, layer.scale), strict=True):
+        end[: len(layer.bias)] = 1.0 if values is None else values
+    return np.concatenate([np.ascontiguousarray(part).view(np.uint8).ravel() for part in (tiles, ends)])
+
+
+def _call(layer: Layer, i: int, last: bool, at: int, packed: int, inputs: int, outputs: int) -> str:
+    """Instructions that take sixteen poses through layer ``i``, whose numbers start at byte ``at``."""
+    source, stride = ("%given_here", "%width") if i == 0 else ("%values", str(POSES))
+    into, into_stride = ("%found_here", "%width") if last else ("%values", str(POSES))
+    name, step, rounding = "real", _constant(1), ""
+    if layer.scale is not None:
+        name, source, step = "whole", "%steps", f"%step{i}"
+        rounding = f"""  {step} = fdiv {REAL} %top{i - 1}, {_constant(STEPS)}
+  call void @rounded(ptr %values, {REAL} {step}, ptr %steps, i64 {inputs})
+"""
+    return f"""
+{rounding}  %numbers{i} = getelementptr i8, ptr %numbers, i64 {at}
+  %top{i} = call {REAL} @{name}(ptr {source}, i64 {stride}, ptr %numbers{i}, {REAL} {step}, ptr {into},
+    i64 {into_stride}, i64 {inputs // packed}, i64 {outputs}, {REAL} {_constant(-np.inf if last else 0)})"""
+
+
+def _code(calls: Sequence[str], in_bytes: bool, height: int) -> str:
+    """The network."""
+    return f"""
+declare {BYTE_PRODUCTS}({WHOLE}, {WHOLE}, {WHOLE})
+declare {REAL} @llvm.fma.v{POSES}f32({REAL}, {REAL}, {REAL})
+{_layer("real", False)}
+{_layer("whole", in_bytes)}
+{_rounded(in_bytes)}
+define void @network(ptr %given, ptr %numbers, ptr %found, ptr %values, i64 %width) {{
 entry:
-  %between1 = getelementptr float, ptr %between0, i64 {max(sizes) * POSES}
+  %steps = getelementptr float, ptr %values, i64 {height * POSES}
   br label %head
 head:
   %at = phi i64 [0, %entry], [%next, %head]
   %given_here = getelementptr float, ptr %given, i64 %at
-  %found_here = getelementptr float, ptr %found, i64 %at{"".join(lines)}
+  %found_here = getelementptr float, ptr %found, i64 %at{"".join(calls)}
   %next = add i64 %at, {POSES}
   %more = icmp ult i64 %next, %width
   br i1 %more, label %head, label %done
@@ -91,54 +125,50 @@ done:
 }}"""
 
 
-def _layer() -> str:
-    """One layer for sixteen poses: sums of `TILE` outputs side by side, input after input."""
-    kind, halves = f"<{LANES} x float>", POSES // LANES
-    sums = [(t, h) for t in range(TILE) for h in range(halves)]
-    start = "\n".join(f"  %s{t}_{h} = phi {kind} [zeroinitializer, %tile], [%n{t}_{h}, %sum]" for t, h in sums)
-    loads = "\n".join(
-        f"  %p{h} = getelementptr float, ptr %row, i64 {h * LANES}\n  %x{h} = load {kind}, ptr %p{h}, align 4"
-        for h in range(halves)
-    )
-    adds, ends = [], []
+def _layer(name: str, in_bytes: bool) -> str:
+    """One layer for sixteen poses, sums of `TILE` outputs side by side; it returns each pose's largest output."""
+    kind, one = (WHOLE, "i32") if in_bytes else (REAL, "float")
+    start = "\n".join(f"  %s{t} = phi {kind} [zeroinitializer, %tile], [%n{t}, %sum]" for t in range(TILE))
+    adds, ends, top = list[str](), list[str](), "%top"
     for t in range(TILE):
-        adds.append(f"""  %q{t} = getelementptr float, ptr %weight, i64 {t}
-  %f{t} = load float, ptr %q{t}, align 4
-  %i{t} = insertelement {kind} poison, float %f{t}, i64 0
-  %b{t} = shufflevector {kind} %i{t}, {kind} poison, <{LANES} x i32> zeroinitializer""")
+        adds.append(_spread(f"%b{t}", "%weight", str(t), one))
+        if in_bytes:
+            adds.append(f"  %n{t} = call {BYTE_PRODUCTS}({WHOLE} %s{t}, {WHOLE} %x, {WHOLE} %b{t})")
+            ends.append(f"  %real{t} = sitofp {WHOLE} %n{t} to {REAL}")
+        else:
+            adds.append(fused(kind, f"%n{t}", f"%b{t}", "%x", f"%s{t}"))
         ends.append(f"""  %o{t} = add i64 %out, {t}
-  %ql{t} = getelementptr float, ptr %limits, i64 %o{t}
-  %fl{t} = load float, ptr %ql{t}, align 4
-  %il{t} = insertelement {kind} poison, float %fl{t}, i64 0
-  %bl{t} = shufflevector {kind} %il{t}, {kind} poison, <{LANES} x i32> zeroinitializer
-  %or{t} = mul i64 %o{t}, %into_stride
-  %to{t} = getelementptr float, ptr %into, i64 %or{t}""")
-        for h in range(halves):
-            adds.append(fused(kind, f"%n{t}_{h}", f"%b{t}", f"%x{h}", f"%s{t}_{h}"))
-            ends.append(f"""  %more{t}_{h} = fadd {kind} %n{t}_{h}, %bl{t}
-  %above{t}_{h} = fcmp ogt {kind} %n{t}_{h}, %bl{t}
-  %cut{t}_{h} = select <{LANES} x i1> %above{t}_{h}, {kind} %n{t}_{h}, {kind} %bl{t}
-  %r{t}_{h} = select i1 %last, {kind} %more{t}_{h}, {kind} %cut{t}_{h}
-  %to{t}_{h} = getelementptr float, ptr %to{t}, i64 {h * LANES}
-  store {kind} %r{t}_{h}, ptr %to{t}_{h}, align 4""")
-    return f"""declare {kind} @llvm.fma.v{LANES}f32({kind}, {kind}, {kind})
-define internal void @layer(ptr %x, i64 %x_stride, ptr %weights, ptr %limits, ptr %into, i64 %into_stride, i64 %inputs,
-                            i64 %outputs, i1 %last) {{
+{_spread(f"%bias{t}", "%biases", f"%o{t}", "float")}
+{_spread(f"%scale{t}", "%scales", f"%o{t}", "float")}
+  %by{t} = fmul {REAL} %scale{t}, %step
+{fused(REAL, f"%whole{t}", f"%real{t}" if in_bytes else f"%n{t}", f"%by{t}", f"%bias{t}")}
+{_larger(f"%kept{t}", f"%whole{t}", "%least")}
+{_larger(f"%top{t}", f"%kept{t}", top)}
+  %to{t} = mul i64 %o{t}, %into_stride
+  %p{t} = getelementptr float, ptr %into, i64 %to{t}
+  store {REAL} %kept{t}, ptr %p{t}, align 4""")
+        top = f"%top{t}"
+    return f"""
+define internal {REAL} @{name}(ptr %given, i64 %stride, ptr %weights, {REAL} %step, ptr %into, i64 %into_stride,
+                               i64 %inputs, i64 %outputs, {REAL} %least) {{
 entry:
+  %size = mul i64 %inputs, %outputs
+  %biases = getelementptr i32, ptr %weights, i64 %size
+  %scales = getelementptr float, ptr %biases, i64 %outputs
   br label %tile
 tile:
   %out = phi i64 [0, %entry], [%next_out, %end]
+  %top = phi {REAL} [{_constant(LEAST)}, %entry], [{top}, %end]
   %before = mul i64 %out, %inputs
-  %block = getelementptr float, ptr %weights, i64 %before
+  %block = getelementptr i32, ptr %weights, i64 %before
   br label %sum
 sum:
   %in = phi i64 [0, %tile], [%next_in, %sum]
 {start}
-  %along = mul i64 %in, %x_stride
-  %row = getelementptr float, ptr %x, i64 %along
+  %along = mul i64 %in, %stride
   %within = mul i64 %in, {TILE}
-  %weight = getelementptr float, ptr %block, i64 %within
-{loads}
+  %weight = getelementptr i32, ptr %block, i64 %within
+{_load("%x", kind, "%given", "%along")}
 {chr(10).join(adds)}
   %next_in = add i64 %in, 1
   %more_in = icmp ult i64 %next_in, %inputs
@@ -149,6 +179,63 @@ end:
   %more_out = icmp ult i64 %next_out, %outputs
   br i1 %more_out, label %tile, label %done
 done:
+  ret {REAL} {top}
+}}"""
+
+
+def _rounded(in_bytes: bool) -> str:
+    """Values of sixteen poses in whole steps, four to a word or each a number of single precision."""
+    packed, lines = PACKED if in_bytes else 1, list[str]()
+    for b in range(packed):
+        lines.append(f"""  %place{b} = add i64 %source, {b * POSES}
+{_load(f"%v{b}", REAL, "%values", f"%place{b}")}
+{fused(REAL, f"%shifted{b}", f"%v{b}", "%inverse", _constant(SHIFT))}""")
+        if in_bytes:
+            lines.append(f"""  %bits{b} = bitcast {REAL} %shifted{b} to {WHOLE}
+  %byte{b} = shl {WHOLE} %bits{b}, {_constant(8 * b, "i32")}
+  %sum{b} = add {WHOLE} %byte{b}, {f"%sum{b - 1}" if b else _constant(-SHIFTS, "i32")}""")
+    if not in_bytes:
+        lines.append(f"  %plain = fsub {REAL} %shifted0, {_constant(SHIFT)}")
+    return f"""
+define internal void @rounded(ptr %values, {REAL} %step, ptr %steps, i64 %rows) {{
+entry:
+  %inverse = fdiv {REAL} {_constant(1)}, %step
+  br label %round
+round:
+  %row = phi i64 [0, %entry], [%next_row, %round]
+  %source = mul i64 %row, {POSES}
+  %target = udiv i64 %source, {packed}
+{chr(10).join(lines)}
+  %to = getelementptr i32, ptr %steps, i64 %target
+  store {f"{WHOLE} %sum{PACKED - 1}" if in_bytes else f"{REAL} %plain"}, ptr %to, align 4
+  %next_row = add i64 %row, {packed}
+  %more_rows = icmp ult i64 %next_row, %rows
+  br i1 %more_rows, label %round, label %done
+done:
   ret void
-}}
-"""
+}}"""
+
+
+def _larger(name: str, one: str, other: str) -> str:
+    """The larger of two numbers of each pose."""
+    return f"""  {name}c = fcmp ogt {REAL} {one}, {other}
+  {name} = select <{POSES} x i1> {name}c, {REAL} {one}, {REAL} {other}"""
+
+
+def _load(name: str, kind: str, base: str, offset: str) -> str:
+    """Load numbers of four bytes that lie one after the other."""
+    return f"  {name}p = getelementptr i32, ptr {base}, i64 {offset}\n  {name} = load {kind}, ptr {name}p, align 4"
+
+
+def _spread(name: str, base: str, offset: str, one: str) -> str:
+    """Load a number for all poses."""
+    kind = f"<{POSES} x {one}>"
+    return f"""{_load(f"{name}l", one, base, offset)}
+  {name}i = insertelement {kind} poison, {one} {name}l, i64 0
+  {name} = shufflevector {kind} {name}i, {kind} poison, {WHOLE} zeroinitializer"""
+
+
+def _constant(value: float, one: str = "float") -> str:
+    """The same number for all poses."""
+    text = str(value) if one == "i32" else f"0x{np.float64(np.float32(value)).view(np.uint64):016X}"
+    return f"<{', '.join([f'{one} {text}'] * POSES)}>"

@@ -97,6 +97,8 @@ def joint_inputs(
 
 
 def _raw_inputs(joints: Array, conditions: ArrayLike | None, periodic: NDArray[np.bool_]) -> Array:
+    if conditions is None and not periodic.any():
+        return joints
     turning = joints[..., periodic]
     parts = [joints[..., ~periodic], np.sin(turning), np.cos(turning)]
     if conditions is not None:
@@ -130,11 +132,11 @@ class LearntResidual:
         """
         return self.model.predict(self.inputs(joints, conditions))
 
-    def in_single_precision(self) -> LearntResidual:
-        """The same residual, faster: the network runs in single precision; other models stay as they are."""
+    def faster(self) -> LearntResidual:
+        """The same residual for control loops: see `Bpnn.fast`; other models stay as they are."""
         if not isinstance(self.model, Bpnn):
             return self
-        return replace(self, model=replace(self.model, single_precision=True))
+        return replace(self, model=replace(self.model, fast=True))
 
     def standard_deviation(self, joints: ArrayLike, conditions: ArrayLike | None = None) -> Array | None:
         """Standard deviation of `predict`, or None where the model does not know it (all but the Gaussian process)."""

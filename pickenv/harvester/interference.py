@@ -8,37 +8,49 @@ alone it moves up and down. So only excursions, from rest out to a fruit and bac
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
+from pickenv.arm.kinematics.backend import ONE, chosen
+from pickenv.arm.kinematics.forward import Scalar
 from pickenv.harvester.machine import Machine
 
 Flags = NDArray[np.bool_]
+Point = tuple[Scalar, Scalar]
+
+FEW = 4
+"""Machines up to which plain floats are faster than calls of NumPy; the bits are the same."""
 
 
 def segment_distance(p: ArrayLike, q: ArrayLike, r: ArrayLike, s: ArrayLike) -> Array:
     """Distance between the segments p-q and r-s in the plane; all (..., 2), broadcast."""
-    ends = np.stack(np.broadcast_arrays(p, q, r, s)).astype(float)
-    start, end = ends[[2, 2, 0, 0]], ends[[3, 3, 1, 1]]  # of the other segment
-    gaps, sides = _point_segment(ends, start, end).min(axis=0), _side(start, end, ends)
-    crossing = (sides[0] * sides[1] < 0) & (sides[2] * sides[3] < 0)
-    return np.asarray(np.where(crossing, 0.0, gaps))
+    ends = [(each[..., 0], each[..., 1]) for each in (np.asarray(end, dtype=float) for end in (p, q, r, s))]
+    return np.asarray(np.sqrt(_square_between(np, *ends)))
 
 
-def _point_segment(point: Array, a: Array, b: Array) -> Array:
-    along = b - a
-    square = (along * along).sum(axis=-1)
-    share = ((point - a) * along).sum(axis=-1) / np.maximum(square, 1e-18)
-    gap = point - a - np.minimum(np.maximum(share, 0.0), 1.0)[..., None] * along
-    return np.asarray(np.hypot(gap[..., 0], gap[..., 1]))
+def _square_between(m: Any, p: Point, q: Point, r: Point, s: Point) -> Scalar:
+    """Square of the distance between the segments p-q and r-s."""
+    near = m.minimum(_square_from(m, p, r, s), _square_from(m, q, r, s))
+    near = m.minimum(near, m.minimum(_square_from(m, r, p, q), _square_from(m, s, p, q)))
+    crossing = (_side(r, s, p) * _side(r, s, q) < 0) & (_side(p, q, r) * _side(p, q, s) < 0)
+    return chosen(m, crossing, 0.0, near)
 
 
-def _side(a: Array, b: Array, c: Array) -> Array:
-    return np.asarray(
-        (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
-    )
+def _square_from(m: Any, point: Point, a: Point, b: Point) -> Scalar:
+    """Square of the distance between a point and the segment a-b."""
+    along, across = b[0] - a[0], b[1] - a[1]
+    x, y = point[0] - a[0], point[1] - a[1]
+    share = (x * along + y * across) / m.maximum(along * along + across * across, 1e-18)
+    share = m.minimum(m.maximum(share, 0.0), 1.0)
+    x, y = x - share * along, y - share * across
+    return x * x + y * y
+
+
+def _side(a: Point, b: Point, c: Point) -> Scalar:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def plan(machine: Machine, slaves: ArrayLike) -> tuple[Array, Array]:
@@ -46,8 +58,12 @@ def plan(machine: Machine, slaves: ArrayLike) -> tuple[Array, Array]:
     swing, d6 = np.asarray(slaves, dtype=float)[..., 1], np.asarray(slaves, dtype=float)[..., 2]
     pivot, cup = np.zeros((2, *swing.shape, 2))
     pivot[..., 0] = machine.offsets
-    cup[..., 0], cup[..., 1] = machine.offsets - d6 * np.sin(swing), d6 * np.cos(swing)
+    cup[..., 0], cup[..., 1] = _cup(np, machine.offsets, swing, d6)
     return pivot, cup
+
+
+def _cup(m: Any, offset: Scalar, swing: Scalar, d6: Scalar) -> Point:
+    return offset - d6 * m.sin(swing), d6 * m.cos(swing)
 
 
 @lru_cache(maxsize=8)
@@ -63,10 +79,28 @@ def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
     Pairs in the order of ``numpy.triu_indices(arms, 1)``.
     """
     slaves = np.asarray(slaves, dtype=float)
-    pivot, cup = plan(machine, slaves)
     i, j = pairs_of(machine.arms)
-    level = segment_distance(pivot[..., i, :], cup[..., i, :], pivot[..., j, :], cup[..., j, :])
-    return np.asarray(np.hypot(level, slaves[..., i, 0] - slaves[..., j, 0]))
+    if slaves.size <= FEW * machine.arms * 3:
+        offsets, pairs = machine.offsets.tolist(), list(zip(i.tolist(), j.tolist(), strict=True))
+        found = []
+        for row in slaves.reshape(-1, machine.arms, 3).tolist():
+            seen = [_seen(ONE, offset, *joints) for offset, joints in zip(offsets, row, strict=True)]
+            found.append([_between(ONE, seen[a], seen[b]) for a, b in pairs])
+        return np.array(found).reshape(*slaves.shape[:-2], len(pairs))
+    shown = _seen(np, machine.offsets, *(slaves[..., k] for k in range(3)))
+    one, other = (tuple(np.broadcast_to(part, slaves.shape[:-1])[..., arms] for part in shown) for arms in (i, j))
+    return np.asarray(_between(np, one, other))
+
+
+def _seen(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
+    """A slave's pivot, its cup in plan, and its height."""
+    return offset, *_cup(m, offset, swing, d6), d4
+
+
+def _between(m: Any, one: tuple[Scalar, ...], other: tuple[Scalar, ...]) -> Scalar:
+    """Distance between the centre lines of two slaves, each as it is seen."""
+    (a, x, y, height), (b, u, v, level) = one, other
+    return m.sqrt(_square_between(m, (a, 0.0), (x, y), (b, 0.0), (u, v)) + (height - level) * (height - level))
 
 
 def excursion_distances(machine: Machine, joints: Array, approach: Array) -> Array:

@@ -166,9 +166,13 @@ class Machine:
 
     def frame3(self, master: ArrayLike) -> Array:
         """Origin of frame 3 for master joints (..., 3): last column of eq (2)."""
-        theta1, d2, d3 = np.moveaxis(np.asarray(master, dtype=float), -1, 0)
+        master = np.asarray(master, dtype=float)
+        theta1, d2, d3 = (master[..., i] for i in range(3))
         sin, cos = np.sin(theta1), np.cos(theta1)
-        return np.stack([d3 * cos + self.a2 * sin, d3 * sin - self.a2 * cos, d2 + self.d1], axis=-1)
+        found = np.empty(master.shape)
+        found[..., 0], found[..., 1] = d3 * cos + self.a2 * sin, d3 * sin - self.a2 * cos
+        found[..., 2] = d2 + self.d1
+        return found
 
     def master_inverse(self, position: ArrayLike) -> Array:
         """Master joints that bring frame 3 to ``position`` (..., 3): eq (5), corrected for y > 0.
@@ -190,14 +194,16 @@ class Machine:
         Returns:
             Positions in the base frame, (..., arms, 3).
         """
-        master = np.asarray(master, dtype=float)
+        master, slaves = np.asarray(master, dtype=float), np.asarray(slaves, dtype=float)
         theta1, d2, d3 = (master[..., None, i] for i in range(3))
-        d4, swing, d6 = np.moveaxis(np.asarray(slaves, dtype=float), -1, 0)
+        d4, swing, d6 = (slaves[..., i] for i in range(3))
         side, ahead = self.a2 + self.offsets, self.a4 + d3
         sin, cos, turn = np.sin(theta1), np.cos(theta1), theta1 + swing
         x = d6 * np.cos(turn) + ahead * cos + side * sin
-        y = d6 * np.sin(turn) + ahead * sin - side * cos
-        return np.stack([x, y, d4 + d2 + self.d1], axis=-1)
+        found = np.empty((*x.shape, 3))
+        found[..., 0], found[..., 1] = x, d6 * np.sin(turn) + ahead * sin - side * cos
+        found[..., 2] = d4 + d2 + self.d1
+        return found
 
     def slave_inverse(self, master: ArrayLike, targets: ArrayLike) -> Array:
         """Joints of every slave for every target: eq (6) with theta5 = -theta1 - atan2(A, B), wrapped.

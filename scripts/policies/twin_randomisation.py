@@ -5,10 +5,10 @@ same policies learn on arms of invented ranges, as domain randomisation does: th
 arm with its compliance, and one without it. A policy without a memory sees the wanted pose alone and says how far to
 aim beside it (`pickenv.wrappers.SameArm`, runs of one pick); one with a window sees as well what a camera saw at the
 picks before, 20 in a run. PPO, gamma 0, the environment's own dense reward. All are judged on draws of the twin that
-they never saw and on the arm that was measured. Five training seeds, 0 to 4; intervals are over them. Trainings are
-short, and simulated.
+they never saw and on the arm that was measured. Five training seeds, 0 to 4; brackets hold the least and the largest
+of them. Simulated.
 
-Run: python scripts/policies/twin_randomisation.py [--steps 40000] [--out runs/twin_randomisation]
+Run: python scripts/policies/twin_randomisation.py [--steps 102400] [--out runs/twin_randomisation]
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from pickenv.agents.training.history import HistoryPolicy
 from pickenv.arm import load_plant, write_twin
 from pickenv.calibration import Result, calibrate, random_joints, simulated_tracker
 from pickenv.files import write_json
-from pickenv.intervals import mean_interval
 from pickenv.seeds import seed_words, stream
 from pickenv.threads import torch_on_one_thread
 from pickenv.wrappers import SameArmVector
@@ -96,7 +95,7 @@ def judged(policy: PPO | None, picks: int, given: dict[str, Any], fixed: bool) -
 
 
 def table(found: dict[str, Any]) -> str:
-    """The table in Markdown; intervals over trainings."""
+    """The table in Markdown: means over trainings, and the least and the largest of them."""
     heads = [f"{place}, {when}" for place in SHOWN for when in ("first pick", "picks 11 to 20")]
     lines = [f"| trained on | memory | {' | '.join(heads)} |", f"|---|---|{'---|' * len(heads)}"]
     for what, memories in found.items():
@@ -106,13 +105,14 @@ def table(found: dict[str, Any]) -> str:
                 each = np.array(places[place])
                 for picks in (slice(0, 1), LAST):
                     values = each[:, picks].mean(axis=1) if each.shape[1] > 1 else each[:, 0]
-                    cells.append(with_interval(float(values.mean()), mean_interval(values), 3))
+                    span = (float(values.min()), float(values.max())) if len(values) > 1 else None
+                    cells.append(with_interval(float(values.mean()), span, 3))
             lines.append(f"| {what} | {memory} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
 def main(
-    steps: Annotated[int, typer.Option(help="Picks that each policy learns from.", min=2560)] = 40_000,
+    steps: Annotated[int, typer.Option(help="Picks that each policy learns from.", min=2560)] = 102_400,
     out: Annotated[Path, typer.Option(help="Folder for twin and figures; what is there is not trained again.")] = (
         ROOT / "runs/twin_randomisation"
     ),

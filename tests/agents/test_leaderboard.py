@@ -259,3 +259,24 @@ def test_impossible_leaderboards_end_with_one_sentence(tmp_path):
     )
     with pytest.raises(InputError, match="no"):
         run_leaderboard(LeaderboardSettings((str(picky),)), tmp_path)
+
+
+def test_the_published_table_has_the_numbers_of_the_published_file():
+    """docs/leaderboard.md and docs/_static/leaderboard.json are of one run, row for row."""
+    docs = Path(__file__).parents[2] / "docs"
+    names = {"raw": "raw", "ls": "LS", "ls_bpnn": "LS+BPNN", "best": "LS+GP"}
+    rows = json.loads((docs / "_static/leaderboard.json").read_text(encoding="utf-8"))["rows"]
+    page = (docs / "leaderboard.md").read_text(encoding="utf-8")
+    printed = {}
+    for part in page.split("### ")[1:]:
+        for line in part.splitlines():
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            if len(cells) > 7 and cells[2] in names.values():
+                printed[part.splitlines()[0], *cells[:3]] = cells[3:8]
+    assert len(printed) == len(rows) > 90
+    for row in rows:
+        low, high = row["ci95_mm"]
+        grippers = [f"{100 * row['success_by_gripper'][name]:.0f} %" for name in ("li_cup", "compliant_hand")]
+        key = row["task"], row["policy"], row["feedback"], names[row["compensation"]]
+        mean, middle, attitude = f"{row['mean_mm']:.3f}", f"{row['iqm_mm']:.3f}", f"{row['attitude_deg']:.3f}"
+        assert printed[key] == [mean, f"{middle} ({low:.3f} to {high:.3f})", attitude, *grippers]

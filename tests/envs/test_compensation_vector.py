@@ -10,6 +10,7 @@ from gymnasium.vector import SyncVectorEnv
 from pickenv import InputError
 from pickenv.calibration import Compensator
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
+from tests.calibration.compensation.networks import eight_bit_network
 
 
 def native(count=6, **arguments):
@@ -40,7 +41,10 @@ def test_observations_stay_and_the_true_error_shrinks(compensator):
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_native_and_synchronous_agree(compensator, mode):
+@pytest.mark.parametrize("learnt", [False, True], ids=["geometry", "geometry and network"])
+def test_native_and_synchronous_agree(compensator, mode, learnt):
+    compensator = dataclasses.replace(compensator, residual=eight_bit_network(6) if learnt else None)
+
     def single():
         return gym.make("pickenv/Reach-v0", max_episode_steps=3, executor="numpy", disable_env_checker=True)
 
@@ -56,7 +60,7 @@ def test_native_and_synchronous_agree(compensator, mode):
 def test_the_compiled_step_with_a_compensator_has_the_bits_of_numpy(plant):
     pytest.importorskip("llvmlite")
     g = native(1, plant=plant).unwrapped.task.plant.arm.nominal
-    plain = Compensator(g, dataclasses.replace(g, a=g.a + 2e-4, theta=g.theta + 1e-3))
+    plain = Compensator(g, dataclasses.replace(g, a=g.a + 2e-4, theta=g.theta + 1e-3), eight_bit_network(g.joints))
     one, other = (
         taken(CompensationVectorWrapper(native(7, plant=plant, executor=executor), plain))
         for executor in ("numpy", "compiled")

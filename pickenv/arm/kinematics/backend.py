@@ -17,6 +17,8 @@ ONE: Any = SimpleNamespace(
     sin=lambda angle: float(np.sin(angle)),
     cos=lambda angle: float(np.cos(angle)),
     sqrt=math.sqrt,
+    minimum=min,
+    maximum=max,
     clip=lambda value, low, high: min(max(value, low), high),
 )
 """Floats with NumPy's sine and cosine: one pose gets the bits that it has among many in arrays, without their cost."""

@@ -30,8 +30,8 @@ from pickenv.arm.kinematics.tracing import (
     phases,
 )
 
-LANES = 4
-"""Poses that one instruction works on."""
+LANES = {False: 4, True: 8}
+"""Poses that one instruction works on, without and with AVX-512."""
 
 NUMBERS, LEAST = 2**16, 64
 """Intermediate results that a core's own cache holds, and how many poses at least go through all phases together."""
@@ -163,20 +163,21 @@ class Compiled:
 DECLARED = tuple(
     f"declare {kind} @llvm.{name}.{mark}({kind})"
     for name in INTRINSICS.values()
-    for kind, mark in (("double", "f64"), (f"<{LANES} x double>", f"v{LANES}f64"))
+    for kind, mark in (("double", "f64"), *((f"<{lanes} x double>", f"v{lanes}f64") for lanes in LANES.values()))
 )
 
 
 def _loop(trace: Trace, layout: Arrangement, number: int, phase: Phase, arrays: Sequence[str]) -> str:
     """The function of one phase: a loop by lanes, and one for what is left."""
-    wide, narrow = (_Body(trace, layout, number, phase, arrays, lanes).text for lanes in (LANES, 1))
+    lanes = LANES[bool(_host()[1].get("avx512f"))]
+    wide, narrow = (_Body(trace, layout, number, phase, arrays, count).text for count in (lanes, 1))
     return f"""
 define void @phase{number}(ptr noalias %bases, i64 %width, i64 %count, i64 %first, i64 %here) {{
 entry:
   br label %wide_head
 wide_head:
   %wide_at = phi i64 [0, %entry], [%wide_next, %wide]
-  %wide_next = add i64 %wide_at, {LANES}
+  %wide_next = add i64 %wide_at, {lanes}
   %wide_more = icmp ule i64 %wide_next, %here
   br i1 %wide_more, label %wide, label %narrow_head
 wide:
@@ -321,6 +322,11 @@ def fused(kind: str, result: str, one: str, other: str, more: str) -> str:
     if _host()[1].get("fma") or platform.machine() in ("arm64", "aarch64"):
         return f"  {result} = call {kind} @llvm.fma.v{lanes}f32({kind} {one}, {kind} {other}, {kind} {more})"
     return f"  {result}p = fmul {kind} {one}, {other}\n  {result} = fadd {kind} {result}p, {more}"
+
+
+def adds_products_of_bytes() -> bool:
+    """Whether this processor has instructions that add products of 64 bytes (AVX-512 VNNI)."""
+    return bool(_host()[1].get("avx512vnni"))
 
 
 @lru_cache(maxsize=64)

@@ -7,7 +7,7 @@ top. Euler angles are never used: they inflate attitude errors (Qiao 2026 digest
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import ModuleType
 
 import numpy as np
@@ -17,9 +17,16 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm.kinematics.backend import chosen, possible
 from pickenv.arm.kinematics.forward import Frame, Scalar, frame_of, pose_of
 from pickenv.arm.kinematics.geometry import Array, Pose
+from pickenv.arm.kinematics.tracing import Traced
 
 REVERSED = -0.99
 """Below this cosine, from 172 degrees, the rotation's axis is read from the symmetric part: the sine has lost it."""
+
+SMALL_SINE = 0.1
+"""Up to this sine of a rotation its series is exact to rounding."""
+
+ARC_SINE = tuple(math.comb(2 * k, k) / 4.0**k / (2 * k + 1) for k in range(8))
+"""Taylor coefficients of arcsin(s) / s in s^2."""
 
 
 def rotation_vector(rotation: ArrayLike) -> Array:
@@ -46,13 +53,7 @@ def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequenc
     """
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
-    # Half the sum of the cross products of corresponding axes is sin(angle) times the axis of R_actual R_reference^T.
-    sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
-    sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
-    sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
-    xx = axx * bxx + ayx * byx + azx * bzx
-    yy = axy * bxy + ayy * byy + azy * bzy
-    zz = axz * bxz + ayz * byz + azz * bzz
+    (sx, sy, sz), (xx, yy, zz) = _turn(reference, actual)
     cosine = 0.5 * (xx + yy + zz - 1.0)
     sine = m.sqrt(sx * sx + sy * sy + sz * sz)
     angle = m.atan2(sine, cosine)
@@ -74,11 +75,46 @@ def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequenc
     return tuple(chosen(m, reverse, scale * u, v) for u, v in zip((ux, uy, uz), vector, strict=True))
 
 
-def frame_error(m: ModuleType, reference: Frame, actual: Frame) -> tuple[Scalar, ...]:
-    """`pose_error` of frames: (x, y, z, rx, ry, rz), m and rad, world axes."""
+def _turn(reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
+    """sin(angle) times the axis of R_actual R_reference^T, and that matrix's diagonal."""
+    axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
+    bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
+    # The first is half the sum of the cross products of corresponding axes.
+    sx = 0.5 * (bxy * axz - bxz * axy + byy * ayz - byz * ayy + bzy * azz - bzz * azy)
+    sy = 0.5 * (bxz * axx - bxx * axz + byz * ayx - byx * ayz + bzz * azx - bzx * azz)
+    sz = 0.5 * (bxx * axy - bxy * axx + byx * ayy - byy * ayx + bzx * azy - bzy * azx)
+    xx = axx * bxx + ayx * byx + azx * bzx
+    yy = axy * bxy + ayy * byy + azy * bzy
+    zz = axz * bxz + ayz * byz + azz * bzz
+    return (sx, sy, sz), (xx, yy, zz)
+
+
+def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    """`rotation_between`, sooner where the rotation is below six degrees: its arc sine by a series."""
+    sines, (xx, yy, zz) = _turn(reference, actual)
+    square = sum((part * part for part in sines[1:]), sines[0] * sines[0])
+    scale = ARC_SINE[-1] * square
+    for term in ARC_SINE[-2:0:-1]:
+        scale = (scale + term) * square
+    scale = scale + ARC_SINE[0]
+    vector = tuple(scale * part for part in sines)
+    large = (square > SMALL_SINE**2) | (xx + yy + zz < 1.0)
+    if isinstance(large, Traced):
+        m.where(large)  # whoever runs what was traced asks for these
+        return vector
+    if not possible(m, large):
+        return vector
+    exact = rotation_between(m, reference, actual)
+    return tuple(chosen(m, large, other, own) for other, own in zip(exact, vector, strict=True))
+
+
+def frame_error(
+    m: ModuleType, reference: Frame, actual: Frame, rotation: Callable[..., tuple[Scalar, ...]] = rotation_between
+) -> tuple[Scalar, ...]:
+    """`pose_error` of frames: (x, y, z, rx, ry, rz), m and rad, world axes; ``rotation`` may be `small_rotation`."""
     apx, apy, apz = actual[9:]
     bpx, bpy, bpz = reference[9:]
-    return (apx - bpx, apy - bpy, apz - bpz, *rotation_between(m, reference, actual))
+    return (apx - bpx, apy - bpy, apz - bpz, *rotation(m, reference, actual))
 
 
 def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:

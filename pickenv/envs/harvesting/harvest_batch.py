@@ -25,6 +25,9 @@ from pickenv.orchard import fruit_masses, swing
 
 HANGING, COLLECTED, LOST = 0, 1, 2
 
+HALF_AND_WHOLE = np.array([0.5, 1.0]).reshape(2, 1, 1, 1)
+"""Shares of a move at which arms must be clear of each other."""
+
 Flags = NDArray[np.bool_]
 
 
@@ -195,9 +198,10 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
     i, j = pairs_of(arms)
     old, new = start[:, 3:].reshape(n, arms, 3), target[:, 3:].reshape(n, arms, 3).copy()
     for _ in range(arms + 1):
-        between, after = arm_distances(machine, np.stack([old + share * (new - old) for share in (0.5, 1.0)]))
+        between, after = arm_distances(machine, old + HALF_AND_WHOLE * (new - old))
         bad = np.minimum(between, after) < machine.body.clearance
-        bad &= ~(held[:, i] & held[:, j])
+        if bad.any():
+            bad &= ~(held[:, i] & held[:, j])
         if not bad.any():
             break
         for pair, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
@@ -267,8 +271,9 @@ def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def work_left(task: HarvestTask, state: HarvestState) -> Array:
     """Mean distance from reachable hanging fruit to the nearest believed cup, m; what shaping is made of."""
     tips = task.machine.tips(state.joints[:, :3], state.joints[:, 3:].reshape(len(state.joints), -1, 3))
-    distance = np.linalg.norm(state.believed[:, None] - tips[:, :, None], axis=-1).min(axis=1)
-    return np.asarray((distance * pickable(state)).mean(axis=-1))
+    away = state.believed[:, None] - tips[:, :, None]
+    distance = np.sqrt((away * away).sum(axis=-1)).min(axis=1)
+    return np.asarray((distance * pickable(state)).sum(axis=-1) / distance.shape[-1])
 
 
 def pickable(state: HarvestState) -> Flags:
@@ -290,9 +295,11 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
     sin, cos = np.sin(heading)[:, None], np.cos(heading)[:, None]
     right = away[..., 0] * sin - away[..., 1] * cos
     ahead = away[..., 0] * cos + away[..., 1] * sin
-    shown = pickable(state)[..., None]
-    local = np.stack([right, ahead, away[..., 2]], axis=-1) * shown
-    parts = [scaled, state.busy / task.lead, np.concatenate([local, shown], axis=-1).reshape(len(scaled), -1)]
+    shown = pickable(state)
+    fruit = np.empty((*shown.shape, 4))
+    fruit[..., 0], fruit[..., 1], fruit[..., 2] = right * shown, ahead * shown, away[..., 2] * shown
+    fruit[..., 3] = shown
+    parts = [scaled, state.busy / task.lead, fruit.reshape(len(scaled), -1)]
     low, high = task.bounds
     return np.asarray(np.minimum(np.maximum(np.concatenate(parts, axis=1), low), high), dtype=np.float32)
 

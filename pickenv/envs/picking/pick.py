@@ -32,11 +32,11 @@ class PickEnv(ArmEnv):
     ## Description
 
     A six-joint picking arm (Qiao 2026) stands before a section of canopy, 0.9 m wide and 0.8 m high, that holds some
-    ten fruit. The environment names the next fruit: the nearest to the believed tool that the camera found within
-    reach and that was not yet tried. Each fruit can be tried once. The policy commands the *nominal* arm; what moves is
-    the *true* one, which also swings after every move, so that haste costs accuracy. The gripper takes a fruit if the
-    true tool is near enough to it; a failed grasp, and any fruit that the tool meets on its way, pushes neighbours
-    aside, and they swing for a while.
+    ten fruit. The environment names the next fruit: the nearest to the believed tool that the camera found within reach
+    and that was not yet tried (or as `order` says). Each fruit can be tried once. The policy commands the *nominal*
+    arm; what moves is the *true* one, which also swings after every move, so that haste costs accuracy. The gripper
+    takes a fruit if the true tool is near enough to it; a failed grasp, and any fruit that the tool meets on its way,
+    pushes neighbours aside, and they swing for a while.
 
     ## Action Space
 
@@ -157,6 +157,7 @@ class PickEnv(ArmEnv):
       instead: "rendered" draws its two pictures and reads them (a tenth of a second and more; needs the extra
       `harvest`), "measured_errors" draws recall and errors from the table made that way in this canopy, "ideal" shows
       all fruit where it is. `detector`: what reads the pictures, "li2016" (default) or "circles".
+    - `order` ("nearest" to the believed tool, the default, "lowest", "highest" or "foremost"): the fruit named next.
     - `arms` ("fixed", "per_env" or "per_episode"), `tolerances`, `population` and `population_seed`: the plant's own
       true arm, or one of a population, as in `pickenv/Reach-v0`.
     - `out_of_range` ("clip" or "refuse"): as in `pickenv/Reach-v0`.
@@ -281,9 +282,9 @@ class PickEnv(ArmEnv):
         return tuple(self._plain(self._sight.believed)), tuple(self._plain(self._sight.tool))
 
     def _choose(self, believed: Sequence[float]) -> None:
-        """Go after the nearest waiting fruit, or stay with the last one."""
+        """Go after the waiting fruit that comes next, or stay with the last one."""
         assert self.scene is not None
-        number = self.scene.nearest(believed[9:])
+        number = self.scene.following(believed[9:])
         self._number = self._number if number is None else number
 
     def _observation(self) -> NDArray[np.float32]:

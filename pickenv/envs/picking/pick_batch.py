@@ -154,8 +154,8 @@ class PickBatch(NumpyArms):
         self.fruit.take_state_arrays(state)
 
     def _choose(self, row: int) -> None:
-        """Go after the nearest waiting fruit, or stay with the last one."""
-        number = self.fruit.scenes[row].nearest(self.sight[BELIEVED][9:, row])
+        """Go after the waiting fruit that comes next, or stay with the last one."""
+        number = self.fruit.scenes[row].following(self.sight[BELIEVED][9:, row])
         self.number[row] = self.number[row] if number is None else number
 
     def _look(self, where: Any, motion: PickMotion, plant: Plant, compensate: Compensate | None, dt: Scalar) -> None:

@@ -44,7 +44,16 @@ class PickSetting:
     station: trees.Station
     looks: int
     eyes: trees.Eyes | None
+    order: str
 
+
+ORDERS: dict[str, tuple[float, float, float] | None] = {
+    "nearest": None,
+    "lowest": (0.0, 0.0, 1.0),
+    "highest": (0.0, 0.0, -1.0),
+    "foremost": (0.0, -1.0, 0.0),
+}
+"""Which fruit is named next: the nearest to the believed tool, or the first along a direction of the base frame."""
 
 PUBLISHED = "published"
 """The vision that goes by what is published of a camera; the others are those of `pickenv.orchard.VISIONS`."""
@@ -60,8 +69,11 @@ def make_setting(
     looks: int,
     vision: str = PUBLISHED,
     detector: str = "li2016",
+    order: str = "nearest",
 ) -> PickSetting:
     """Read the presets; ``fruit`` is the mean number of fruit in the section before the arm."""
+    if order not in ORDERS:
+        raise InputError(f"order is {order!r}; give one of {', '.join(ORDERS)}")
     if vision not in (PUBLISHED, *trees.VISIONS):
         raise InputError(f"unknown vision '{vision}'; give one of {', '.join((PUBLISHED, *trees.VISIONS))}")
     whole, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
@@ -83,6 +95,7 @@ def make_setting(
         station=station,
         looks=looks,
         eyes=None if vision == PUBLISHED else trees.load_eyes(vision, section, detector),
+        order=order,
     )
 
 
@@ -219,13 +232,14 @@ class PickScene:
         passed = {stage: int(getattr(self, stage).sum()) for stage in stages}
         return {"present": len(self.rest), **passed, "collected": self.tally()[0]}
 
-    def nearest(self, tool: ArrayLike) -> int | None:
-        """Number of the waiting fruit that was seen nearest to the tool, or None."""
+    def following(self, tool: ArrayLike) -> int | None:
+        """Number of the waiting fruit that comes next, as it was seen and from where the tool is, or None."""
         waiting = np.flatnonzero(self.waiting)
         if not waiting.size:
             return None
-        away = self.seen[waiting] - np.asarray(tool)
-        return int(waiting[np.argmin(np.einsum("ij,ij->i", away, away))])
+        away, along = self.seen[waiting] - np.asarray(tool), ORDERS[self.orchard.order]
+        rank = np.einsum("ij,ij->i", away, away) if along is None else away @ along
+        return int(waiting[np.argmin(rank)])
 
     def advance(self, before: Frame, tool: Frame, target: int | None, dt: float) -> None:
         """Let the fruit swing for ``dt`` seconds, and the tool push what is in its way."""

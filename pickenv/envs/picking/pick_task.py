@@ -34,6 +34,7 @@ def make_pick(
     looks: int = 16,
     vision: str = PUBLISHED,
     detector: str = "li2016",
+    order: str = "nearest",
     arms: str = "fixed",
     tolerances: str = "medium",
     population: int = 256,
@@ -50,7 +51,7 @@ def make_pick(
     check_count("looks", looks)
     drawn: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
     task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **drawn, **situation)
-    return task, make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks, vision, detector)
+    return task, make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks, vision, detector, order)
 
 
 def pick_spaces(task: Task) -> tuple[spaces.Box, spaces.Box]:

@@ -9,11 +9,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pickenv.arm import forward, load_arm, noncompensable_error, pose_error
+from pickenv.arm import displace_pose, forward, load_arm, noncompensable_error, pose_error
 from pickenv.arm.kinematics.forward import chain_of
 from pickenv.calibration import Compensator, random_joints
 from pickenv.calibration.compensation.compensator import NEGLIGIBLE, _Expected, _expected, _nearer, corrected
 from pickenv.errors import InputError
+from tests.calibration.compensation.networks import eight_bit_network
 
 
 def interior(geometry, count, seed=0):
@@ -202,16 +203,19 @@ class Learnt:
         return 1e-4 * np.sin(3.0 * np.asarray(joints)[..., :6])
 
 
-@pytest.mark.parametrize("residual", [None, Learnt()], ids=["geometry", "learnt"])
+@pytest.mark.parametrize("off", [1e-3, 0.3], ids=["an arm nearly right", "an arm far off"])
+@pytest.mark.parametrize("residual", [None, Learnt(), "network"], ids=["geometry", "learnt", "network"])
 @pytest.mark.parametrize("arm", ["qiao2026", "ur5e"])
-def test_the_compiled_compensator_has_the_bits_of_numpy(arm, residual):
+def test_the_compiled_compensator_has_the_bits_of_numpy(arm, residual, off):
     """The picking arm has one lost direction; of UR5e's poses some need the singular value decomposition."""
     pytest.importorskip("llvmlite")
     g = load_arm(arm).nominal
-    plain = Compensator(g, replace(g, a=g.a + 2e-4, theta=g.theta + 1e-3), residual)
+    residual = eight_bit_network(g.joints) if residual == "network" else residual
+    plain = Compensator(g, replace(g, a=g.a + 2e-4, theta=g.theta + off), residual)
     joints = random_joints(g, 900, np.random.default_rng(0))
     joints[:20] = np.where(np.arange(20)[:, None] % 2, g.lower, g.upper)
     np.testing.assert_array_equal(plain.compiled(900)(joints), plain(joints))
+    np.testing.assert_array_equal(plain(joints[7:8]), plain(joints)[7:8])
 
 
 def moved(compensator, one, other):
@@ -220,12 +224,21 @@ def moved(compensator, one, other):
 
 
 def test_many_poses_in_single_precision_are_where_double_puts_them(protocol):
-    compensator = protocol[0].calibration.compensator(single_precision=True)
+    calibration = protocol[0].calibration
+    double = calibration.compensator(fast=False)
+    compensator = replace(double, single_precision=True)
     joints = interior(compensator.nominal, 3000)
-    double = protocol[0].calibration.compensator()(joints)
-    apart = moved(compensator, compensator(joints), double)
+    apart = moved(compensator, compensator(joints), double(joints))
     assert 0 < apart.max() < 1e-6 and apart.mean() < 2e-7
-    assert np.array_equal(protocol[0].calibration.compensate(joints), double)
+    assert np.array_equal(calibration.compensate(joints), calibration.compensator()(joints))
+
+
+def test_what_nobody_waits_for_is_predicted_and_corrected_in_double_precision(protocol):
+    calibration, joints = protocol[0].calibration, interior(protocol[0].calibration.nominal, 50)
+    exact = displace_pose(forward(calibration.identified, joints), calibration.learnt.predict(joints))
+    np.testing.assert_array_equal(calibration.predict(joints).position, exact.position)
+    fast = calibration.compensator().predict(joints).position
+    assert 0 < np.abs(fast - exact.position).max() < 2e-5
 
 
 def test_without_a_residual_too_single_precision_is_a_rounding_and_only_where_it_is_asked_for(qiao):
@@ -276,11 +289,12 @@ class Frozen:
 
 
 @pytest.mark.parametrize("iterations, mean, most", [(1, 3e-6, 20e-6), (2, 2e-6, 15e-6)])
-def test_a_network_evaluated_once_is_enough(protocol, iterations, mean, most):
-    """Of hundreds of micrometres that the network predicts, its change on the way leaves one or two."""
+def test_a_network_evaluated_once_and_in_eight_bits_is_enough(protocol, iterations, mean, most):
+    """Of hundreds of micrometres that the network predicts, its change on the way and its steps leave one or two."""
     compensator = replace(protocol[0].calibration.compensator(), iterations=iterations)
+    exact = protocol[0].calibration.compensator(iterations=iterations, fast=False)
     joints = interior(compensator.nominal, 900)
-    apart = moved(compensator, compensator(joints), converged(compensator, joints))
+    apart = moved(exact, compensator(joints), converged(exact, joints))
     assert apart.mean() < mean and apart.max() < most
 
 

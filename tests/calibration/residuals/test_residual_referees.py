@@ -99,9 +99,8 @@ def test_many_poses_go_through_in_blocks_and_come_out_the_same(monkeypatch):
     monkeypatch.setattr(bpnn, "ROWS", 7)
     np.testing.assert_allclose(network.predict(x), whole, rtol=1e-12)
     np.testing.assert_allclose(network.predict(x[4]), whole[4], rtol=1e-12)
-    fast = replace(network, single_precision=True)
+    fast = replace(network, fast=True)
     assert fast.predict(x).dtype == float and fast.predict(x[0]).dtype == float
-    assert 0 < np.abs(fast.predict(x) - whole).max() < 1e-5
     if is_there("llvmlite"):  # then a pose has the same bits alone, among others and in a copy
         for count in (1, 3, 16, 17):
             np.testing.assert_array_equal(fast.predict(x[5 : 5 + count]), fast.predict(x)[5 : 5 + count])

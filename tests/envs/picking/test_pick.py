@@ -19,6 +19,7 @@ from pickenv.arm.kinematics.pose_error import pose_error
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.calibration import Compensator
 from pickenv.envs.picking.pick import PickEnv
+from pickenv.envs.picking.pick_vector import PickVectorEnv
 from pickenv.errors import InputError
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
@@ -260,9 +261,21 @@ def test_options_place_fruit_and_arm():
     assert min(np.abs(observation[9:12] - fruit).max() for fruit in FRUIT) < 1e-6
 
 
+@pytest.mark.parametrize(("order", "named"), [("nearest", 1), ("lowest", 0), ("highest", 2), ("foremost", 3)])
+def test_fruit_is_named_in_the_order_that_is_asked_for(order, named):
+    """The tool begins at (0.60, -0.77, 0.45), next to the second."""
+    fruit = np.array([[0.75, -0.65, 0.4], [0.6, -0.72, 0.5], [0.85, -0.66, 0.65], [0.75, -0.6, 0.55]])
+    given = {"camera": "perfect", "order": order}
+    env, envs = gym.make("pickenv/Pick-v0", **given), PickVectorEnv(1, **given)
+    for reset in (env.reset, envs.reset):
+        _, info = reset(seed=0, options={"fruit": fruit})
+        assert info["reachable"] == 4 and info["fruit_number"] == named
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        ({"order": "sweetest"}, "order is 'sweetest'; give one of nearest, lowest, highest, foremost"),
         ({"gripper": "tongs"}, "unknown gripper 'tongs'"),
         ({"fruit": 0}, "fruit is 0"),
         ({"looks": 0}, "looks is 0"),

@@ -19,9 +19,7 @@ rungs = pytest.mark.parametrize("difficulty", LADDER)
 
 
 @rungs
-@pytest.mark.parametrize(
-    "name", [each if "Reach" in each else pytest.param(each, marks=pytest.mark.slow) for each in (*IDS, SCALED)]
-)
+@pytest.mark.parametrize("name", (*IDS, SCALED))
 def test_checkers_find_nothing_on_any_rung(name, difficulty):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
