@@ -200,6 +200,13 @@ def test_one_seed_gives_one_campaign_and_its_readings_do_not_hang_on_the_arm():
     assert rng.random() == alone.random()  # what the arm draws takes nothing from who goes on drawing
 
 
+def test_stops_are_drawn_only_where_friction_scatters():
+    calm = replace(ORCHARD, stick_band=replace(ORCHARD.stick_band, scatter=0.0))
+    for plant, drawn in ((ORCHARD, True), (calm, False), (ORCHARD.without(["stick_band"]), False)):
+        stops = normal_draws(plant, 7, np.random.default_rng(0)).stops
+        assert stops.shape == (7, 2, 6) and (len(np.unique(stops)) == 84 if drawn else not stops.any())
+
+
 @pytest.mark.parametrize("backend", ["numpy", "torch"])
 def test_many_arms_at_once_stop_where_each_stops_alone(backend):
     arms, poses = 4, 6
