@@ -14,7 +14,7 @@ from pathlib import Path
 from py_compile import PycInvalidationMode
 
 ROOT = Path(__file__).parents[2]
-LEFT_BEHIND = ("__pycache__", ".git", ".venv", ".*_cache", ".hypothesis", ".benchmarks")
+LEFT_BEHIND = ("__pycache__", ".git", ".venv*", "_build", ".*_cache", ".hypothesis", ".benchmarks")
 """Anywhere in the project; `MADE` is left behind in its root alone, for a package of it may have such a name."""
 MADE = {"runs", "dist"}
 MOST_BYTES = 8 * 2**30
