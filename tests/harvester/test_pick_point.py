@@ -1,12 +1,13 @@
 """Pick points by eqs (7)-(12) and by search, and the zones they serve."""
 
+import sys
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.harvester.pick_point import METHODS, border_indices, pick_point
+from pickenv.harvester.pick_point import METHODS, Search, border_indices, pick_point, searched
 from pickenv.harvester.zones import Grid, cut, load_grid
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
@@ -93,3 +94,17 @@ def test_fruit_above_every_reach_does_not_pull_the_pick_point_away(machine, x):
     near = [[x, -0.9, 1.0], [0.95 * x, -1.0, 1.1]]
     high = [[-x + 0.1 * k, -0.9, 4.0] for k in range(5)]
     assert pick_point(machine, np.array(near + high)).count == 2
+
+
+def test_the_search_starts_with_the_fruits_middle_before_the_arms_at_half_their_reach(machine, monkeypatch):
+    """A search of one point and no width is where it starts: turned by a2, a4 and half a reach off."""
+    monkeypatch.setattr(sys.modules[searched.__module__], "_search", lambda: Search(0.0, 0.0, 1, 1.0))
+    low, high = machine.master.nominal.lower, machine.master.nominal.upper
+    half = (machine.slave.lower[2] + machine.slave.upper[2]) / 2
+    for x, y in ((0.3, -1.3), (-0.4, -1.5), (0.0, -1.4)):
+        fruit = np.array([[x - 0.1, y + 0.05, 1.2], [x + 0.1, y - 0.05, 1.3]])
+        away = np.hypot(x, y)
+        heading, _, reach = searched(machine, fruit)
+        assert low[2] < reach < high[2]
+        assert reach == pytest.approx(away - machine.a4 - half)
+        assert heading == pytest.approx(np.arctan2(y, x) + np.arcsin(machine.a2 / away))

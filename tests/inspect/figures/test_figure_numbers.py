@@ -26,6 +26,7 @@ from pickenv.inspect.figures.field_figure import error_fields, field_gain, round
 from pickenv.inspect.figures.plot_policies import CycleCurve
 from pickenv.inspect.figures.plot_slices import error_slices
 from pickenv.inspect.figures.run_drawings import comparison_drawings
+from pickenv.inspect.figures.style import WIDTH
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 from pickenv.inspect.runs.links import nominal_points
@@ -241,6 +242,7 @@ def test_error_slices() -> None:
 def test_error_fields(comparison: Comparison) -> None:
     figure = error_fields(comparison, gain=40.0)
     *panels, bar = figure.axes
+    assert figure.get_figwidth() == pytest.approx(WIDTH)  # three panels beside each other fill a page
     top = np.percentile(1e3 * np.linalg.norm(comparison.policies[0].field_errors, axis=1), 99)
     assert bar.get_xlim()[1] == pytest.approx(top)
     for axes, policy in zip(panels, comparison.policies, strict=True):

@@ -122,6 +122,13 @@ def test_aggregates_are_numbers_with_their_intervals_and_arrows_where_an_end_is_
             plot_policies.aggregates(nothing)
 
 
+def test_aggregates_of_one_statistic_stand_in_one_column() -> None:
+    line = {"scripted": {"raw": (2.0, (1.5, 2.5)), "LS": (0.5, (0.4, 0.7))}}
+    figure = plot_policies.aggregates({"bare": {"median": line}, "leafy": {"median": line}})
+    assert [title(axes) for axes in figure.axes] == ["bare: median", "leafy: median"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["raw", "LS"]
+
+
 def test_a_harvesters_titles_say_how_wide_how_far_and_how_many() -> None:
     throughput = {"dense": {1: Measure(600, 590, 640)}, "thin": {1: Measure(500, 450, 540), 3: Measure(904, 870, 990)}}
     (axes,) = plot_harvest.throughput_by_arms(throughput).axes

@@ -289,3 +289,20 @@ def test_a_film_goes_into_folders_that_are_made_or_there_and_says_what_it_states
         make_film.film(tmp_path, out)
     with pytest.raises(InputError, match=r"let it end in \.gif or \.mp4"):
         make_film.film(tmp_path, "film.avi")
+
+
+def test_a_film_is_as_dark_as_it_is_asked_to_be_and_tells_how_far_it_is(film_set, tmp_path, monkeypatch):
+    """All that is drawn from is passed on, and light is what nobody asks to be dark."""
+    drawn: list[tuple[object, ...]] = []
+    monkeypatch.setattr(make_film, "read_run", lambda path: SimpleNamespace(kind="comparison"))
+    monkeypatch.setattr(make_film, "load_part", lambda run, part: film_set.episodes)
+    monkeypatch.setattr(make_film, "write_film", lambda pictures, path, fps: None)
+    monkeypatch.setattr(
+        make_film,
+        "film_pictures",
+        lambda episodes, plan, dark=False, progress=None: drawn.append((episodes, plan, dark, progress)),
+    )
+    plan = plan_film(film_set.episodes, (), 2.0, 10)
+    for given, dark, progress in (({}, False, None), ({"dark": True, "progress": print}, True, print)):
+        make_film.film(tmp_path, tmp_path / "film.gif", seconds=2.0, **given)
+        assert drawn.pop() == (film_set.episodes, plan, dark, progress)
