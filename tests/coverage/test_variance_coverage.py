@@ -16,6 +16,7 @@ import pytest
 from pickenv.study.analysis.sensitivity import ARMS_PER_TERM, sensitivities_of
 from pickenv.study.analysis.sobol import LEAST, SAMPLES, sobol_indices
 from pickenv.study.results.variance_indices import variance_indices
+from pickenv.study.running import components
 
 DEVIATIONS = 24
 SLOPES = {0: (1.0, 0.5), 1: (0.5, 0.8), 2: (0.3, 0.0), 3: (0.1, 0.2), 12: (0.2, 0.0)}
@@ -83,7 +84,7 @@ def test_sobol_indices(repeats: Any, samples: int) -> None:
         assert (counts / times >= 0.93 - chance).all() and (counts / times <= 0.97 + chance).all(), (key, counts)
 
 
-@pytest.mark.parametrize("arms", [20, 256])
+@pytest.mark.parametrize("arms", [components.LEAST, components.MOST])
 def test_components(repeats: Any, arms: int) -> None:
     """Arms half, fruit a quarter alone and three eighths in all."""
     times, rng = (4000 if repeats.full else 100), np.random.default_rng(20261125)

@@ -21,8 +21,8 @@ from pickenv.study.design.protocol import Circumstances, Protocol
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.variance_indices import variance_indices
 
-MOST, LEAST = 256, 20
-"""Arms of the design at most, and fewest for which it is made."""
+MOST, LEAST = 256, 30
+"""Arms of the design at most, and fewest for which it is made: of 20 arms intervals of totals hold 92 %."""
 
 
 def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
