@@ -41,8 +41,8 @@ def wanted(choice: str, nvidia: bool) -> tuple[str, str]:
     if choice != "auto":
         return choice, f"{choice} was asked for"
     if nvidia:
-        return "cuda", "a driver by NVIDIA runs here; cpu takes the small build"
-    return "cpu", "no driver by NVIDIA runs here; cuda takes the build with CUDA"
+        return "cuda", "a driver by NVIDIA runs here; asked for cpu, this takes the small build"
+    return "cpu", "no driver by NVIDIA runs here; asked for cuda, this takes the build with CUDA"
 
 
 def pip_calls(build: str, system: str, constraints: str = "constraints.txt") -> list[tuple[str, ...]]:

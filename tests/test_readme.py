@@ -1,5 +1,6 @@
 """What README and the pages behind it print is true: blocks run in order, files exist, numbers are those of Results."""
 
+import json
 import os
 import re
 import shlex
@@ -152,13 +153,26 @@ def test_the_measure_of_sentences_sees_a_long_one() -> None:
 
 @pytest.mark.slow
 def test_every_block_runs_in_order(tmp_path: Path) -> None:
+    """And each door of the README ends with a number that says what calibration is worth."""
+    said = {}
     for language, text in (block for name in RUN for block in blocks(name)):
         if language == "python":
-            run([sys.executable, "-c", text], tmp_path)
+            said[text] = run([sys.executable, "-c", text], tmp_path)
             continue
         for line in text.splitlines():
             if line not in ELSEWHERE:
-                run(shlex.split(line), tmp_path)
+                said[line] = run(shlex.split(line), tmp_path)
+    ten_lines, robot, orchard = (
+        " ".join(said[next(line for line in said if line.startswith(start))].split())
+        for start in ("import gymnasium", "pickenv verify", "pickenv evaluate")
+    )
+    raw, corrected = (float(value) for value in re.findall(r": ([\d.]+) mm", ten_lines))
+    assert 1.5 < raw < 2.5 and corrected < 0.2 * raw
+    (learnt,) = json.loads((tmp_path / "runs/compared/comparison.json").read_text(encoding="utf-8"))["differences"]
+    assert learnt["significant"] and -2.5 < learnt["difference_mm"] < -1.0
+    assert "STILL GOOD" in robot
+    gain, significant = re.search(r"raw to ls (-?[\d.]+) mm \([^)]*\), significant: (\w+)", orchard).groups()
+    assert significant == "yes" and float(gain) < -2.0
 
 
 def test_the_papers_numbers_and_references_are_there() -> None:

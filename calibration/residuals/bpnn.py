@@ -56,15 +56,8 @@ SCALES = ("input_mean", "input_std", "output_mean", "output_std", "loss")
 ROWS = 512
 """Poses that go through the network together: what a core's second cache holds."""
 
-
 SAMPLE = 2000
 """Inputs for which a network's weights are rounded."""
-
-
-def _evenly(count: int, dimensions: int) -> Array:
-    """Points ``(count, dimensions)`` that fill the unit cube evenly: a Kronecker sequence of square roots of primes."""
-    primes = [n for n in range(2, 20 * dimensions + 20) if all(n % k for k in range(2, int(n**0.5) + 1))]
-    return np.asarray(np.outer(np.arange(count) + 0.5, np.sqrt(primes[:dimensions])) % 1.0)
 
 
 def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
@@ -151,10 +144,12 @@ class Bpnn:
         """What runs it in eight bits, where that is wanted and can be."""
         if not (self.fast and is_there("llvmlite")):
             return None
+        from scipy.stats import qmc
+
         from pickenv.calibration.residuals.network_code import CompiledNetwork
 
-        count = len(self.input_mean)
-        spread = np.sqrt(3.0) * (2.0 * _evenly(SAMPLE, count) - 1.0)
+        shares = qmc.Halton(len(self.input_mean), scramble=False).random(SAMPLE)
+        spread = np.sqrt(3.0) * (2.0 * shares - 1.0)
         return CompiledNetwork(rounded_layers(self._scaled, self.input_mean + self.input_std * spread))
 
     def arrays(self) -> dict[str, Array]:
