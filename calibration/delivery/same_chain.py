@@ -9,6 +9,7 @@ before other axes have said where it stands, joints must read alike in both. Met
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from collections.abc import Iterator
@@ -153,8 +154,8 @@ def _fits(
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
     """Where the first axes agree: as the frames are, then with all axes laid upon all, then the first upon the first.
 
-    About the first axis the second then says where; along it both begin at the foot of their common normal. Of an arm
-    that begins with a slide joints read alike.
+    About the first axis the second then says where; along it the first axis that is not parallel. Of an arm that begins
+    with a slide joints read alike.
     """
     wanted = _Axis(theirs[0].point, turn * theirs[0].direction, theirs[0].slides)
     if mine[0].same(wanted):
@@ -164,13 +165,32 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
     if mine[0].slides:
         return
     rotation, _ = Rotation.align_vectors(wanted.direction[None], mine[0].direction[None])
-    laid = Pose(wanted.point - rotation.as_matrix() @ mine[0].point, rotation.as_matrix())
+    rise = turn * _height(theirs) - _height(mine)
+    laid = Pose(wanted.point + rise * wanted.direction - rotation.as_matrix() @ mine[0].point, rotation.as_matrix())
     yield laid
     if len(mine) == 1:
         return
     for second in (1.0, -1.0):
         other = _Axis(theirs[1].point, second * theirs[1].direction, theirs[1].slides)
         yield behind(_along(wanted, _value(wanted, mine[1].moved(laid), other)), laid)
+
+
+def _height(axes: list[_Axis]) -> float:
+    """How far along the first axis, from its point, the chain leaves it; 0 where it does not, or where a slide does.
+
+    It leaves at the common normal of the last axis that is parallel to it and the next one, whatever the joints read.
+    """
+    first = axes[0]
+    for last, following in itertools.pairwise(axes):
+        if following.slides:
+            return 0.0
+        across, gap = _across(following.direction, last), following.point - last.point
+        if np.linalg.norm(across) > TURNED:
+            along = (gap @ last.direction - (gap @ following.direction) * (last.direction @ following.direction)) / (
+                across @ across
+            )
+            return float((last.point + along * last.direction - first.point) @ first.direction)
+    return 0.0
 
 
 def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:

@@ -105,20 +105,22 @@ def run_policies(sizes: Sizes, runs: Path, workers: int) -> PolicyGrid:
     return by_plant(PLANTS, sizes, runs, workers, policies=POLICIES)
 
 
-def by_plant(plants: Mapping[str, tuple[str, ...]], sizes: Sizes, runs: Path, workers: int, **what: Any) -> PolicyGrid:
+def by_plant(
+    plants: Mapping[str, tuple[str, ...]], sizes: Sizes, runs: Path, workers: int, seed: int = 0, **what: Any
+) -> PolicyGrid:
     """One comparison of plants that have compensations of their own."""
     grids = [
-        run_grid(settings_of(sizes, plants=(plant,), compensations=keys, **what), runs, workers=workers)
+        run_grid(settings_of(sizes, seed, plants=(plant,), compensations=keys, **what), runs, workers=workers)
         for plant, keys in plants.items()
     ]
     settings = replace(grids[0].settings, plants=tuple(plants), compensations=MODELS)
     return PolicyGrid(settings, tuple(cell for grid in grids for cell in grid.cells), grids[0].grippers)
 
 
-def run_ideal(sizes: Sizes, runs: Path) -> PolicyGrid:
+def run_ideal(sizes: Sizes, runs: Path, seed: int = 0) -> PolicyGrid:
     """Least squares from the ideal instrument, scripted policy."""
     settings = settings_of(
-        sizes, policies=("scripted",), feedback=("encoders",), plants=IDEAL_ON, compensations=("ls",)
+        sizes, seed, policies=("scripted",), feedback=("encoders",), plants=IDEAL_ON, compensations=("ls",)
     )
     return run_grid(replace(settings, protocol=replace(settings.protocol, instrument="ideal")), runs)
 
@@ -208,9 +210,21 @@ def success_table(grid: PolicyGrid) -> list[str]:
     return [*lines, ""]
 
 
-def run_adaptive(sizes: Sizes, runs: Path) -> PolicyGrid:
+def run_adaptive(sizes: Sizes, runs: Path, seed: int = 0) -> PolicyGrid:
     """The policy that calibrates while it picks."""
-    return by_plant(ADAPTIVE, sizes, runs, 1, policies=("adaptive",), feedback=("camera",))
+    return by_plant(ADAPTIVE, sizes, runs, 1, seed, policies=("adaptive",), feedback=("camera",))
+
+
+def adapted(grid: PolicyGrid, plant: str) -> dict[str, Estimate]:
+    """From raw arms of a plant: the first pick, the second half of the picks, and the change, mm."""
+    errors = grid.cell("adaptive", "raw", "camera", plant).errors_mm
+    later = errors[:, :, grid.settings.episodes // 2 :]
+    change = later.mean(axis=2, keepdims=True) - errors[:, :, :1]
+    return {
+        "first pick": mean_over_arms(errors[:, :, :1]),
+        "second half": mean_over_arms(later),
+        "change": mean_over_arms(change),
+    }
 
 
 def adaptive_finding(grid: PolicyGrid) -> Finding:
@@ -235,9 +249,9 @@ def adaptive_finding(grid: PolicyGrid) -> Finding:
         )
         for cell in grid.cells:
             errors = cell.errors_mm
-            found = [_of(mean_over_arms(errors[:, :, part])) for part in parts.values()]
+            means = [_of(mean_over_arms(errors[:, :, part])) for part in parts.values()]
             lines.append(
-                f"| {cell.plant} | {policy_label(cell.compensation)} | {' | '.join(found)} | {errors.max():.1f} |"
+                f"| {cell.plant} | {policy_label(cell.compensation)} | {' | '.join(means)} | {errors.max():.1f} |"
             )
             axes.plot(
                 np.arange(1, settings.episodes + 1),
@@ -250,11 +264,10 @@ def adaptive_finding(grid: PolicyGrid) -> Finding:
         figure.legend(loc="outside right center")
     said = []
     for plant in ADAPTIVE:
-        errors = grid.cell("adaptive", "raw", "camera", plant).errors_mm
-        later = errors[:, :, half:]
-        gain = mean_over_arms(later.mean(axis=2, keepdims=True) - errors[:, :, :1])
+        found = adapted(grid, plant)
+        gain = found["change"]
         said.append(
-            f"on `{plant}` at {_of(mean_over_arms(errors[:, :, :1]))} mm and leaves {_of(mean_over_arms(later))} mm, "
+            f"on `{plant}` at {_of(found['first pick'])} mm and leaves {_of(found['second half'])} mm, "
             f"a change of {gain.value:+.2f} ({interval_words(gain.ci95, 2, sign='+') or gain.missing}) mm"
         )
     sentence = (
@@ -318,7 +331,7 @@ def main() -> None:
             said = reality_sentence(grid, ideal)
             findings.append(Finding(title, said, "reality", reality_figure(grid, ideal), reality_tables(grid, ideal)))
         elif name == "noise" and grid is not None:
-            noise = [run_noise(settings_of(sizes), grid, plant) for plant in SWEPT]
+            noise = [run_noise(settings_of(sizes), grid, plant, gains) for plant, gains in SWEPT.items()]
             title = "Open loop calibrated against closed loop raw"
             findings.append(Finding(title, noise_sentence(noise), "noise", noise_figure(noise), noise_tables(noise)))
         elif name == "adaptive":

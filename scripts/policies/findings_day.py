@@ -95,10 +95,15 @@ def day_figure(day: Day) -> Figure:
     return figure
 
 
+def day_changes(day: Day) -> tuple[Estimate, Estimate]:
+    """What the workshop changes, and what the filter changes after it, mm."""
+    raw, fixed, adapted = (day.errors_mm[name][:, None] for name in METHODS)
+    return mean_over_arms(fixed - raw), mean_over_arms(adapted - fixed)
+
+
 def day_sentence(day: Day) -> str:
     """What the figure says."""
-    raw, fixed, adapted = (day.errors_mm[name][:, None] for name in METHODS)
-    gained, saved = mean_over_arms(fixed - raw), mean_over_arms(adapted - fixed)
+    gained, saved = day_changes(day)
     return (
         f"Over {DAY_HOURS:g} h in which the arms of `orchard` warm up and the machine tilts and sinks, a calibration "
         f"in the workshop changes the mean error by {_change(gained)} mm, and a filter that sees the tool once per "

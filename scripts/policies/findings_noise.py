@@ -63,8 +63,8 @@ def _log_crossing(table: Array) -> float:
     return float(x[i] - gap[i] * (x[i + 1] - x[i]) / (gap[i + 1] - gap[i]))
 
 
-def run_noise(settings: GridSettings, grid: PolicyGrid, plant: str) -> Noise:
-    """Sweep the camera's noise on raw arms of a plant."""
+def run_noise(settings: GridSettings, grid: PolicyGrid, plant: str, gains: tuple[float, ...]) -> Noise:
+    """Sweep the camera's noise on raw arms of a plant, once for each gain of the servo."""
 
     def errors(gain: float, rmse: float) -> Array:
         found = roll_out(
@@ -84,7 +84,7 @@ def run_noise(settings: GridSettings, grid: PolicyGrid, plant: str) -> Noise:
     return Noise(
         plant=plant,
         open_loop={key: cell.errors_mm.mean(axis=(1, 2)) for key, cell in cells.items()},
-        servo={gain: np.stack([errors(gain, rmse) for rmse in RMSE_MM], axis=1) for gain in SWEPT[plant]},
+        servo={gain: np.stack([errors(gain, rmse) for rmse in RMSE_MM], axis=1) for gain in gains},
     )
 
 
@@ -133,10 +133,14 @@ def noise_sentence(swept: list[Noise]) -> str:
     )
 
 
+def at_camera(noise: Noise) -> Array:
+    """What the servo that averages most leaves of each arm ``(arms,)``, mm, with a camera of `CAMERA_MM`."""
+    return noise.servo[GAINS[-1]][:, int(np.argmin(np.abs(RMSE_MM - CAMERA_MM)))]
+
+
 def _said_of(noise: Noise) -> str:
     """One plant in words."""
-    at = int(np.argmin(np.abs(RMSE_MM - CAMERA_MM)))
-    servo, ls = noise.servo[GAINS[-1]][:, at], noise.open_loop["ls"]
+    servo, ls = at_camera(noise), noise.open_loop["ls"]
     wins = [f"{_said(noise.crossing(GAINS[-1], key))} mm against {policy_label(key)}" for key in ("ls", "best")]
     return (
         f"on `{noise.plant}` {with_interval(float(servo.mean()), mean_interval(servo), 2)} mm against "

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from pickenv.agents.evaluation.statistics import MANY
 from pickenv.intervals import LEAST, LEAST_RUNS
 from pickenv.orchard.gripper import capture_probability, load_gripper
 from tests.agents.synthetic import FRUIT, grid_of
@@ -44,10 +45,12 @@ def test_errors_over_arms(repeats: Any, key: str, count: int) -> None:
     repeats.check(lambda rng: grid_of(arms_of(rng, count, 2.0)).rows()[0][key], truth, most, share=0.1)
 
 
-@pytest.mark.parametrize(("typical_mm", "most"), [(4.0, 1.0), (15.0, 0.97)])
-def test_success_over_arms(repeats: Any, typical_mm: float, most: float) -> None:
+@pytest.mark.parametrize("typical_mm", [4.0, 15.0, 30.0])
+@pytest.mark.parametrize(("arms", "most"), [(LEAST, 1.0), (MANY, 0.97), (64, 0.97)])
+def test_success_over_arms(repeats: Any, arms: int, most: float, typical_mm: float) -> None:
+    """Chances vary less than tries, so that few arms have intervals on the safe side."""
     truth = chance_of_the_hand(typical_mm)
-    repeats.check(lambda rng: grid_of(arms_of(rng, 64, typical_mm)).rows()[0]["success_ci95"], truth, most, share=0.1)
+    repeats.check(lambda rng: grid_of(arms_of(rng, arms, typical_mm)).rows()[0]["success_ci95"], truth, most, share=0.1)
 
 
 def test_differences_of_compensations(repeats: Any) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pickenv.envs.harvesting import harvest_batch as batch
+from pickenv.envs.harvesting.harvest_batch import distances
 from pickenv.envs.harvesting.harvest_env import HarvestEnv
 from pickenv.envs.harvesting.harvest_task import harvest_spaces, make_harvest_task
 from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
@@ -378,6 +379,22 @@ def test_fruit_and_joints_are_as_asked_for_alone_and_among_many():
     np.testing.assert_array_equal(several.state.fruit, each)
     still = np.zeros((2, env.task.machine.joints))
     np.testing.assert_array_equal(several.step(still)[0][0], env.step(still[0])[0])
+
+
+@pytest.mark.parametrize(("swing", "apart"), [(0.11, 0.160), (0.164, 0.066)])
+def test_arms_may_not_begin_nearer_than_the_guard_lets_them(swing, apart):
+    """Two long slaves swung towards one another; the guard keeps 0.1 m between their centre lines."""
+    env = HarvestEnv(fruit=3)
+    env.reset(seed=0)
+    start = env.state.joints[0].copy()
+    start[4:6], start[7:9] = (-swing, 0.868), (swing, 0.868)
+    assert distances(env.task, start[None])[0] == pytest.approx(apart, abs=1e-3)
+    if apart > 0.1:
+        env.reset(seed=0, options={"start_joints": start})
+        np.testing.assert_array_equal(env.state.joints[0], start)
+    else:
+        with pytest.raises(InputError, match="start_joints brings two arms nearer than the guard lets them"):
+            env.reset(seed=0, options={"start_joints": start})
 
 
 @pytest.mark.parametrize(

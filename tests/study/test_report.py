@@ -188,6 +188,19 @@ def test_the_sensitivities_of_the_raw_arm_are_those_of_its_geometry(found):
         assert all(share[chief]["share_low"] > share[kind]["share_high"] for kind in kinds - {chief})
 
 
+def test_each_share_of_the_page_is_named_for_what_it_is_of(folder, found):
+    """Kinds of tolerance as a whole first, in order of size; then single parameters, the largest."""
+    words = " ".join(re.sub(r"<[^>]+>", " ", study_page(folder, found)).split())
+    for table in found.sensitivities.values():
+        every = table.to_pylist()
+        for level, before in (("kind", "all "), ("parameter", "")):
+            row = next(row for row in every if row["level"] == level)
+            ends = f"{100 * row['share_low']:.1f} to {100 * row['share_high']:.1f}"
+            square = f"{row['mean_square_mm2']:.4f}"
+            said = f"{before}{row['parameter']} {100 * row['share']:.1f} {ends} {square}"
+            assert f" {said} " in words, said
+
+
 def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
     """Beside each arm of the population, at that arm's own fruit."""
     protocol, rows = prepared_study(found.config), read_rows(folder)

@@ -127,6 +127,16 @@ def test_a_share_that_chance_alone_may_give_has_an_interval_from_zero():
         assert (low <= 0.0) == begins_at_zero and high > 0.0 and low <= share - chance <= high
 
 
+def test_what_chance_explains_is_taken_off_whole():
+    """Of deviations without effect, two terms each: 2 / (arms - 1) of the variance, no more or less."""
+    rng, shares = np.random.default_rng(0), []
+    for _ in range(60):
+        x, z = rng.uniform(-1, 1, (2, 120))
+        rows = sensitivities_of(rows_of({"delta_a0_mm": x, "delta_a1_mm": z}, 4.0 + rng.normal(size=120))).to_pylist()
+        shares += [row["share"] for row in rows if row["level"] == "parameter"]
+    assert abs(np.mean(shares)) < 4.0 * np.std(shares) / np.sqrt(len(shares)) < 1 / 119
+
+
 def test_r2_is_adjusted_for_its_terms():
     """By its formula, with two deviations and so four terms and a constant."""
     x, z = even(200, 2).T

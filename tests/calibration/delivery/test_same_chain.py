@@ -32,6 +32,18 @@ def test_other_roots_zeros_and_signs_are_found(told_otherwise, seed, name):
     np.testing.assert_allclose(turn, np.broadcast_to(turn[0], turn.shape), atol=1e-9)
 
 
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_an_arm_whose_first_axes_are_parallel_is_found(told_otherwise, seed):
+    """Such as a SCARA's: the second axis' place, and no direction, says where the first joint is zero."""
+    rng, ur5 = np.random.default_rng(seed), load_arm("ur5").nominal
+    alpha, a = ur5.alpha.copy(), ur5.a.copy()
+    alpha[1], a[1] = 0.0, 0.4
+    arm = replace(ur5, alpha=alpha, a=a)
+    same = same_chain(arm, told_otherwise(arm, rng, False), "robot.urdf", "scara")
+    assert same.apart[0] < 1e-8 and same.apart[1] < 1e-8
+
+
 @pytest.mark.parametrize("name", ARMS)
 def test_an_arm_told_alike_reads_alike(name):
     arm = load_arm(name).nominal

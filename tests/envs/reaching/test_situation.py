@@ -53,6 +53,11 @@ def test_readings_arrive_late_and_the_truth_does_not(latency):
         assert one["noncompensable_deg"] == other["noncompensable_deg"]
 
 
+def test_every_lag_of_a_range_is_as_late_as_it_says():
+    lags = [among(range(4), trial(seed)[0][:, :9], trial(seed, latency=[0, 2])[0][:, :9]) for seed in range(8)]
+    assert {lag for (lag,) in lags} == {0, 1, 2}
+
+
 @pytest.mark.parametrize("delay", [1, 4, [2, 3]], ids=str)
 def test_actions_take_effect_late(delay):
     _, now = trial()
