@@ -8,7 +8,8 @@ difference (same arms, so paired) that leaves zero out? Studies go on where they
 
 The settings of a seed share its arms, so that one unusual draw of arms misses in most settings at once: of six seeds
 two such leave 76 % of the intervals of tolerance_grades.toml. Whether intervals are too narrow is told by how much
-yields vary between seeds, against independent arms, and by more seeds of fewer arms: --arms 250 --seeds 1 2 3 ...
+yields vary between seeds, against independent arms, by more groups of six seeds (--group 6 --seeds 0 1 2 3 ...), and by
+more seeds of fewer arms (--arms 250).
 """
 
 from __future__ import annotations
@@ -140,20 +141,43 @@ def sentence(name: str, seeds: Sequence[int], found: Agreement) -> str:
     )
 
 
+def in_groups(config: StudyConfig, seeds: Sequence[int], size: int, out: Path) -> list[Agreement]:
+    """The seeds in groups of so many, one after the other, each compared within itself."""
+    return [agreement(config, seeds[first : first + size], out) for first in range(0, len(seeds), size)]
+
+
+def sentence_of_groups(name: str, size: int, found: Sequence[Agreement]) -> str:
+    """How many intervals hold in groups of seeds, in words."""
+    shares = np.array([100 * each.held / each.intervals for each in found])
+    low, high = mean_interval(shares, least=2) or (shares.min(), shares.max())
+    apart = sum(each.contradicted for each in found)
+    return (
+        f"{name}, {len(found)} groups of {size} seeds: {shares.mean():.0f} % of yield intervals (95 % interval over "
+        f"groups {low:.0f} to {min(high, 100.0):.0f}; least {shares.min():.0f}, most {shares.max():.0f}) hold the mean "
+        f"of their group's other seeds; of {sum(each.pairs for each in found)} pairs of grades or numbers of poses "
+        f"{apart} change their order with intervals that exclude one another"
+    )
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("configs", type=Path, nargs="+", help="studies (.toml)")
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(6)))
     parser.add_argument("--arms", type=int, help="the study's own number when left out")
+    parser.add_argument("--group", type=int, help="compare the seeds in groups of so many; all at once when left out")
     parser.add_argument("--out", type=Path, default=Path("runs/seeds"))
     arguments = parser.parse_args()
     for path in arguments.configs:
         config = load_study(path)
         if arguments.arms:
             config = replace(config, arms=arguments.arms)
-        found = agreement(config, arguments.seeds, arguments.out / path.stem)
-        print(sentence(path.stem, arguments.seeds, found), flush=True)
+        out = arguments.out / path.stem
+        if arguments.group:
+            found = in_groups(config, arguments.seeds, arguments.group, out)
+            print(sentence_of_groups(path.stem, arguments.group, found), flush=True)
+        else:
+            print(sentence(path.stem, arguments.seeds, agreement(config, arguments.seeds, out)), flush=True)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from study_seeds import agreement, sentence
+from study_seeds import agreement, in_groups, sentence, sentence_of_groups
 
 from pickenv.errors import InputError
 from pickenv.files import write_text
@@ -31,6 +31,8 @@ PAGE = ROOT / "docs" / "tolerance-studies.md"
 MARKS = ("<!-- tables: python scripts/studies/tolerance_docs.py -->", "<!-- end of tables -->")
 STUDIES = ("tolerance_grades", "tolerance_study")
 SEEDS = tuple(range(6))
+GROUPS = 10
+"""Groups of as many seeds, the first of them `SEEDS`, in which the quicker study is run."""
 MATTERS = 6
 """Parameters in the table of shares."""
 
@@ -125,6 +127,9 @@ def printed(out: Path) -> str:
     for name in STUDIES:
         config = load_study(ROOT / "scripts" / f"{name}.toml")
         said.append("- " + sentence(f"`{name}.toml`", SEEDS, agreement(config, SEEDS, out / name)))
+        if name == STUDIES[0]:
+            groups = in_groups(config, range(GROUPS * len(SEEDS)), len(SEEDS), out / name)
+            said.append("- " + sentence_of_groups(f"`{name}.toml`", len(SEEDS), groups))
         found[name] = gather(out / name / f"seed-{SEEDS[0]}")
     first, second = (found[name] for name in STUDIES)
     save_figure(yield_curves(first.yields, "it_grade", specified(first.config)), ROOT / "docs/images/study-grades.png")

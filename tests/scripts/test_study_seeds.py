@@ -5,7 +5,7 @@ import importlib
 import numpy as np
 import pytest
 
-from pickenv.intervals import share_interval
+from pickenv.intervals import mean_interval, share_interval
 
 
 @pytest.fixture
@@ -63,6 +63,18 @@ def test_yields_of_independent_arms_vary_as_by_chance_and_those_of_seeds_that_di
     assert 0.91 < inside / 300 < 0.985
     assert script.seeds_agree(*made(rng, [0.5, 0.4], 30, 1000, apart=0.05)).dispersion > 3.0
     assert script.seeds_agree(*made(rng, [0.0, 1.0], 3, 20)).dispersion is None
+
+
+def test_groups_of_seeds_are_compared_each_within_itself(script, monkeypatch):
+    asked = []
+    monkeypatch.setattr(script, "agreement", lambda config, seeds, out: asked.append(list(seeds)) or seeds[0])
+    assert script.in_groups(None, range(6), 3, None) == [0, 3] and asked == [[0, 1, 2], [3, 4, 5]]
+    found = [script.Agreement(held, 20, 0, apart, 9, 1.0) for held, apart in ((12, 0), (16, 2), (17, 1))]
+    said = script.sentence_of_groups("grades", 3, found)
+    assert said.startswith("grades, 3 groups of 3 seeds: 75 % of yield intervals (95 % interval over groups ")
+    assert "; least 60, most 85) hold" in said and "of 27 pairs of grades or numbers of poses 3 change" in said
+    low, _ = mean_interval([60.0, 80.0, 85.0], least=2)
+    assert f"over groups {low:.0f} to 100;" in said
 
 
 def test_the_words_hold_the_counts(script):
