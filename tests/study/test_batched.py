@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import TOLERANCES
@@ -71,6 +72,19 @@ def test_ordinary_arms_are_finished_in_the_batch(study_file, monkeypatch):
             alone = judge_batch(protocol, setting, protocol.draw(setting, range(1)), given[:1])
             assert alone.position.shape == (1, protocol.config.fruit)
     assert not handed
+
+
+@pytest.mark.parametrize("rows", [12, 5])
+def test_what_most_arms_identify_is_kept_and_who_they_are_is_known(rows):
+    """By the rank of the columns so far, NumPy's; a column that others make up is left out, and what is beyond rank."""
+    rng = np.random.default_rng(rows)
+    matrices = rng.normal(size=(7, rows, 6))
+    matrices[:, :, 3] = matrices[:, :, 0] - 2.0 * matrices[:, :, 1]
+    matrices[2, :, 3], matrices[2, :, 4] = rng.normal(size=rows), 3.0 * matrices[2, :, 1]
+    kept, usual = batched_identification._usual_parameters(torch.as_tensor(matrices))
+    rank = [0, *(np.linalg.matrix_rank(matrices[0, :, : k + 1]) for k in range(6))]
+    np.testing.assert_array_equal(kept, [k for k in range(6) if rank[k + 1] > rank[k]])
+    np.testing.assert_array_equal(usual, np.arange(7) != 2)
 
 
 def test_no_tracker_enters_where_none_errs(study_file, monkeypatch):
