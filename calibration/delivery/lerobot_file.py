@@ -106,7 +106,7 @@ def onto_lerobot(found: JointOffsets, path: Path) -> Document:
             )
         left, moved = max(left, abs(exact - round(exact))), max(moved, abs(round(exact)))
         pattern = rf'({re.escape(json.dumps(name))}\s*:\s*\{{[^{{}}]*?"homing_offset"\s*:\s*)-?\d+'.encode()
-        data, written = re.subn(pattern, rb"\g<1>" + str(homing).encode(), data, count=1)
+        data, written = re.subn(pattern, rb"\g<1>" + str(homing).encode(), data)
         if not written:
             raise InputError(
                 f"{path}: the homing_offset of '{shortened(name)}' is not where LeRobot writes it; save it anew"
