@@ -144,6 +144,37 @@ def test_a_bad_model_is_one_sentence(model, made, tmp_path, old, new, said):
     assert "\n" not in str(found.value) and not (tmp_path / "out.xml").exists()
 
 
+@pytest.mark.parametrize(
+    ("compiler", "wanted"),
+    [
+        ('meshdir="parts"', "parts/a/m.stl"),
+        ('assetdir="parts"', "parts/a/m.stl"),
+        ('meshdir="parts" assetdir="other" strippath="true"', "parts/m.stl"),
+        ('meshdir="parts" strippath="false"', "parts/a/m.stl"),
+        ("", "a/m.stl"),
+    ],
+)
+def test_meshes_are_looked_for_where_mujoco_finds_them(model, made, tmp_path, compiler, wanted):
+    calibration = made(load_arm(f"{model}#end"), np.random.default_rng(0))
+    asset = '<asset><mesh name="m" file="a/m.stl"/></asset>'
+    model.write_text(MODEL.replace("</worldbody>", f"</worldbody><compiler {compiler}/>{asset}"))
+    with pytest.raises(InputError, match=re.escape(f"names '{wanted}', which is not there")):
+        export(calibration, tmp_path / "out.xml", onto=f"{model}#end")
+    (tmp_path / wanted).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / wanted).write_bytes(b"")
+    export(calibration, tmp_path / "out.xml", onto=f"{model}#end")
+
+
+def test_a_file_that_includes_one_is_not_written_where_that_is_not(model, made, tmp_path):
+    calibration = made(load_arm(f"{model}#end"), np.random.default_rng(0))
+    (tmp_path / "more.xml").write_text("<mujoco/>")
+    model.write_text(MODEL.replace("</worldbody>", '</worldbody><include file="more.xml"/>'))
+    (tmp_path / "elsewhere").mkdir()
+    with pytest.raises(InputError, match=r"would not find 'more\.xml' from where it stands"):
+        export(calibration, tmp_path / "elsewhere" / "out.xml", onto=f"{model}#end")
+    export(calibration, tmp_path / "out.xml", onto=f"{model}#end")
+
+
 def test_two_joints_of_one_body_cannot_both_be_corrected(tmp_path, made):
     path = tmp_path / "arm.xml"
     path.write_text(MODEL.replace(LIFT, TWIST))
