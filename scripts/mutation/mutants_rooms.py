@@ -247,7 +247,11 @@ ROOMS = {
         most=SECOND,
     ),
     "sight": room(
-        "pickenv/orchard", "circles sight sight_errors", "tests/orchard", "circle_matches circles sight", most=SECOND
+        "pickenv/orchard",
+        "circles sight sight_errors",
+        "tests/orchard",
+        "circle_steps circle_matches circles sight_tables sight",
+        most=SECOND,
     ),
     "conditions": room(
         "calibration/pipeline", "conditions_study", "tests/calibration/pipeline", "conditions", most=SECOND
