@@ -196,7 +196,8 @@ ROOMS = {
         "calibration",
         "model/stacked identification/starts pipeline/restation pipeline/verification pipeline/given",
         "tests/calibration",
-        "reading/kinds_of_files model/pixels pipeline/verification model/stacked pipeline/instruments",
+        "pipeline/given_rows pipeline/restation_figures reading/kinds_of_files model/pixels pipeline/verification "
+        "model/stacked pipeline/instruments",
         most=SECOND,
     ),
     "kinds": room(
