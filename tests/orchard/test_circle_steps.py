@@ -193,11 +193,16 @@ def test_edges_at_the_limits_of_a_fit():
     assert _fitted(SEARCH, edges, *start) == start
     edges.slopes[0] = [-0.81, 0.586]
     assert _fitted(SEARCH, edges, *start) != start
-    many = np.concatenate([np.zeros(10), np.linspace(1.0, 5.0, 40)])
-    for last in (14.99, 15.0, 16.0):  # edges that come in as the circle grows, but not from too far
-        length = np.concatenate([np.full(10, last), np.full(20, 12.4), np.full(20, 14.5)])
-        edges = around([30.0, 20.0], many, length)
-        assert _fitted(SEARCH, edges, *start) == pytest.approx(by_rounds(edges, *start), abs=1e-7)
+    for last, moved_by in ((14.99, True), (15.0, False), (16.0, False)):  # they come near as the circle grows
+        apart = [np.arange(n) * 2 * np.pi / n for n in (20, 200, 4 if last == 15.0 else 300)]
+        length = np.concatenate([np.full(len(a), size) for a, size in zip(apart, (12.4, 14.0, last), strict=True)])
+        edges = around([30.0, 20.0], np.concatenate(apart), length)
+        if last == 15.0:
+            edges.places[-4:] = [[45.0, 20.0], [15.0, 20.0], [30.0, 35.0], [30.0, 5.0]]  # to the last digit
+        found = _fitted(SEARCH, edges, *start)
+        fewer = _fitted(SEARCH, _Edges(edges.places[:220], edges.slopes[:220]), *start)
+        assert found == pytest.approx(by_rounds(edges, *start), abs=1e-7)
+        assert (abs(found[2] - fewer[2]) > 0.1) == moved_by and (moved_by or found == fewer)
     small = around([30.0, 20.0], np.linspace(0.0, 5.0, 9), np.full(9, 0.6))
     assert _fitted(SEARCH, small, 30.1, 20.0, 1.0) == pytest.approx(by_rounds(small, 30.1, 20.0, 1.0), abs=1e-7)
 
