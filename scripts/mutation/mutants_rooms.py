@@ -132,7 +132,7 @@ ROOMS = {
         "pickenv/harvester",
         "assignment rules optimiser pick_point true_machine zones",
         "tests/harvester",
-        "plans_by_hand clock_by_hand pick_point true_machine assignment",
+        "plans_by_hand search_by_hand clock_by_hand pick_point true_machine assignment",
     ),
     "policies": room(
         "agents/policies", "servo adaptive scripted", "tests/agents", "policies_by_hand scripted policies learned"
