@@ -14,7 +14,7 @@ from pickenv.harvester import optimiser, rules
 from pickenv.harvester.assignment import assign
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.optimiser import _ticks, cp_sat, local_search
-from pickenv.harvester.pick_point import Search, _point_costs, _search, pick_heading, pick_point, searched
+from pickenv.harvester.pick_point import Search, _heights, _point_costs, _search, pick_heading, pick_point, searched
 from pickenv.harvester.rules import lower_bound
 from pickenv.harvester.true_machine import Controller, Nominal, load_true_machine
 from pickenv.harvester.work import Work, timetable
@@ -248,6 +248,28 @@ def test_the_search_tries_a_grid_and_once_more_a_finer_one_around_the_best(machi
         expected = np.clip([[turn, 0.0, reach] for turn in turns for reach in reaches], low, high)
         np.testing.assert_allclose(masters[:, [0, 2]], expected[:, [0, 2]], atol=1e-12)
     np.testing.assert_array_equal(found[[0, 2]], second[finer.min(axis=1).argmin()][[0, 2]])
+
+
+def test_a_height_reaches_the_fruit_within_the_slide_also_at_its_very_ends(machine, monkeypatch):
+    """Of fruit over more than a slide's stroke; heights at which a fruit is at an end of the slide are among them."""
+    asked = []
+
+    def noted(machine, masters, fruit, inside):
+        asked.append(inside)
+        return _point_costs(machine, masters, fruit, inside)
+
+    monkeypatch.setattr(POINTS, "_point_costs", noted)
+    low, high = machine.slave.lower[0], machine.slave.upper[0]
+    z = np.array([1.0, 1.1, 1.25, 1.2 + high - low, 1.3 + high - low])
+    fruit = np.column_stack([np.linspace(-0.2, 0.2, 5), np.full(5, -1.3), z])
+    found = pick_point(machine, fruit)
+    heights = _heights(machine, fruit)
+    slide = z - machine.d1 - heights[:, None]
+    expected = (slide > low - 1e-6) & (slide < high + 1e-6)
+    assert (np.abs(slide - low) < 1e-9).any() and (np.abs(slide - high) < 1e-9).any() and not expected.all(axis=1).any()
+    for inside in asked:
+        np.testing.assert_array_equal(inside, expected)
+    assert found.count == 3
 
 
 def test_fruit_at_the_very_end_of_an_arms_turn_or_stretch_is_reached():
