@@ -96,8 +96,8 @@ def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> li
 
 def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
     """What puts an element right behind a start tag, on a line as the next one has it."""
-    space = re.compile(rb"\s*").match(data, tag.end)
-    return Edit(tag.end, tag.end, (space[0] if space else b"") + element.encode())
+    rest = data[tag.end :]
+    return Edit(tag.end, tag.end, rest[: len(rest) - len(rest.lstrip())] + element.encode())
 
 
 def edited(data: bytes, edits: Iterable[Edit]) -> bytes:

@@ -8,6 +8,7 @@ circles. Units: m, px. Needs scikit-image.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -94,9 +95,9 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> Circles:
 
     require("skimage")
     difference = red_minus_green(image)
-    mask = np.asarray(ndimage.gaussian_filter(difference, search.blur) > fruit_threshold(difference), dtype=bool)
+    mask = np.asarray(ndimage.gaussian_filter(difference, search.blur) > fruit_threshold(difference))
     found: list[tuple[float, float, float]] = []
-    if mask.any() and not mask.all():
+    if mask.any():
         edges = _edges(search, difference, mask)
         for column, row, radius in _voted(search, edges, (mask.shape[0], mask.shape[1])):
             if _taken(found, column, row, radius):
@@ -166,7 +167,7 @@ def _fitted(search: CircleSearch, edges: _Edges, column: float, row: float, vote
     places, slopes = edges.places[near], edges.slopes[near]
     for _ in range(ROUNDS):
         out = places - centre
-        distance = np.maximum(np.hypot(*out.T), 1e-9)
+        distance = np.hypot(*out.T)
         miss = distance - radius
         rim = (np.abs(miss) < search.rim) & (-(slopes * out).sum(axis=1) > AHEAD * distance)
         if rim.sum() < LEAST_EDGES:
@@ -185,8 +186,8 @@ def _fitted(search: CircleSearch, edges: _Edges, column: float, row: float, vote
 
 def _window(shape: tuple[int, ...], column: float, row: float, reach: float) -> tuple[Integers, Integers, Array]:
     """Rows and columns of the image around a point, and their distances from it."""
-    rows = np.arange(max(int(row - reach), 0), min(int(row + reach) + 2, shape[0]))
-    columns = np.arange(max(int(column - reach), 0), min(int(column + reach) + 2, shape[1]))
+    rows = np.arange(max(math.ceil(row - reach), 0), min(math.floor(row + reach) + 1, shape[0]))
+    columns = np.arange(max(math.ceil(column - reach), 0), min(math.floor(column + reach) + 1, shape[1]))
     across, down = np.meshgrid(columns, rows)
     return down.astype(np.int64), across.astype(np.int64), np.hypot(across - column, down - row)
 
@@ -210,8 +211,7 @@ def locate_circles(
     ]
     pixels = np.array(found, dtype=float).reshape(-1, 4)
     pixels = pixels[pixels[:, 3] >= camera.least_correlation]
-    positions = triangulate(camera, pixels[:, :3]) if len(pixels) else np.zeros((0, 3))
-    return Detections(positions, np.full(len(pixels), -1, dtype=np.int64), np.clip(pixels[:, 3], 0.0, 1.0))
+    return Detections(triangulate(camera, pixels[:, :3]), np.full(len(pixels), -1), pixels[:, 3])
 
 
 def _matched(
@@ -226,7 +226,7 @@ def _matched(
     from scipy import ndimage
 
     column, row, radius = circle
-    down, across, distance = _window(mask.shape, column, row, radius + search.surroundings + 1)
+    down, across, distance = _window(mask.shape, column, row, radius + search.surroundings)
     fruit = mask[down, across] & (distance < radius)
     around = ndimage.binary_dilation(fruit, iterations=2) & (distance > radius - 1)
     chosen = fruit | (around & (distance < radius + search.surroundings))

@@ -167,7 +167,7 @@ def _matched(pair: StereoPair, found: Detections, places: Array, diameters: Arra
     """Which fruit of a picture is located, where (camera frame), and the detections that are none."""
     located, seen = np.zeros(len(places), dtype=bool), places.copy()
     shown = np.flatnonzero(pair.visible > 0)
-    if not len(found) or not len(shown):
+    if not len(shown):
         return located, seen, found.positions
     within = SAME * float(np.max(diameters))
     matched = match_detections(found, places[shown], within)

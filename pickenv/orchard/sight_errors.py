@@ -89,7 +89,6 @@ class SightErrors(checks.Preset):
     source: str = ""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         ranges, parts = len(self.edges) + 1, len(self.part_bias[0]) if self.part_bias else 0
         tables = [getattr(self, name) for name in ("part_bias", "part_spread", "part_correlation")]
         rows = (self.in_sight, self.recall, self.bias, self.spread, *tables)
@@ -97,6 +96,7 @@ class SightErrors(checks.Preset):
             raise InputError(
                 f"sight errors '{self.name}' have not one entry for each of {ranges} ranges and their parts"
             )
+        super().__post_init__()
 
 
 def load_sight_errors(name: str | Path) -> SightErrors:
@@ -268,17 +268,15 @@ def _ends(measured: Ended) -> tuple[float, float, float]:
 
 def share_of(tree: Integers, flags: Flags) -> Ended:
     """A share of fruit, and its interval over trees."""
-    which, at = np.unique(tree, return_inverse=True)
-    taken, tried = (
-        np.bincount(at, weights=w, minlength=len(which)) for w in (flags.astype(np.float64), np.ones(len(at)))
-    )
+    _, at = np.unique(tree, return_inverse=True)
+    taken, tried = (np.bincount(at, weights=w) for w in (flags.astype(np.float64), np.ones(len(at))))
     return float(taken.sum() / max(float(tried.sum()), 1.0)), clustered_share_interval(taken, tried)
 
 
 def error_measure(tree: Integers, error: Array, measure: Callable[[Array], float]) -> Ended:
     """A mean or a root of squares of errors (n,), and its interval over trees; ``measure`` reads n, Σe and Σe²."""
-    which, at = np.unique(tree, return_inverse=True)
-    parts = [np.bincount(at, weights=w, minlength=len(which)) for w in (np.ones(len(at)), error, error**2)]
+    _, at = np.unique(tree, return_inverse=True)
+    parts = [np.bincount(at, weights=w) for w in (np.ones(len(at)), error, error**2)]
     sums = np.stack(parts, axis=1).astype(np.float64)
     return measure(sums), statistic_interval(sums, measure)
 

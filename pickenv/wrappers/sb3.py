@@ -166,9 +166,7 @@ class Sb3Vec(VecEnv):
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """The environments' common attribute, once per index."""
-        value = self.envs.get_wrapper_attr(attr_name) if hasattr(self.envs, "get_wrapper_attr") else None
-        if value is None:
-            value = getattr(self.envs.unwrapped, attr_name)
+        value = getattr(self.envs.unwrapped, attr_name)
         return [value] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:

@@ -132,7 +132,7 @@ ROOMS = {
         "pickenv/harvester",
         "assignment rules optimiser pick_point true_machine zones",
         "tests/harvester",
-        "plans_by_hand clock_by_hand pick_point true_machine assignment",
+        "plans_by_hand search_by_hand clock_by_hand pick_point true_machine assignment",
     ),
     "policies": room(
         "agents/policies", "servo adaptive scripted", "tests/agents", "policies_by_hand scripted policies learned"
@@ -196,7 +196,8 @@ ROOMS = {
         "calibration",
         "model/stacked identification/starts pipeline/restation pipeline/verification pipeline/given",
         "tests/calibration",
-        "reading/kinds_of_files model/pixels pipeline/verification model/stacked pipeline/instruments",
+        "pipeline/given_rows pipeline/restation_figures reading/kinds_of_files model/pixels pipeline/verification "
+        "model/stacked pipeline/instruments",
         most=SECOND,
     ),
     "kinds": room(
@@ -247,7 +248,11 @@ ROOMS = {
         most=SECOND,
     ),
     "sight": room(
-        "pickenv/orchard", "circles sight sight_errors", "tests/orchard", "circle_matches circles sight", most=SECOND
+        "pickenv/orchard",
+        "circles sight sight_errors",
+        "tests/orchard",
+        "circle_steps circle_matches circles sight_tables sight",
+        most=SECOND,
     ),
     "conditions": room(
         "calibration/pipeline", "conditions_study", "tests/calibration/pipeline", "conditions", most=SECOND

@@ -1,6 +1,7 @@
 """The compensation seam of vector environments."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -10,6 +11,7 @@ from gymnasium.vector import SyncVectorEnv
 from pickenv import InputError
 from pickenv.calibration import Compensator
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
+from pickenv.wrappers.compensation import _numpy
 from tests.calibration.compensation.networks import eight_bit_network
 
 
@@ -116,6 +118,7 @@ def test_ended_episodes_say_how_far_such_commands_end_as_single_ones_do(mode, ex
             said += 1
             command = np.asarray(last["joint_command"])
             np.testing.assert_array_equal(last["_within95_mm"], ended)
+            assert last["_within95_mm"].dtype == last["_within95_deg"].dtype == bool
             np.testing.assert_allclose(last["within95_mm"][ended], np.abs(command).sum(axis=1)[ended])
             np.testing.assert_allclose(last["within95_deg"][ended], np.abs(command).max(axis=1)[ended])
     assert said >= 2
@@ -124,3 +127,23 @@ def test_ended_episodes_say_how_far_such_commands_end_as_single_ones_do(mode, ex
     infos = [single.step(single.action_space.sample())[-1] for _ in range(3)]
     assert ["within95_mm" in info for info in infos] == [False, False, True]
     assert infos[-1]["within95_mm"] == pytest.approx(np.abs(infos[-1]["joint_command"]).sum())
+
+
+def test_who_does_not_know_how_far_reaches_end_says_nothing_of_it():
+    envs = CompensationVectorWrapper(native(2, plant="geometry_only", max_episode_steps=2), lambda joints: joints)
+    single = CompensationWrapper(gym.make("pickenv/Reach-v0", plant="geometry_only", max_episode_steps=2), lambda q: q)
+    single.reset(seed=0)
+    alone = [single.step(single.action_space.sample()) for _ in range(2)]
+    for *_, truncated, info in (taken(envs, 2)[-1], alone[-1]):
+        assert np.all(truncated) and "joint_command" in info
+        assert not any("within95" in key for key in info)
+
+
+def test_what_vector_wrappers_were_made_with_is_recorded(compensator):
+    envs = CompensationVectorWrapper(native(2), compensator, allow=("fitted-frames",))
+    assert set(envs._saved_kwargs) == {"compensator", "allow"} and envs._saved_kwargs["allow"] == ("fitted-frames",)
+
+
+def test_what_lies_on_a_device_is_fetched_from_it():
+    assert _numpy(SimpleNamespace(cpu=lambda: [True, False])).tolist() == [True, False]
+    assert _numpy(np.array([2.0])).tolist() == [2.0]

@@ -65,6 +65,32 @@ def test_an_episode_that_reached_its_end_in_its_last_step_was_not_cut(tolerance_
     assert [info["is_success"] for info in infos] == [reached] * 2
 
 
+def test_the_last_step_tells_every_number_of_the_bare_environments_last_info():
+    """And nothing else than these, the last observation, whether it was cut, and the sums of the episode."""
+    options = {"max_episode_steps": 2, "autoreset_mode": "SameStep"}
+    envs, bare = make_sb3_vec("pickenv/Reach-v0", 3, **options), gym.make_vec("pickenv/Reach-v0", num_envs=3, **options)
+    envs.seed(1)
+    bare.reset(seed=envs.seed(1))
+    envs.reset()
+    action = np.full((3, 6), 0.2, dtype=np.float32)
+    for _ in range(2):
+        infos, given = envs.step(action)[3], bare.step(action)[4]
+    final = given["final_info"]
+    numbers = {key for key in final if not key.startswith("_") and np.ndim(final[key]) == 1}
+    assert "is_success" in numbers and "joint_command" not in numbers
+    for i, info in enumerate(infos):
+        assert set(info) == numbers | {"terminal_observation", "TimeLimit.truncated", "episode"}
+        np.testing.assert_equal({key: info[key] for key in numbers}, {key: final[key][i] for key in numbers})
+        np.testing.assert_array_equal(info["terminal_observation"], given["final_obs"][i])
+        assert type(info["episode"]["l"]) is int and type(info["episode"]["r"]) is float
+
+
+def test_a_single_environment_takes_options_too():
+    envs = make_sb3_vec("pickenv/Reach-v0", 1)
+    envs.set_options({"start_joints": envs.envs.unwrapped.task.lower})
+    assert envs.reset()[:, :6] == pytest.approx(-1.0)
+
+
 def test_a_reset_forgets_the_sums_of_what_it_breaks_off():
     envs = make_sb3_vec("pickenv/Reach-v0", 2, max_episode_steps=2)
     envs.reset()

@@ -59,7 +59,9 @@ def test_a_window_holds_every_pixel_within_reach_and_its_distance(place):
     down, across, distance = _window((30, 40), column, row, reach)
     inside = {(r, c) for r in range(30) for c in range(40) if math.hypot(c - column, r - row) <= reach}
     pairs = list(zip(down.ravel().tolist(), across.ravel().tolist(), strict=True))
-    assert inside <= set(pairs) and all(0 <= r < 30 and 0 <= c < 40 for r, c in pairs)
+    assert inside <= set(pairs)
+    assert {r for r, _ in pairs} == {r for r in range(30) if abs(r - row) <= reach}
+    assert {c for _, c in pairs} == {c for c in range(40) if abs(c - column) <= reach}
     assert distance.ravel().tolist() == pytest.approx([math.hypot(c - column, r - row) for r, c in pairs])
 
 

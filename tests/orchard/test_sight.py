@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from pickenv.errors import InputError
-from pickenv.intervals import clustered_share_interval, statistic_interval
 from pickenv.orchard import (
     DETECTORS,
     VISIONS,
@@ -25,13 +24,10 @@ from pickenv.orchard import (
     shipped,
     sighted,
 )
-from pickenv.orchard.render import Leaves, render_stereo
-from pickenv.orchard.sight import picture, sightings
+from pickenv.orchard.detections import Detections
+from pickenv.orchard.render import Leaves, StereoPair, render_stereo
+from pickenv.orchard.sight import _matched, picture, sightings
 from pickenv.orchard.sight_errors import (
-    Sightings,
-    error_measure,
-    mean_error,
-    root_mean_square,
     share_of,
     tabulated,
     together,
@@ -127,6 +123,90 @@ def test_leaves_hang_in_the_canopy_as_dense_as_it_says_and_only_pictures_need_th
     assert foliage(load_eyes("measured_errors", LEAFY), np.random.default_rng(0)) is None
 
 
+def test_leaves_hang_behind_a_leaning_face_as_far_aside_as_the_picture_reaches():
+    """The picture's half width at the back of the canopy, on either side of half its own width."""
+    canopy = replace(load_canopy("v_trellis"), lean=-0.3)
+    eyes = load_eyes("rendered", canopy)
+    x, y, z = foliage(eyes, np.random.default_rng(0)).places.T
+    reach = canopy.standoff + canopy.depth
+    aside = canopy.width / 2 + reach * (eyes.camera.image[0] / 2) / eyes.camera.focal_length
+    behind = y + np.tan(0.3) * (z - canopy.bottom)
+    for values, low, high in ((x, -aside, aside), (behind, 0.0, canopy.depth), (z, canopy.bottom, canopy.top)):
+        slack = 0.01 * (high - low)
+        assert low - 1e-9 <= values.min() < low + slack and high - slack < values.max() <= high + 1e-9
+
+
+def test_a_picture_without_leaves_is_one_of_no_leaves():
+    eyes = load_eyes("rendered", load_canopy("li2016_bare"))
+    view = Viewpoint(VIEW.middle, VIEW.looking)
+    found = picture(eyes, view, FRUIT, np.full(5, 0.06), None, np.random.default_rng(1))
+    rng = np.random.default_rng(1)
+    places = camera_frame(FRUIT, view.left_eye(eyes.camera), view.looking)
+    whole = render_stereo(eyes.camera, places, np.full(5, 0.06), np.zeros((0, 3)), eyes.look, rng)
+    assert np.array_equal(found.left, whole.left) and np.array_equal(found.right, whole.right)
+
+
+def test_one_picture_is_taken_unless_more_are_asked_for():
+    rendered, drawn = load_eyes("rendered", load_canopy("li2016_bare")), load_eyes("measured_errors", LEAFY)
+    drawn = replace(drawn, errors=replace(drawn.errors, lasting=0.2))
+    given = VIEW, FRUIT, np.full(5, 0.06)
+    for looks, alike in (({"looks": 1}, True), ({"looks": 2}, False)):
+        one, other = (picture(rendered, *given, None, np.random.default_rng(0), **n) for n in ({}, looks))
+        assert np.array_equal(one.left, other.left) == alike
+        one, other = (see(drawn, *given, np.random.default_rng(0), **n) for n in ({}, looks))
+        assert np.array_equal(one.believed, other.believed) == alike
+        chances = draw_chances(np.random.default_rng(0), 5)
+        one, other = (sighted(drawn.errors, np.full(5, 1.2), chances, **n)[2] for n in ({}, looks))
+        assert np.array_equal(one, other) == alike
+
+
+def test_given_chances_decide():
+    eyes = load_eyes("measured_errors", LEAFY)
+    chances = draw_chances(np.random.default_rng(7), 5)
+    found = see(eyes, VIEW, FRUIT, np.full(5, 0.06), np.random.default_rng(0), chances=chances)
+    depth = camera_frame(FRUIT, VIEW.left_eye(eyes.camera), VIEW.looking)[:, 2]
+    in_sight, located, error = sighted(eyes.errors, depth, chances)
+    assert np.array_equal(found.in_sight, in_sight) and np.array_equal(found.located, located)
+    miss = found.believed - FRUIT
+    assert miss == pytest.approx(np.stack([error[:, 0], error[:, 2], -error[:, 1]], axis=-1), abs=1e-12)
+
+
+def test_ideal_eyes_take_nothing_for_fruit_that_is_none():
+    found = see(load_eyes("ideal", LEAFY), VIEW, FRUIT, np.full(5, 0.06), np.random.default_rng(0))
+    assert found.false.shape == (0, 3) and found.in_sight.dtype == found.located.dtype == bool
+    assert found.in_sight.all() and found.located.all() and np.array_equal(found.believed, FRUIT)
+
+
+def test_a_detection_is_of_fruit_in_sight_within_a_diameter_of_it():
+    """The first fruit is hidden; by the third the detection is a diameter away, by the fourth a little more."""
+    places = np.array([[-0.3, 0.0, 1.0], [-0.3, 0.02, 1.0], [0.0, 0.0, 1.0], [0.3, 0.0, 1.0]])
+    visible = np.array([0.0, 0.4, 1.0, 0.01])
+    black = np.zeros((2, 2, 3), dtype=np.uint8)
+    pair = StereoPair(black, black, np.zeros((2, 2), dtype=np.int64), visible)
+    seen = places[[3, 2, 0]] + [[0.0, 0.0601, 0.0], [0.0, 0.0599, 0.0], [0.0, 0.0, 0.0]]
+    found, sizes = Detections(seen, np.full(3, -1), np.ones(3)), [0.02, 0.06, 0.05, 0.03]
+    located, where, false = _matched(pair, found, places, sizes)
+    assert located.dtype == bool and located.tolist() == [False, True, True, False]
+    np.testing.assert_array_equal(where, [places[0], seen[2], seen[1], places[3]])
+    np.testing.assert_array_equal(false, seen[:1])
+    hidden = replace(pair, visible=np.zeros(4))
+    located, where, false = _matched(hidden, found, places, sizes)
+    assert not located.any() and np.array_equal(where, places) and np.array_equal(false, seen)
+    located, where, false = _matched(pair, Detections(seen[:0], np.full(0, -1), np.ones(0)), places, sizes)
+    assert not located.any() and np.array_equal(where, places) and len(false) == 0
+
+
+def test_fruit_behind_leaves_is_not_in_sight():
+    """A wall of leaves before all fruit but the first, and far to its left."""
+    eyes = load_eyes("rendered", LEAFY)
+    x, z = np.meshgrid(np.arange(-0.3, 0.5, 0.02), np.arange(1.3, 1.9, 0.02))
+    wall = np.column_stack([x.ravel(), np.full(x.size, -0.1), z.ravel()])
+    wall = wall[np.hypot(x.ravel() - FRUIT[0, 0], z.ravel() - FRUIT[0, 2]) > 0.12]
+    leaves = Leaves(wall, np.broadcast_to(np.eye(2), (len(wall), 2, 2)).copy(), np.full((len(wall), 3), 90.0))
+    found = see(eyes, VIEW, FRUIT, np.full(5, 0.06), np.random.default_rng(1), leaves=leaves)
+    assert found.in_sight.tolist() == [True, False, False, False, False]
+
+
 @pytest.mark.parametrize("errors", TABLES, ids=[table.name for table in TABLES])
 def test_fruit_is_missed_and_misplaced_as_the_table_says(errors):
     """Recall, bias and covariance of many draws in each part, recomputed with NumPy."""
@@ -213,6 +293,15 @@ def some_sightings(count=3):
     return [together([part[i] for part in parts]) for i in range(len(eyes))]
 
 
+def test_a_single_detector_reads_both_pictures():
+    eyes = [load_eyes("rendered", load_canopy("li2016_bare"), "circles")]
+    rng = np.random.default_rng(0)
+    (seen,) = sightings(eyes, VIEW, FRUIT, np.full(5, 0.06), np.arange(5) != 2, None, rng, 8)
+    depth = camera_frame(FRUIT, VIEW.left_eye(eyes[0].camera), VIEW.looking)[:, 2]
+    assert seen.tree.tolist() == [8] * 4 and np.array_equal(seen.depth, depth[[0, 1, 3, 4]])
+    assert seen.pictures == 1 and seen.found.any() and np.abs(seen.error[seen.found]).max() < 0.06
+
+
 def test_sightings_count_the_fruit_that_is_wanted_and_a_table_is_made_of_them():
     for seen in some_sightings():
         assert seen.tree.tolist() == [0] * 4 + [1] * 4 + [2] * 4 and seen.pictures == 3
@@ -226,85 +315,6 @@ def test_sightings_count_the_fruit_that_is_wanted_and_a_table_is_made_of_them():
             assert table["part_bias_mm"][0][part] == pytest.approx(rows.mean(axis=0), abs=0.006)
             assert table["part_spread_mm"][0][part] == pytest.approx(rows.std(axis=0), abs=0.006)
         assert table["fruit"] == 12 and table["trees"] == 3 and 0 <= table["lasting"] <= 1
-
-
-def made_sightings(n=701, trees=15):
-    """Fruit by chance; what is missed has no error, and a second picture misses other fruit."""
-    rng = np.random.default_rng(5)
-    visible = np.clip(rng.uniform(-0.2, 1.0, n), 0.0, 1.0)
-    found = (visible > 0) & (rng.random(n) < 0.8)
-    error = 1e-3 * (rng.normal(size=(n, 3)) @ [[1.0, 0.3, 0.2], [0.0, 2.0, -0.6], [0.0, 0.0, 4.0]] + [0.5, -1.0, 2.0])
-    again = 0.6 * error + 1e-3 * rng.normal(size=(n, 3))
-    error[~found], again[rng.random(n) < 0.3] = np.nan, np.nan
-    return Sightings(rng.integers(0, trees, n), rng.uniform(0.9, 1.6, n), visible, found, error, again, 70, 9)
-
-
-def by_tree(seen, rows, measure):
-    """95 % interval over trees, from sums that are made here."""
-    sums = [[np.sum(rows & (seen.tree == t)), *measure(rows & (seen.tree == t))] for t in range(15)]
-    return np.array([each for each in sums if each[0]])
-
-
-def test_a_tables_numbers_are_those_of_numpy_in_every_range_and_part():
-    seen = made_sightings()
-    table = tabulated(seen, 3, 4)
-    edges = np.quantile(seen.depth, [1 / 3, 2 / 3])
-    both = np.isfinite(seen.error + seen.again).all(axis=1)
-    lasting = np.mean([np.corrcoef(seen.error[both, i], seen.again[both, i])[0, 1] for i in range(3)])
-    assert table["edges_mm"] == np.round(1e3 * edges, 1).tolist() and table["lasting"] == np.round(lasting, 3)
-    assert [table[name] for name in ("trees", "pictures", "fruit")] == [15, 70, 701]
-    assert table["false_per_picture"] == np.round(9 / 70, 4)
-    assert tabulated(replace(seen, pictures=0), 3, 4)["false_per_picture"] == 9.0
-    for r in range(3):
-        rows = np.digitize(seen.depth, edges) == r
-        error = 1e3 * seen.error[rows & seen.found]
-        told = {name: values[r] for name, values in table.items() if isinstance(values, list) and len(values) == 3}
-        assert told["visible"] == np.round(seen.visible[rows].mean(), 3)
-        assert told["in_sight"] == np.round((seen.visible[rows] > 0).mean(), 4)
-        ends = clustered_share_interval(*by_tree(seen, rows, lambda some: [np.sum(seen.found[some])]).T[::-1])
-        expected = [np.round(x, 4) for x in (seen.found[rows].mean(), *ends)]
-        assert [told[f"recall{end}"] for end in ("", "_low", "_high")] == expected
-        for i in range(3):
-            sums = by_tree(
-                seen,
-                rows & seen.found,
-                lambda some, i=i: [np.sum(1e3 * seen.error[some, i]), np.sum((1e3 * seen.error[some, i]) ** 2)],
-            )
-            measures = {
-                "bias": lambda s: s[:, 1].sum() / s[:, 0].sum(),
-                "spread": lambda s: np.sqrt(s[:, 2].sum() / s[:, 0].sum() - (s[:, 1].sum() / s[:, 0].sum()) ** 2),
-            }
-            values = {"bias": error[:, i].mean(), "spread": error[:, i].std()}
-            for name, measure in measures.items():
-                expected = [values[name], *statistic_interval(sums, measure)]
-                got = [told[f"{name}{end}_mm"][i] for end in ("", "_low", "_high")]
-                assert got == pytest.approx(expected, abs=0.0051)
-                assert got == np.round(got, 2).tolist()
-        assert told["correlation"] == np.round(np.corrcoef(error.T)[[0, 0, 1], [1, 2, 2]], 3).tolist()
-        ordered = error[np.argsort(np.linalg.norm(error, axis=1))]
-        for part, some in enumerate(np.array_split(ordered, 4)):
-            assert told["part_bias_mm"][part] == np.round(some.mean(axis=0), 2).tolist()
-            assert told["part_spread_mm"][part] == np.round(some.std(axis=0), 2).tolist()
-            pairs = np.round(np.corrcoef(some.T)[[0, 0, 1], [1, 2, 2]], 3).tolist()
-            assert told["part_correlation"][part] == pairs
-
-
-def test_a_part_of_a_table_needs_three_fruit():
-    seen = made_sightings()
-    found = np.flatnonzero(seen.found)[:12]
-    few = Sightings(*(np.asarray(getattr(seen, name))[found] for name in LISTED), 70, 9)
-    assert len(tabulated(few, 1, 4)["part_bias_mm"][0]) == 4
-    with pytest.raises(InputError, match="only 12 fruit were located in one range"):
-        tabulated(few, 1, 5)
-
-
-def test_figures_over_fruit_are_those_of_numpy():
-    rng = np.random.default_rng(0)
-    tree, error = rng.integers(0, 12, 200), rng.normal(2.0, 3.0, 200)
-    assert error_measure(tree, error, mean_error)[0] == pytest.approx(error.mean())
-    value, (low, high) = error_measure(tree, error, root_mean_square)
-    assert value == pytest.approx(np.sqrt((error**2).mean())) and low < value < high
-    assert share_of(tree, error > 2)[0] == pytest.approx((error > 2).mean())
 
 
 @pytest.mark.slow

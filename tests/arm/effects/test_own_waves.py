@@ -1,6 +1,8 @@
 """Waves that an arm has for itself: spread as the plant file says, others in every arm, alike on all executors."""
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +10,13 @@ import torch
 from scipy import stats
 
 from pickenv.arm import draw_plants, forward, load_plant, load_tolerances, plant_at
-from pickenv.arm.effects.own_waves import drawn_harmonics, standard_normal_of
+from pickenv.arm.effects.own_waves import (
+    StructureTable,
+    drawn_harmonics,
+    drawn_structure,
+    local_structure_of,
+    standard_normal_of,
+)
 from pickenv.arm.plant.plant import EFFECTS
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.errors import InputError
@@ -63,6 +71,41 @@ def test_a_wave_is_its_two_coefficients():
         angle = 2 * math.pi * per * x
         expected = sine * math.sin(angle) + cosine * math.cos(angle)
         assert found.amplitude * math.sin(angle + found.phase) == pytest.approx(expected, abs=1e-15)
+
+
+def test_a_wave_of_one_arm_is_plain_numbers_and_those_of_many_lie_along_an_axis():
+    spread = FIELD.drive_harmonics.spread
+    even = np.random.default_rng(0).random((4, 3 * len(spread)))
+    many = drawn_harmonics(spread, even).harmonics
+    for i in range(4):
+        for wave, alone in zip(many, drawn_harmonics(spread, even[i]).harmonics, strict=True):
+            assert all(type(size) is float for size in (alone.amplitude, alone.period, alone.phase))
+            assert (wave.amplitude[i], wave.period[i], wave.phase[i]) == (alone.amplitude, alone.period, alone.phase)
+
+
+def test_the_structure_is_a_sum_of_waves_whose_draws_are_the_files_seed_after_seed():
+    """Frequencies are normal numbers over the lengths of the file's joints, weights normal over arms; none is left."""
+    lengths = np.array([np.radians(1.5), 0.04, np.inf, np.radians(3.0), np.inf, np.inf])
+    joints = tuple(SimpleNamespace(joint=j, length=lengths[j]) for j in (0, 1, 3))
+    table = StructureTable(seed=7, position=3e-4, waves=5, joints=joints)
+    found = local_structure_of(table, {"arm": FIELD.arm})
+    rng = np.random.default_rng(7)
+    frequency = (rng.standard_normal((6, 15)) / lengths[:, None]).astype(np.float32)
+    np.testing.assert_allclose(found.field.features.frequency, frequency, rtol=1e-6)
+    assert not found.field.features.frequency[[2, 4, 5]].any()
+    even = rng.random(30)
+    weight = (3e-4 / math.sqrt(5) * stats.norm.ppf(even)).reshape(3, 2, 5)
+    np.testing.assert_allclose(found.field.weight, weight, rtol=1e-6)
+    assert found.weights == 30 and found.std == pytest.approx(3e-4 / math.sqrt(5))
+    others = np.random.default_rng(1).random((2, 30))
+    drawn = drawn_structure(found, others)
+    np.testing.assert_allclose(drawn.field.weight[1], found.std * stats.norm.ppf(others[1]).reshape(3, 2, 5), rtol=1e-6)
+    q = [0.3, 0.2, 0.5, -0.4, 0.1, 1.0]
+    waves = (np.array(q) @ frequency).reshape(3, 5)
+    expected = (weight[:, 0] * np.cos(waves) + weight[:, 1] * np.sin(waves)).sum(axis=1)
+    plant = replace(FIELD.without(EFFECTS), local_structure=found)
+    moved = plant.tool_pose(q).position - forward(FIELD.geometry, q).position
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=2e-9)
 
 
 def test_the_structure_has_its_size_and_length_in_every_direction(arms):

@@ -1,5 +1,6 @@
 """A measuring campaign in time: what the arm's stops, the hour and the instrument each put into the rows."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from pickenv.arm import (
 from pickenv.arm.effects.measurement_noise import MeasurementNoise, read_frame
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import largest_cube
+from pickenv.arm.plant import campaign
 from pickenv.arm.plant.campaign import Instrument, normal_draws, visited
 from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283
 from pickenv.arm.plant.motion import Pace
@@ -95,6 +97,49 @@ def test_friction_stops_each_joint_short_on_the_side_that_it_came_from():
     stops = np.where(joints > before, joints - band.forward, joints + np.array(band.backward))
     rows = seen(plant, joints, EXACT)
     np.testing.assert_allclose(rows.position, forward(plant.geometry, stops).position, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_first_stop_is_come_to_from_the_middle_of_the_joints_ranges(sign):
+    plant = only("stick_band")
+    plant = replace(plant, stick_band=replace(plant.stick_band, scatter=0.0))
+    middle = (NOMINAL.lower + NOMINAL.upper) / 2
+    assert np.abs(middle).max() > 0.1
+    band = plant.stick_band
+    short = np.array(band.forward) if sign > 0 else -np.array(band.backward)
+    joints = middle + 5e-3 * sign
+    frame = visited(plant, np, joints[None], EXACT, np.zeros((1, 2, 6)))
+    np.testing.assert_allclose(
+        np.stack(frame, axis=-1)[0, 9:], forward(plant.geometry, joints - short).position, rtol=0, atol=1e-12
+    )
+
+
+def test_the_pace_is_the_instruments_and_one_arm_runs_on_floats(monkeypatch):
+    paces, kinds, stop = [], [], campaign.stopped
+
+    def noted(plant, m, state, here, target, pace, *more):
+        paces.append(pace)
+        kinds.append(m)
+        return stop(plant, m, state, here, target, pace, *more)
+
+    monkeypatch.setattr(campaign, "stopped", noted)
+    slow = replace(EXACT, period=0.25, dwell=7.0)
+    visited(ORCHARD, np, anywhere(2), slow, np.zeros((2, 2, 6)))
+    many = draw_plants(ORCHARD, load_tolerances("medium"), 2, np.random.default_rng(0))
+    visited(many, np, np.stack([anywhere(1)] * 2, axis=1), slow, np.zeros((1, 2, 6, 2)))
+    assert [(pace.period, pace.dwell) for pace in paces] == [(0.25, 7.0)] * 3
+    assert kinds == [math, math, np]
+
+
+def test_no_poses_are_no_frames_and_an_instrument_has_no_time_but_its_own():
+    for plant in (ORCHARD, load_plant("geometry_only")):
+        frame = visited(plant, np, np.zeros((0, 6)), EXACT, np.zeros((0, 2, 6)))
+        assert len(frame) == 12 and all(np.shape(part) == (0,) for part in frame)
+    bare = Instrument("bare", stand=(0.0, 0.0, 0.0))
+    assert (bare.dwell, bare.warm_up, bare.period, bare.noise) == (None, 0.0, Pace.period, None)
+    assert MeasurementNoise(1e-4, 1e-3) == MeasurementNoise(1e-4, 1e-3, range_std=0.0, centring_std=0.0)
+    assert bare.noise_on(ORCHARD) is ORCHARD.measurement_noise
+    assert EXACT.noise_on(ORCHARD) is EXACT.noise
 
 
 def test_the_other_order_of_visits_has_another_history():

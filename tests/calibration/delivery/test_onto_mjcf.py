@@ -11,6 +11,7 @@ import pytest
 from pickenv.arm import forward, load_arm
 from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration import export, random_joints
+from pickenv.calibration.delivery.patched import refuse_lost_files
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.errors import InputError
 
@@ -163,6 +164,13 @@ def test_meshes_are_looked_for_where_mujoco_finds_them(model, made, tmp_path, co
     (tmp_path / wanted).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / wanted).write_bytes(b"")
     export(calibration, tmp_path / "out.xml", onto=f"{model}#end")
+
+
+def test_what_is_no_file_beside_the_model_is_let_be(tmp_path):
+    path, out = tmp_path / "arm.urdf", tmp_path / "out.urdf"
+    refuse_lost_files(path, out, ["", "package://robot/arm.stl", "http://site/arm.stl", str(tmp_path / "gone.stl")])
+    with pytest.raises(InputError, match="names 'gone"):
+        refuse_lost_files(path, out, ["package://robot/arm.stl", "gone.stl"])
 
 
 def test_a_file_that_includes_one_is_not_written_where_that_is_not(model, made, tmp_path):

@@ -44,6 +44,15 @@ def test_an_arm_whose_first_axes_are_parallel_is_found(told_otherwise, seed):
     assert same.apart[0] < 1e-8 and same.apart[1] < 1e-8
 
 
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_a_slides_zero_is_found_where_later_axes_say_where_it_stands(told_otherwise, seed):
+    rng, ur5 = np.random.default_rng(seed), load_arm("ur5").nominal
+    arm = replace(ur5, prismatic=(False, False, False, False, True, False))
+    same = same_chain(arm, told_otherwise(arm, rng, False), "robot.urdf", "arm with a slide")
+    assert same.apart[0] < 1e-8 and same.apart[1] < 1e-8 and abs(same.zero[4]) > 1e-3
+
+
 @pytest.mark.parametrize("name", ARMS)
 def test_an_arm_told_alike_reads_alike(name):
     arm = load_arm(name).nominal
@@ -76,6 +85,14 @@ def test_a_root_elsewhere_is_found_where_joints_read_alike(seed, name):
     if name in ("tiago", "ur5"):  # of the others a slide lies along the first axis, so that a height is any height
         np.testing.assert_allclose(same.root.position, root.position, atol=1e-9)
         np.testing.assert_allclose(same.root.rotation, root.rotation, atol=1e-9)
+
+
+def test_what_the_first_joints_zero_could_be_is_a_turn_of_the_root():
+    arm = load_arm("ur5").nominal
+    root = Pose(np.zeros(3), rotation_matrix(np.array([0.0, 0.0, 0.4])))  # about the first axis
+    same = same_chain(arm, replace(arm, base=behind(root, arm.base)), "robot.urdf", "ur5")
+    assert same.plain()
+    np.testing.assert_allclose(same.root.rotation, root.rotation, atol=1e-9)
 
 
 @pytest.mark.parametrize(("one", "other"), [("ur5", "ur10"), ("ur5", "qiao2026"), ("ur5", "wam"), ("ur5e", "ur5")])

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
+from pickenv.arm.kinematics.geometry import move_pose
 from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.identification.starts import stations_of
+from pickenv.calibration.identification.alignment import align
+from pickenv.calibration.identification.starts import rough_start, stations_of
 from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, frames_model
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.stacked import InstrumentStation, Stacked
@@ -163,3 +166,103 @@ def test_two_instruments_are_better_than_either_alone(ur5: Arm, other: Callable[
         second.append(calibrated(ur5, more, judge))
         both.append(calibrated(ur5, [few, more], judge))
     assert np.mean(both) < 0.8 * min(np.mean(alone), np.mean(second)) and max(both) < min(max(alone), max(second))
+
+
+def three_stations(arm: Arm) -> Stacked:
+    """Six positions, five lengths of a wire whose zero is nearly known, four positions: the last with frames."""
+    rng = np.random.default_rng(1)
+    wires = replace(wired(arm.nominal, 5, rng), zero_std=1e-3, scale_std=1e-3)
+    sets = (tracked(arm.nominal, 6, rng), wires, tracked(arm.nominal, 4, rng))
+    stations = (InstrumentStation(sets[0]), InstrumentStation(sets[1], 2, scale=1.5))
+    return Stacked((*stations, InstrumentStation(sets[2], 3, FAR, TARGET)))
+
+
+def test_equations_that_belong_to_no_row_stay_so_and_channels_are_each_stations_own(ur5: Arm) -> None:
+    data = three_stations(ur5)
+    rows, channels = data.equations()
+    first, second, third = np.repeat(np.arange(6), 3), [*range(6, 11), -1, -1], np.repeat(np.arange(11, 15), 3)
+    np.testing.assert_array_equal(rows, np.concatenate([first, second, third]))
+    wire_channels = data.parts[1].equations()[1]
+    np.testing.assert_array_equal(channels, np.concatenate([np.zeros(18), 1 + wire_channels, np.full(12, 2)]))
+    assert data.first_channels() == [0, 1, 2]
+    np.testing.assert_array_equal(data.groups, np.repeat([0, 1, 2], [6, 5, 4]))
+    np.testing.assert_array_equal(data.rows_of_misses, np.arange(15))
+    one = Stacked((InstrumentStation(data.parts[0].select(np.arange(0))), data.stations[1]))
+    assert one.first_channels() == [0, 0] and one.groups.tolist() == [0] * 5
+
+
+def test_unknowns_of_each_station_are_told_apart(ur5: Arm) -> None:
+    data, model = three_stations(ur5), ArmModel.of(ur5.nominal)
+    wires = data.parts[1]
+    own = [f"{name}_2" for name in wires.unknowns()]
+    frames = [f"{frame}3_{name}" for frame in ("base", "tool") for name in ("x", "y", "z", "rx", "ry", "rz")]
+    assert list(data.unknowns()) == own + frames and InstrumentStation(wires).unknowns() == wires.unknowns()
+    frame = [LENGTH_TOLERANCE] * 3 + [ANGLE_TOLERANCE] * 3
+    np.testing.assert_array_equal(data.tolerances(), [*wires.tolerances(), *frame, *frame])
+    np.testing.assert_array_equal(data.start(model), [*wires.start(model), *np.zeros(12)])
+    values = data.start(model) + 1e-3 * np.arange(1.0, len(own) + 13.0)
+    left = data.residual(model, values)
+    np.testing.assert_array_equal(left[:18], data.parts[0].residual(model, np.zeros(0)))
+    np.testing.assert_allclose(left[18:25], wires.residual(model, values[: len(own)]) / 1.5)
+    base, tool = (FAR, TARGET)
+    there = replace(
+        ur5.nominal,
+        base=move_pose(base, values[len(own) : len(own) + 6]),
+        tool=move_pose(tool, values[len(own) + 6 :]),
+    )
+    np.testing.assert_allclose(left[25:], data.parts[2].residual(ArmModel.of(there), np.zeros(0)))
+
+
+def test_rows_at_the_ends_of_stations_are_selected_from_their_own(ur5: Arm) -> None:
+    data = three_stations(ur5)
+    for rows in ([0, 5], [5, 6], [6, 10], [10, 11], [0, 11, 14], list(range(15))):
+        some = data.select(np.array(rows))
+        np.testing.assert_array_equal(some.joints, data.joints[rows])
+        assert [station.number for station in some.stations] == sorted({1 + (row > 5) + (row > 10) for row in rows})
+
+
+def test_stations_are_weighed_relative_to_the_first_over_what_they_weighed(ur5: Arm) -> None:
+    data = three_stations(ur5).weighed([2.0, 3.0, 5.0])
+    assert [station.scale for station in data.stations] == [1.0, 2.25, 2.5]
+    model = ArmModel.of(ur5.nominal)
+    by_arm, by_own = InstrumentStation(data.parts[1], 2, scale=2.0).jacobian(model, data.parts[1].start(model))
+    whole = data.parts[1].jacobian(model, data.parts[1].start(model))
+    np.testing.assert_allclose(by_arm, whole[0] / 2.0)
+    np.testing.assert_allclose(by_own, whole[1] / 2.0)
+
+
+@pytest.mark.parametrize("own", [(), ("base",), ("tool",), ("base", "tool")], ids="+".join)
+def test_only_what_has_a_frame_sees_another_base_and_the_tool_starts_where_it_is_seen(
+    ur5: Arm, own: tuple[str, ...]
+) -> None:
+    """Exact rows of an exact arm; a wire has no frame, so that its tool starts as the arm's own."""
+    rng = np.random.default_rng(3)
+    there = tracked(ur5.nominal, 30, rng, noise=0.0)
+    there = replace(there, position_std=1e-5)
+    data = stations_of(ur5, [wired(ur5.nominal, 9, rng), tracked(ur5.nominal, 9, rng), there], own)
+    assert [station.number for station in data.stations] == [1, 2, 3]
+    assert [type(part) for part in data.parts] == [Measurements, Measurements, DistanceObservations]
+    second, third = data.stations[1:]
+    assert (second.base is not None) == ("base" in own) and (second.tool is not None) == ("tool" in own)
+    if second.base is not None:
+        np.testing.assert_allclose(second.base.position, FAR.position, atol=1e-6)
+        np.testing.assert_allclose(second.base.rotation, FAR.rotation, atol=1e-6)
+    if second.tool is not None:
+        np.testing.assert_allclose(second.tool.position, TARGET.position, atol=1e-6)
+    assert third.base is None and third.tool is (ur5.nominal.tool if "tool" in own else None)
+
+
+def test_a_rough_start_is_one_however_badly_the_arm_fits(ur5: Arm) -> None:
+    """Whether it fits is judged later, by rows that agree; stations start where their first one is."""
+    rng = np.random.default_rng(3)
+    worse = ur5.nominal.displaced(0.3 * rng.normal(size=5 * ur5.nominal.links + 12))
+    data = tracked(worse, 30, rng)
+    with pytest.raises(InputError, match="after fitting base and tool"):
+        align(ur5.nominal, data, frames_model(ur5.nominal))
+    found = rough_start(ur5.nominal, data)
+    near = tracked(ur5.nominal, 30, rng)
+    both = Stacked((InstrumentStation(near), InstrumentStation(data, 2)))
+    start, alone = rough_start(ur5.nominal, both), rough_start(ur5.nominal, near)
+    np.testing.assert_array_equal(start.base.position, alone.base.position)
+    assert np.abs(start.base.position - found.base.position).max() > 1e-3
+    np.testing.assert_allclose(start.base.position, FAR.position, atol=1e-3)
