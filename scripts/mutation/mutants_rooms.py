@@ -294,7 +294,7 @@ ROOMS = {
         "runs/harvest_trace runs/calibration_trace runs/gripping recordings/detail_entities recordings/details "
         "recordings/comparison_recording recordings/harvest_recording",
         "tests/inspect",
-        "details harvest_recording recording",
+        "runs/traces harvest_recording recorded_columns details runs/summary_numbers recording",
         most=SECOND,
     ),
     "figures": room(
