@@ -309,6 +309,7 @@ ROOMS = {
         "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
         "reports/calibration_report reports/report_words",
         "tests/inspect",
-        "runs/summary_numbers figures/figure_numbers figures/page_numbers calibration_report report",
+        "figures/whole_figures report_cells runs/summary_numbers figures/figure_numbers figures/page_numbers "
+        "calibration_report report",
     ),
 }
