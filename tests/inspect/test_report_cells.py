@@ -16,6 +16,7 @@ from pickenv.arm import load_plant, noncompensable_error
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure
+from pickenv.calibration.assessment.states import HELD, MEASURED
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.held_out import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import Result
@@ -280,7 +281,7 @@ def test_what_moved_is_told_with_its_bar(results: dict[str, Result]) -> None:
     states, *rest = parts_of(built(lambda: calibration_report.calibration_page(r)), "What moved")
     tables = [part.parts[0] if isinstance(part, Folded) else part for part in rest]
     rows = {row["name"]: row for row in r.parameters()}
-    measured = {name: row for name, row in rows.items() if row["state"] == "measured"}
+    measured = {name: row for name, row in rows.items() if row["state"] == MEASURED}
     limits: dict[str, float] = {}
     for name, row in measured.items():
         if not name.startswith("base_"):
@@ -289,7 +290,7 @@ def test_what_moved_is_told_with_its_bar(results: dict[str, Result]) -> None:
     stayed = [name for name in measured if name not in told]
     groups = [(f"{len(told)} parameters moved by more than 2 sigma", told)]
     groups += [(f"{len(stayed)} measured, and within 2 sigma of the nominal value", stayed)]
-    held = [name for name, row in rows.items() if row["state"] == "held by its prior"]
+    held = [name for name, row in rows.items() if row["state"] == HELD]
     groups += [(f"{len(held)} held by their prior: the data tell little of them", held)]
     groups = [(caption, names) for caption, names in groups if names]
     assert [(table.caption, [row[0] for row in table.rows]) for table in tables] == groups
@@ -301,6 +302,23 @@ def test_what_moved_is_told_with_its_bar(results: dict[str, Result]) -> None:
             assert bar == Bar(row["change"], row["std"], pytest.approx(limits[row["unit"]]))
             assert absorbed != name
     assert any("+" in row[4] for table in tables for row in table.rows) and states.endswith(".")
+
+
+def test_bars_have_a_scale_of_their_unit_or_of_their_own(
+    results: dict[str, Result], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    r = results["poses"]
+    told = [("base_x", "mm", 0.0, 0.25, MEASURED), ("base_y", "mm", -3.0, 0.25, MEASURED), ("d2", "deg", 0.0, 0.0, HELD),
+            ("a1", "SI", 0.5, np.nan, MEASURED), ("a2", "SI", -0.25, 0.5, MEASURED)]  # fmt: skip
+    rows = [dict(zip(("name", "unit", "change", "std", "state"), row, strict=True)) for row in told]
+    monkeypatch.setattr(Result, "parameters", lambda self: rows)
+    _, *parts = parts_of(built(lambda: calibration_report.calibration_page(r)), "What moved")
+    tables = [part.parts[0] if isinstance(part, Folded) else part for part in parts]
+    assert {row[0]: row[3] for table in tables for row in table.rows} == {
+        "base_x": Bar(0.0, 0.25, 1.0), "base_y": Bar(-3.0, 0.25, 3.0), "d2": Bar(0.0, 0.0, 1.0),
+        "a1": Bar(0.5, 0.0, 1.25), "a2": Bar(-0.25, 0.5, 1.25),
+    }  # fmt: skip
+    assert [len(table.rows) for table in tables] == [1, 3, 1]
 
 
 def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: pytest.MonkeyPatch) -> None:
