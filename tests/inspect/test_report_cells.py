@@ -308,8 +308,13 @@ def test_bars_have_a_scale_of_their_unit_or_of_their_own(
     results: dict[str, Result], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     r = results["poses"]
-    told = [("base_x", "mm", 0.0, 0.25, MEASURED), ("base_y", "mm", -3.0, 0.25, MEASURED), ("d2", "deg", 0.0, 0.0, HELD),
-            ("a1", "SI", 0.5, np.nan, MEASURED), ("a2", "SI", -0.25, 0.5, MEASURED)]  # fmt: skip
+    told = [
+        ("base_x", "mm", 0.0, 0.25, MEASURED),
+        ("base_y", "mm", -3.0, 0.25, MEASURED),
+        ("d2", "deg", 0.0, 0.0, HELD),
+        ("a1", "SI", 0.5, np.nan, MEASURED),
+        ("a2", "SI", -0.25, 0.5, MEASURED),
+    ]
     rows = [dict(zip(("name", "unit", "change", "std", "state"), row, strict=True)) for row in told]
     monkeypatch.setattr(Result, "parameters", lambda self: rows)
     _, *parts = parts_of(built(lambda: calibration_report.calibration_page(r)), "What moved")
@@ -319,6 +324,21 @@ def test_bars_have_a_scale_of_their_unit_or_of_their_own(
         "a1": Bar(0.5, 0.0, 1.25), "a2": Bar(-0.25, 0.5, 1.25),
     }  # fmt: skip
     assert [len(table.rows) for table in tables] == [1, 3, 1]
+
+
+def test_other_rows_blocks_and_arms_are_named_as_what_they_are(results: dict[str, Result]) -> None:
+    r = results["poses"]
+    few = r.test.conditions.select(np.arange(7))
+    other = SimpleNamespace(joints=r.test.joints[:7], conditions=few, source="x.csv", fingerprint=lambda: "f")
+    page = built(lambda: calibration_report.calibration_page(replace(r, test=other)))  # type: ignore[arg-type]
+    assert "On 7 rows that the fit never saw, what was read lay" in page.verdict.text
+    assert "from where the calibrated model says. With the nominal model" in page.verdict.text
+    blocks = np.arange(40) // 5
+    page = built(lambda: calibration_report.calibration_page(replace(r, held_out=replace(r.held_out, blocks=blocks))))
+    assert "of which no fit saw the block that it is judged on, the tool stood" in page.verdict.text
+    assert page.subtitle.endswith("each judged without its block of the rows")
+    unknown = replace(r, quality=replace(r.quality, completeness=replace(r.quality.completeness, chi_square=np.nan)))
+    assert list(built(lambda: calibration_report.calibration_page(unknown)).tiles.values())[3] == "not known"
 
 
 def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: pytest.MonkeyPatch) -> None:
