@@ -302,7 +302,7 @@ ROOMS = {
         "pickenv/inspect/figures",
         "field_figure plot_harvest plot_pixels plot_policies plot_conditions plot_slices",
         "tests/inspect/figures",
-        "misalignments figure_titles figure_numbers pixel_errors",
+        "misalignments whole_panels figure_titles figure_numbers pixel_errors",
         most=SECOND,
     ),
     "reports": room(
