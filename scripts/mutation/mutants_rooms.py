@@ -287,7 +287,7 @@ ROOMS = {
         "pickenv/inspect/films",
         "film_plan film_stage make_film",
         "tests/inspect/films",
-        "film_by_hand film",
+        "film_words film_by_hand film",
         most=SECOND,
     ),
     "recordings": room(

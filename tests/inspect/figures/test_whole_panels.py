@@ -399,7 +399,7 @@ def test_conditions() -> None:
 
 def test_slices() -> None:
     points = np.stack(np.meshgrid(*[0.1 * np.arange(n) for n in (6, 5, 4)], indexing="ij"), axis=-1).reshape(-1, 3)
-    points = points + [0.5, -0.3, 0.2]
+    points = np.add(points, [0.5, -0.3, 0.2])
     fields = {
         "raw": RNG.normal(scale=(1e-3, 1e-3, 1e-4), size=points.shape),
         "LS": RNG.normal(scale=1e-4, size=points.shape),
