@@ -265,7 +265,7 @@ ROOMS = {
         "agents/evaluation/compare agents/evaluation/compared_policies agents/evaluation/contenders "
         "pickenv/inspect/runs/comparison pickenv/inspect/runs/matters",
         "tests",
-        "agents/compare_by_hand inspect/runs/matters agents/compare_numbers agents/compare "
+        "agents/compare_by_hand inspect/runs/matters agents/evaluation/compare_numbers agents/compare "
         "inspect/runs/summary_numbers",
         most=SECOND,
     ),
