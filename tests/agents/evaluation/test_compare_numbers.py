@@ -98,7 +98,7 @@ def test_a_field_is_stepped_with_its_own_seeds(name: str, number: int) -> None:
     rng = np.random.default_rng(seed_words(stream(3, "policy", number, 1), 1)[0])
     policy = RandomReach(envs, rng) if name == "random" else ServoReach(envs)
     words = seed_words(stream(3, "fruit", 1), len(grid.joints))
-    observation, infos = envs.reset(seed=words, options={"goal_joints": grid.joints})  # type: ignore[arg-type]
+    observation, infos = envs.reset(seed=words, options={"goal_joints": grid.joints})
     policy.reset()
     for _ in range(60):
         observation, _, _, _, infos = envs.step(policy.act(observation))
@@ -186,27 +186,27 @@ def test_policies_are_paired_with_calibrations_and_named_by_what_differs(
         contenders_of(["random", "scripted"], (), ["A b", "a-b"])
     with pytest.raises(InputError, match="unknown policy"):
         contenders_of([tmp_path / "none.npy"])
-    made = contenders_of([object()], [calibration])[0]  # type: ignore[list-item]
+    made = contenders_of([object()], [calibration])[0]
     assert made.label == "LS+RBF" and made.calibration is calibration
-    assert contenders_of([SimpleNamespace()])[0].label == "SimpleNamespace"  # type: ignore[list-item]
+    assert contenders_of([SimpleNamespace()])[0].label == "SimpleNamespace"
     assert stage_label(calibration) == "LS+RBF" and stage_label(calibration.without_residual()) == "LS"
     learnt = SimpleNamespace(learnt=SimpleNamespace(kind="some_kind"))
-    assert stage_label(learnt) == "LS+SOME KIND"  # type: ignore[arg-type]
+    assert stage_label(learnt) == "LS+SOME KIND"
 
 
 def test_an_adaptive_policy_trusts_a_calibrated_arm_more(calibration: Calibration) -> None:
     env = gym.make("pickenv/Reach-v0", feedback="camera")
     for noise, compensation, prior in ((2.0, "raw", 1.0), (3.0, "ls", 0.2)):
-        settings = maker_of("adaptive", noise, compensation)(env, 0).settings  # type: ignore[attr-defined]
+        settings = maker_of("adaptive", noise, compensation)(env, 0).settings
         assert (settings.camera_std, settings.prior) == (pytest.approx(1e-3 * noise), prior)
     assert CALIBRATED_PRIOR == 0.2
-    assert maker_of("adaptive")(env, 0).settings.camera_std == 0.0  # type: ignore[attr-defined]
+    assert maker_of("adaptive")(env, 0).settings.camera_std == 0.0
     raw, ls = contenders_of(["adaptive"], [None, calibration], camera_noise_mm=1.5)
     for contender, prior in ((raw, 1.0), (ls, 0.2)):
-        settings = contender.make(env, 0).settings  # type: ignore[attr-defined]
+        settings = contender.make(env, 0).settings
         assert (settings.camera_std, settings.prior) == (pytest.approx(1.5e-3), prior)
     one, other = (maker_of("random")(env, seed) for seed in (3, 4))
-    seen = np.zeros((1, *env.observation_space.shape), np.float32)  # type: ignore[misc]
+    seen = np.zeros((1, *env.observation_space.shape), np.float32)
     again = RandomReach(env, np.random.default_rng(3))
     acted = one.act(seen)
     np.testing.assert_array_equal(acted, again.act(seen))

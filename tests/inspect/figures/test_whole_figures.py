@@ -74,11 +74,11 @@ def test_error_by_method(count: int) -> None:
     assert axes.get_xticks().tolist() == list(range(1, count + 1))
     assert not is_seen(axes.xaxis) and is_seen(axes.yaxis)
     *numbers, told = axes.texts
-    np.testing.assert_allclose([text.xy for text in numbers], [(i + 1.3, mean) for i, mean in enumerate(means)])  # type: ignore[attr-defined]
+    np.testing.assert_allclose([text.xy for text in numbers], [(i + 1.3, mean) for i, mean in enumerate(means)])
     assert told.get_text() == "◇ mean (number), ─ median"
-    assert (told.xy, told.xycoords) == ((0.0, 1.02), "axes fraction")  # type: ignore[attr-defined]
+    assert (told.xy, told.xycoords) == ((0.0, 1.02), "axes fraction")
     for i, box in enumerate(axes.patches, start=1):
-        across = box.get_path().vertices[:, 0]  # type: ignore[attr-defined]
+        across = box.get_path().vertices[:, 0]
         assert (across.min(), across.max()) == pytest.approx((i - 0.275, i + 0.275))
     medians = [line for line in axes.get_lines() if line.get_linewidth() == 1.4 and line.get_color() == INK]
     assert len(medians) == count
@@ -156,7 +156,7 @@ def test_error_against(kind: str) -> None:
     assert words(axes) == f"LS + BPNN: {said}"
     (told,) = axes.texts
     assert told.get_text() == "dots: poses, line: means of groups"
-    assert (told.xy, told.xycoords) == ((0.0, 1.02), "axes fraction")  # type: ignore[attr-defined]
+    assert (told.xy, told.xycoords) == ((0.0, 1.02), "axes fraction")
     assert axes.get_ylim()[0] == 0.0 and legend(figure) == list(errors)
     with pytest.raises(InputError, match="has 199 errors for 200 values of extension"):
         plot_errors.error_against(cause, {"raw": errors["raw"][1:]}, name="extension", unit="m")
@@ -171,7 +171,7 @@ def test_least_squares_convergence() -> None:
         assert [axes.get_ylabel() for axes in figure.axes] == labels and len(figure.axes) == 1 + (attitude is not None)
         for axes, values in zip(figure.axes, ([6.8, 0.9, 0.512], attitude), strict=False):
             assert axes.get_xlabel() == "iteration (number)"
-            assert [(t.xy, t.xyann, t.get_ha()) for t in axes.texts] == [  # type: ignore[attr-defined]
+            assert [(t.xy, t.xyann, t.get_ha()) for t in axes.texts] == [
                 ((0, values[0]), (5, 6), "left"),
                 ((2, values[2]), (5, 6), "right"),
             ]
@@ -205,7 +205,7 @@ def test_parameters_are_named_as_far_as_names_fit(count: int) -> None:
     for lines, marks, rows in zip(axes.collections, axes.get_lines(), (slice(-2), slice(-2, None)), strict=True):
         place = np.arange(count)[rows]
         np.testing.assert_allclose(marks.get_xydata(), np.stack([place, drawn[rows]], axis=1))
-        tops = np.array(lines.get_segments())  # type: ignore[attr-defined]
+        tops = np.array(lines.get_segments())
         np.testing.assert_allclose(tops[:, 0], np.stack([place, np.full(len(place), 5e-21 / 3)], axis=1))
         np.testing.assert_allclose(tops[:, 1], marks.get_xydata())
     assert legend(figure) == [f"kept ({count - 2})", "dropped (2)"]
@@ -310,7 +310,7 @@ def test_joint_coverage(comparison: Comparison) -> None:
     spans = 100 * (high - low) / whole
     title = figure.get_suptitle()
     assert title == f"Poses span {spans.min():.0f} to {spans.max():.0f} % of the joint ranges; shown is what they span"
-    assert figure._suptitle.get_fontweight() == "bold"  # type: ignore[attr-defined]
+    assert figure._suptitle.get_fontweight() == "bold"
     rim = np.where(np.arange(6) == 3, 0.01 * whole, 0.05 * (high - low))
     colours = [[c / 255 for c in OTHERS[i]] for i in (0, 1, 3)]
     grid = np.array(figure.axes).reshape(6, 6)
@@ -343,4 +343,4 @@ def test_joint_coverage(comparison: Comparison) -> None:
             assert to_rgb(outline.get_edgecolor()) == pytest.approx(colour) and not outline.get_fill()
     assert legend(figure) == ["fitted (40)", "network (30)", "test (9)"]
     for handle, colour in zip(figure.legends[0].legend_handles, colours, strict=True):
-        assert (handle.get_color(), handle.get_marker()) == (pytest.approx(colour), "o")  # type: ignore[union-attr]
+        assert (handle.get_color(), handle.get_marker()) == (pytest.approx(colour), "o")

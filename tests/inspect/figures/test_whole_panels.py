@@ -45,7 +45,7 @@ def legend(figure: Figure) -> list[str]:
 
 def gridded(axes: Any) -> tuple[bool, bool]:
     """Whether upright and level grid lines are drawn."""
-    return tuple(bool(axis.get_gridlines()[0].get_visible()) for axis in (axes.xaxis, axes.yaxis))  # type: ignore[return-value]
+    return tuple(bool(axis.get_gridlines()[0].get_visible()) for axis in (axes.xaxis, axes.yaxis))
 
 
 def xy(artist: Any) -> np.ndarray:
@@ -121,13 +121,13 @@ def test_funnel(count: int) -> None:
     assert axes.get_title("left").replace("\u00a0", " ") == f"Of the fruit seen, taken: {said} %"
     wide = 0.84 / count
     for i, group in enumerate(axes.containers):
-        for k, bar in enumerate(group):  # type: ignore[arg-type]
+        for k, bar in enumerate(group):
             n = list(given[f"s{i}"].values())
             assert bar.get_height() == pytest.approx(100 * n[k] / n[0])
             assert bar.get_width() == pytest.approx(0.92 * wide)
             assert bar.get_x() + bar.get_width() / 2 == pytest.approx(k + wide * (i - (count - 1) / 2))
     lone = plot_harvest.funnel_bars({"a": {"seen": 1, "taken": 1}, "b": {"seen": 0, "taken": 0}}).axes[0]
-    assert [bar.get_height() for group in lone.containers for bar in group] == [100, 100, 0, 0]  # type: ignore[attr-defined]
+    assert [bar.get_height() for group in lone.containers for bar in group] == [100, 100, 0, 0]
 
 
 def test_throughput() -> None:
@@ -138,7 +138,7 @@ def test_throughput() -> None:
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("arms (number)", "picks per hour (1/h)")
     assert legend(figure) == ["thin", "dense"]
     for k, bars in enumerate(axes.containers):
-        line, caps, _ = bars.lines  # type: ignore[attr-defined]
+        line, caps, _ = bars.lines
         assert to_rgb(line.get_color()) == share((BLUE, ORANGE)[k]) and line.get_marker() == "o"
         assert len(caps) == 2
 
@@ -259,9 +259,9 @@ def test_aggregates(scenes: int) -> None:
         "LS",
         "mine",
     ]
-    assert figure._suptitle.get_position()[0] == 0.01 and figure._suptitle.get_ha() == "left"  # type: ignore[attr-defined]
+    assert figure._suptitle.get_position()[0] == 0.01 and figure._suptitle.get_ha() == "left"
     for handle, colour in zip(figure.legends[0].legend_handles, (ORANGE, BLUE), strict=False):
-        assert to_rgb(handle.get_color()) == share(colour)  # type: ignore[union-attr]
+        assert to_rgb(handle.get_color()) == share(colour)
     for number, axes in enumerate(figure.axes):
         assert axes.get_xlabel() == ("final position error (mm)" if number == scenes - 1 else "")
         assert [tick.get_text() for tick in axes.get_yticklabels()] == ["scripted", "ppo"]
@@ -346,7 +346,7 @@ def test_accuracy_by_pose_and_its_drift(count: int) -> None:
         said = [text.get_text() for text in axes.get_legend().get_texts()]
         assert said == [f"{name}: worst {values.max():.3f} mm" for name, values in series.items()]
         for i, (group, values) in enumerate(zip(axes.containers, series.values(), strict=True)):
-            for k, bar in enumerate(group):  # type: ignore[arg-type]
+            for k, bar in enumerate(group):
                 centre = k + 1 + 0.35 * (i - (count - 1) / 2)
                 assert (bar.get_x() + bar.get_width() / 2, bar.get_width()) == pytest.approx((centre, 0.33))
                 assert bar.get_height() == values[k] and to_rgb(bar.get_facecolor()) == share((ORANGE, BLUE)[i])
@@ -379,7 +379,7 @@ def test_conditions() -> None:
     assert [axes.get_ylabel() for axes in figure.axes] == ["mean position error (mm)", ""]
     assert figure.axes[0].get_yscale() == "log" and legend(figure)[:3] == ["raw", "LS = twin", "best"]
     assert figure.get_suptitle() == "Best: 0.20 to 0.25 mm under conditions that no fit has seen"
-    assert figure._suptitle.get_position()[0] == 0.01 and figure._suptitle.get_ha() == "left"  # type: ignore[attr-defined]
+    assert figure._suptitle.get_position()[0] == 0.01 and figure._suptitle.get_ha() == "left"
     wanted = [ORANGE, BLUE, GREEN, OTHERS[0], OTHERS[1], GREY, BLUE, GREEN]
     for axes, levels in zip(figure.axes, ([0, 2], [5, 9]), strict=True):
         assert [to_rgb(line.get_color()) for line in axes.get_lines()] == [share(colour) for colour in wanted]
@@ -391,7 +391,7 @@ def test_conditions() -> None:
         assert axes.get_lines()[0].get_linestyle() == "-" and axes.get_lines()[6].get_linestyle() == "-"
         bands = [c for c in axes.collections if isinstance(c, PolyCollection)]
         assert len(bands) == len(lines) - 1  # LS has no intervals
-        corners = {tuple(v) for v in np.round(bands[0].get_paths()[0].vertices, 9).tolist()}  # type: ignore[arg-type]
+        corners = {tuple(v) for v in np.round(bands[0].get_paths()[0].vertices, 9).tolist()}
         assert {(levels[0], 2.7), (levels[0], 3.6), (levels[1], 3.6), (levels[1], 4.8)} <= corners
     with pytest.raises(InputError, match="no condition was varied"):
         error_by_condition({"hours": one}, {})
@@ -407,7 +407,7 @@ def test_slices() -> None:
     figure = error_slices(points, fields, step=0.1)
     panels = figure.axes[:-1]
     assert len(panels) == 2 * 3
-    assert figure._suptitle.get_fontweight() == "bold"  # type: ignore[attr-defined]
+    assert figure._suptitle.get_fontweight() == "bold"
     top = np.percentile(1e3 * np.linalg.norm(fields["raw"], axis=1), 99)
     gain = field_gain(0.1, top)
     tall = (7.2 - 0.9) / 3 * (0.4 + 0.2) / (0.5 + 0.2)
