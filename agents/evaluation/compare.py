@@ -267,7 +267,7 @@ def _field(
     spec = gym.spec(env_id)
     steps = spec.max_episode_steps or 60
     envs: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(
-        env_id, num_envs=len(grid.joints), max_episode_steps=None, autoreset_mode="Disabled", **arguments
+        env_id, num_envs=len(grid.joints), autoreset_mode="Disabled", **arguments
     )
     if contender.compensator is not None:
         compensation: Any = contender.compensator

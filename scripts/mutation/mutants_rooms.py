@@ -270,7 +270,8 @@ ROOMS = {
         "agents/evaluation/compare agents/evaluation/compared_policies agents/evaluation/contenders "
         "pickenv/inspect/runs/comparison pickenv/inspect/runs/matters",
         "tests",
-        "agents/compare_by_hand inspect/runs/matters agents/compare inspect/runs/summary_numbers",
+        "agents/compare_by_hand inspect/runs/matters agents/evaluation/compare_numbers agents/compare "
+        "inspect/runs/summary_numbers",
         most=SECOND,
     ),
     "leaderboard": room(
@@ -291,7 +292,7 @@ ROOMS = {
         "pickenv/inspect/films",
         "film_plan film_stage make_film",
         "tests/inspect/films",
-        "film_by_hand film",
+        "film_words film_by_hand film",
         most=SECOND,
     ),
     "recordings": room(
@@ -299,14 +300,14 @@ ROOMS = {
         "runs/harvest_trace runs/calibration_trace runs/gripping recordings/detail_entities recordings/details "
         "recordings/comparison_recording recordings/harvest_recording",
         "tests/inspect",
-        "details harvest_recording recording",
+        "runs/traces harvest_recording recorded_columns details runs/summary_numbers recording",
         most=SECOND,
     ),
     "figures": room(
         "pickenv/inspect/figures",
         "field_figure plot_harvest plot_pixels plot_policies plot_conditions plot_slices",
         "tests/inspect/figures",
-        "misalignments figure_titles figure_numbers pixel_errors",
+        "misalignments whole_panels figure_titles figure_numbers pixel_errors",
         most=SECOND,
     ),
     "reports": room(
@@ -314,6 +315,7 @@ ROOMS = {
         "runs/comparison_summary figures/plot_errors figures/plot_calibration reports/demo_report "
         "reports/calibration_report reports/report_words",
         "tests/inspect",
-        "runs/summary_numbers figures/figure_numbers figures/page_numbers calibration_report report",
+        "figures/whole_figures report_cells runs/summary_numbers figures/figure_numbers figures/page_numbers "
+        "calibration_report report",
     ),
 }

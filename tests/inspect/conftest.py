@@ -165,6 +165,30 @@ class Reading:
         array = flat.to_numpy(zero_copy_only=False)
         return array.reshape(-1, width) if width else array
 
+    def holds(self, entity: str, **wanted: Any) -> None:
+        """That an entity consists of just these components: all rows joined, colours as red, green, blue (and alpha).
+
+        What is drawn as many pixels wide on any screen has a radius below zero.
+        """
+        named = {column.component for column in self.store.schema().component_columns() if column.entity_path == entity}
+        assert {name.split(":")[-1] for name in named} == set(wanted), entity
+        for name in named:
+            expected, flat = wanted[name.split(":")[-1]], self.component(entity, name)
+            while pa.types.is_list(flat.type) or pa.types.is_fixed_size_list(flat.type):
+                flat = flat.flatten()
+            found = flat.to_numpy(zero_copy_only=False)
+            if name.split(":")[-1] in ("color", "colors"):
+                colours = [(*colour, 255)[:4] for colour in np.asarray(expected).tolist()]
+                expected = [
+                    sum(int(c) << shift for c, shift in zip(rgba, (24, 16, 8, 0), strict=True)) for rgba in colours
+                ]
+            expected = np.ravel(expected)
+            assert found.shape == expected.shape, (entity, name)
+            if found.dtype.kind == "f":
+                np.testing.assert_allclose(found, expected, rtol=2e-6, atol=2e-7, err_msg=f"{entity} {name}")
+            else:
+                np.testing.assert_array_equal(found, expected, err_msg=f"{entity} {name}")
+
     def times(self, entity: str, time_line: str) -> np.ndarray:
         """All times of an entity on one time line: numbers of a sequence, or ns of a duration."""
         batches = [chunk.to_record_batch() for chunk in self.store.stream().filter(content=entity)]

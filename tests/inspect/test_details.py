@@ -14,11 +14,16 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import forward, load_plant, noncompensable_error
 from pickenv.arm.kinematics.jacobians import joint_jacobian
 from pickenv.arm.plant.effect_shares import effect_shares
+from pickenv.inspect.colours import GREY, STEEL, policy_colours, viridis
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.recordings.details import FLOOR, attitude_fields, details_of, effect_fields
 from pickenv.inspect.recordings.field_day import CAMERA_STD, day_of, drifting_plant, joints_at
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.inspect.runs.comparison_summary import cell_means
+from pickenv.inspect.runs.view import cut_away
+
+COLORMAP = 6
+"""Rerun's number of Viridis."""
 
 
 def orchard(comparison: Comparison) -> Comparison:
@@ -160,29 +165,83 @@ def orchard_reading(
     return reader(record_comparison(orchard(comparison), tmp_path_factory.mktemp("orchard") / "errors.rrd", gain=10.0))
 
 
+@pytest.fixture
+def without_day(comparison: Comparison) -> Comparison:
+    """Of an arm of which no drift is known, so that there is no day to work out."""
+    other = replace(comparison.plant.arm.nominal, a=comparison.plant.arm.nominal.a + 1e-6)
+    return replace(comparison, plant=replace(comparison.plant, arm=replace(comparison.plant.arm, nominal=other)))
+
+
 def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison) -> None:
     details = details_of(orchard(comparison))
     assert len(details.effects) > 5
     assert orchard_reading.unmatched_rules() == []
     fields = {f"effect/{name}": field for name, field in details.effects.items()}
+    raw, last = (1e3 * np.linalg.norm(comparison.policies[i].field_errors, axis=1) for i in (0, -1))
+    top = np.percentile(raw, 99)
     for name, field in {**fields, "field/removed/vectors": details.removed}.items():
-        vectors = orchard_reading.values(f"/world/{name}", "Arrows3D:vectors")
-        np.testing.assert_allclose(vectors, 10.0 * field, rtol=1e-6, atol=1e-9)
-        xyz = orchard_reading.values(f"/world/{name}", "PickError:xyz_mm")
-        np.testing.assert_allclose(xyz, 1e3 * field, rtol=1e-6, atol=1e-7)
+        length = 1e3 * np.linalg.norm(field, axis=1)
+        orchard_reading.holds(
+            f"/world/{name}",
+            origins=comparison.field_points,
+            vectors=10.0 * field,
+            xyz_mm=1e3 * field,
+            norm_mm=length,
+            colors=viridis(length / top),
+            radii=[-1.6],
+        )
+    turned = np.degrees(np.linalg.norm(details.attitude["raw"], axis=1))
+    top = np.percentile(turned, 99)
+    drawn = next(s for s in (0.01, 0.02, 0.025, 0.05, 0.1, 0.2, 0.25, 0.5, 1, 2, 2.5, 5) if s >= 0.055 / top)
     for key, field in details.attitude.items():
-        degrees = orchard_reading.values(f"/world/attitude/{key}", "PickError:xyz_deg")
-        np.testing.assert_allclose(degrees, np.degrees(field), rtol=1e-5, atol=1e-9)
-    predicted = orchard_reading.values("/world/uncertainty/predicted", "VoxelGridMap:values")
-    assert set(np.round(predicted, 6)) <= set(np.round(np.float32(1e3 * comparison.field_uncertainty), 6))
-    for key, (_, errors) in details.day.lines({key: key for key in details.day.errors_mm}).items():
-        means = orchard_reading.values(f"/day/mean_mm/{key}", "Scalars:scalars")
-        np.testing.assert_allclose(means, errors.mean(axis=1))
-        times = orchard_reading.times(f"/day/p95_mm/{key}", "hours")
-        np.testing.assert_allclose(times, 3.6e12 * details.day.hours, rtol=1e-9)
-    assert orchard_reading.values("/about_the_day", "TextDocument:text")[0] == details.day.explanation(
-        {policy.key: policy.label for policy in comparison.policies}
-    )
+        degrees = np.degrees(field)
+        orchard_reading.holds(
+            f"/world/attitude/{key}",
+            origins=comparison.field_points,
+            vectors=drawn * degrees,
+            xyz_deg=degrees,
+            norm_deg=np.linalg.norm(degrees, axis=1),
+            colors=viridis(np.linalg.norm(degrees, axis=1) / top),
+            radii=[-1.6],
+        )
+    predicted = 1e3 * comparison.field_uncertainty
+    kept, low = ~cut_away(comparison), comparison.grid_origin - 0.5 * comparison.grid_step
+    for name, values in (("predicted", predicted), ("actual", last)):
+        orchard_reading.holds(
+            f"/world/uncertainty/{name}",
+            values=values[kept],
+            voxel_indices=comparison.field_index[kept],
+            voxel_size=[0.055] * 3,
+            translation=low,
+            value_range=[0.0, np.percentile(np.concatenate([predicted, last]), 99)],
+            colormap=[COLORMAP],
+        )
+    for key, said in (("attitude", "deg"), ("uncertainty", "mm")):
+        assert orchard_reading.values(f"/legend/{key}/ticks", "Points2D:labels")[-1].endswith(f" {said}")
+    labels = {policy.key: policy.label for policy in comparison.policies}
+    lines = details.day.lines(labels)
+    for (key, (label, errors)), colour in zip(lines.items(), policy_colours(list(lines)), strict=True):
+        assert len(errors) == len(details.day.hours) == 100
+        ordered = np.sort(errors, axis=1)
+        place = 0.95 * (errors.shape[1] - 1)
+        below, above = (ordered[:, int(place) + i] for i in (0, 1))
+        for name, values, width in (
+            ("mean", errors.sum(axis=1) / errors.shape[1], 2.2),
+            ("p95", below + (place % 1.0) * (above - below), 1.0),
+        ):
+            entity = f"/day/{name}_mm/{key}"
+            orchard_reading.holds(entity, scalars=values, names=[f"{label}, {name}"], colors=[colour], widths=[width])
+            times = orchard_reading.times(entity, "hours")
+            np.testing.assert_allclose(times, 3.6e12 * details.day.hours, rtol=1e-9)
+    orchard_reading.holds("/about_the_day", text=[details.day.explanation(labels)], media_type=["text/markdown"])
+
+
+def test_two_policies_have_a_difference_and_unknown_attitudes_no_field(without_day: Comparison) -> None:
+    before, last = without_day.policies[:2]
+    removed = details_of(replace(without_day, policies=(before, last))).removed
+    np.testing.assert_allclose(removed, before.field_errors - last.field_errors)
+    for unknown in ((replace(before, field_attitude=None), last), (before, replace(last, field_attitude=None))):
+        assert attitude_fields(replace(without_day, policies=unknown)) == {}
 
 
 def test_the_exported_arms_stand_where_the_reach_puts_them(reading: Any, comparison: Comparison) -> None:
@@ -195,6 +254,23 @@ def test_the_exported_arms_stand_where_the_reach_puts_them(reading: Any, compari
             turn = Rotation.from_quat(reading.values(f"/{name}/joint{i + 1}", "Transform3D:quaternion")).as_matrix()
             position = position + np.einsum("rij,rj->ri", rotation, step)
             rotation = rotation @ turn
+            frames = [f"{name}/link{k}" if k else f"{name}/base" for k in (i, i + 1)]
+            step_frames = [
+                set(reading.values(f"/{name}/joint{i + 1}", f"Transform3D:{which}_frame"))
+                for which in ("parent", "child")
+            ]
+            assert step_frames == [{frame} for frame in frames]
         last = reading.values(f"/{name}/tf_static", "Transform3D:translation")[-1]
         tool = position + np.einsum("rij,j->ri", rotation, last)
         np.testing.assert_allclose(tool, forward(geometry, commands).position, atol=5e-6)
+
+
+def test_the_exported_arms_hang_on_the_world_in_their_own_colours(reading: Any) -> None:
+    for name, colour, mode in (("urdf_nominal", GREY, 1), ("urdf_true", STEEL, 3)):
+        reading.holds(f"/{name}/base", parent_frame=["tf#/"], child_frame=[f"{name}/base"])
+        bodies = [e for e in reading.entities() if e.startswith(f"/{name}/{name}/visual_geometries/")]
+        assert len(bodies) == 9
+        for entity in bodies:
+            packed = int(reading.values(entity, "Cylinders3D:colors")[-1])  # what was sent last is what holds
+            assert tuple(packed >> shift & 0xFF for shift in (24, 16, 8)) == colour
+            assert reading.values(entity, "Cylinders3D:fill_mode")[-1] == mode

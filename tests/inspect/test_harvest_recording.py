@@ -10,17 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
-from pickenv.harvester.harvest import Harvest, Strategy
+from pickenv.harvester.arm_paths import slave_joints_at
+from pickenv.harvester.harvest import Harvest, Round, Strategy
 from pickenv.harvester.interference import arm_distances
+from pickenv.harvester.joint_motion import profile, travel_time
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.picking import load_picking
 from pickenv.harvester.strategies import work_trees
 from pickenv.harvester.trees import load_orchard
 from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine
 from pickenv.harvester.zones import load_grid
+from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL
 from pickenv.inspect.recordings.harvest_recording import FATES, inspect_harvest
 from pickenv.inspect.runs.harvest_trace import picked_tree
+
+COLOURS = ((0, 114, 178), (230, 159, 0), (0, 158, 115))
+"""Of the arms."""
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +99,116 @@ def test_cups_reach_their_fruit_and_distances_are_theirs(reading: Any, harvest: 
     home = np.broadcast_to(true.machine.slave_home, (1, true.machine.arms, 3))
     first = [reading.values(f"/distance/{pair}", "Scalars:scalars")[0] for pair in ("1_2", "1_3", "2_3")]
     np.testing.assert_allclose(first, 1e3 * arm_distances(true.machine, home)[0])
+
+
+def moving(true: TrueMachine, harvest: Harvest) -> tuple[Round, float, Array, Array, Array]:
+    """The round shown, when its master arrives, all times, and the joints of master and slaves then."""
+    machine, shown = true.machine, max(harvest.rounds, key=lambda item: len(item.fruit))
+    way = shown.master - machine.master_start
+    arrival = float(travel_time(way, machine.master.speed, machine.master_acceleration).max())
+    last = arrival + shown.times.makespan + 1.0
+    at = 0.05 * np.arange(int(np.ceil(last / 0.05)))
+    gone = profile(at[:, None], way, machine.master.speed, machine.master_acceleration)
+    return (
+        shown,
+        arrival,
+        at,
+        machine.master_start + gone,
+        slave_joints_at(machine, shown.work, shown.times, at - arrival),
+    )
+
+
+def test_the_machine_is_drawn_where_its_joints_put_it(reading: Any, harvest: Harvest, true: TrueMachine) -> None:
+    machine = true.machine
+    _, _, at, masters, slaves = moving(true, harvest)
+    pillar = [[0.0, 0.0, 0.0], [0.0, 0.0, machine.d1 + machine.upper[1]]]
+    reading.holds("/world/master/column", strips=pillar, colors=[STEEL], radii=[0.03])
+    frame, tips = machine.frame3(masters), machine.tips(masters, slaves)
+    straight = np.stack([slaves[..., 0], 0.0 * slaves[..., 0], 0.0 * slaves[..., 0]], axis=-1)
+    pivots = machine.tips(masters, straight)
+    boom = np.stack([frame, frame, pivots[:, 0], pivots[:, -1]], axis=1)
+    boom[:, 0, :2] = 0.0
+    boom[..., 2] = frame[:, 2:]
+    reading.holds("/world/master/boom", strips=boom, colors=[STEEL], radii=[0.02])
+    for arm, colour in enumerate(COLOURS):
+        ends = np.stack([pivots[:, arm], tips[:, arm]], axis=1)
+        reading.holds(f"/world/slave_{arm + 1}", strips=ends, colors=[colour], radii=[machine.body.radius / 2])
+    times = reading.times("/world/master/boom", "sim_time")
+    np.testing.assert_allclose(times, 1e9 * at, atol=2.0)
+    near = 1e3 * arm_distances(machine, slaves)
+    for pair, colour, distance in zip(("1_2", "1_3", "2_3"), COLOURS, near.T, strict=True):
+        names = [f"slaves {pair[0]} and {pair[2]}"]
+        reading.holds(f"/distance/{pair}", scalars=distance, names=names, colors=[colour])
+    limit = np.full(len(at), 1e3 * (2 * machine.body.radius + machine.body.margin))
+    reading.holds("/distance/limit", scalars=limit, names=["least allowed"], colors=[RED])
+
+
+def test_lanes_and_fruit_change_when_a_pick_does(reading: Any, harvest: Harvest, true: TrueMachine) -> None:
+    shown, arrival, *_ = moving(true, harvest)
+    for arm in range(3):
+        picks = sorted(np.flatnonzero(shown.times.arm == arm), key=lambda pick: shown.times.start[pick])
+        moments = [0.0, arrival, *(arrival + t[pick] for pick in picks for t in (shown.times.start, shown.times.end))]
+        outs = ["collected" if shown.outcome.collected[pick] else "missed" for pick in picks]
+        reading.holds(
+            f"/arms/slave_{arm + 1}",
+            state=["carried", "travel", *(state for out in outs for state in (out, "travel"))],
+            values=["carried", "travel", "collected", "missed"],
+            labels=["carried", "travel", "out, collected", "out, missed"],
+            colors=[GREY, STEEL, GREEN, RED],
+        )
+        np.testing.assert_allclose(reading.times(f"/arms/slave_{arm + 1}", "sim_time"), 1e9 * np.array(moments), atol=2)
+    numbers = np.flatnonzero(shown.zone.holds(harvest.tree.fruit))
+    ends = np.concatenate([[-np.inf], np.sort(shown.times.end)])
+    colours = [[FRUIT] * len(numbers) for _ in ends]
+    for pick, number in enumerate(shown.fruit):
+        for row, end in zip(colours, ends, strict=True):
+            if end >= shown.times.end[pick] and number in numbers:
+                row[numbers.tolist().index(number)] = GREEN if shown.outcome.collected[pick] else RED
+    reading.holds(
+        "/world/fruit",
+        positions=harvest.tree.fruit[numbers],
+        radii=[0.03] * len(numbers),
+        colors=[colour for row in colours for colour in row],
+    )
+    times = reading.times("/world/fruit", "sim_time")
+    np.testing.assert_allclose(times[times >= 0], 1e9 * np.array([0.0, *(arrival + ends[1:])]), atol=2)
+
+
+def test_the_eye_stands_behind_and_beside_all_that_is_shown(reading: Any, harvest: Harvest, true: TrueMachine) -> None:
+    machine, (shown, *_) = true.machine, moving(true, harvest)
+    home = machine.slave_home[None].repeat(3, axis=0)
+    tips = [machine.tips(master, home) for master in (machine.master_start, shown.master)]
+    points = np.concatenate([harvest.tree.fruit[shown.zone.holds(harvest.tree.fruit)], *tips])
+    low, high = points.min(axis=0), points.max(axis=0)
+    heading = np.arctan2(*machine.frame3(shown.master)[1::-1])
+    beside, ahead = (np.array([np.cos(turn), np.sin(turn), 0.0]) for turn in (heading - np.pi / 2, heading))
+    away = 0.9 * np.linalg.norm(high - low) * (0.8 * beside - 0.6 * ahead + np.array([0.0, 0.0, 0.5]))
+    found = {}
+    for chunk in reading.blueprint.stream():
+        batch = chunk.to_record_batch()
+        found |= {name: batch.column(name).to_pylist()[-1] for name in batch.schema.names if ":" in name}
+        name = (found.pop("ViewBlueprint:display_name", None) or [None])[0]
+        if name:
+            found[name] = (found.pop("ViewBlueprint:class_identifier")[0], found.pop("ViewBlueprint:space_origin")[0])
+    np.testing.assert_allclose(found["EyeControls3D:look_target"][0], (low + high) / 2, rtol=1e-6)
+    np.testing.assert_allclose(found["EyeControls3D:position"][0], (low + high) / 2 + away, rtol=1e-6)
+    assert found["LineGrid3D:visible"] == [False] and found["TimePanelBlueprint:timeline"] == ["sim_time"]
+    np.testing.assert_allclose(found["ContainerBlueprint:row_shares"], [4.0, 1.4, 2.0], rtol=1e-6)
+    assert found["Master, slaves and fruit, m"] == ("3D", "/world")
+    assert found["Slaves: travel, out and collected, out and missed (red)"] == ("StateTimeline", "/arms")
+    assert found["Distance between slaves, mm"] == ("TimeSeries", "/distance")
+    assert sorted(reading.rules()) == ["/arms/**", "/distance/**", "/world/**"]
+
+
+@pytest.mark.parametrize("arms", [1, 2])
+def test_fewer_arms_have_fewer_distances(arms: int, reader: Callable[[Path], Any], tmp_path: Path) -> None:
+    few = load_true_machine(load_machine(slaves=arms))
+    strategy = Strategy("li", Controller(few.machine))
+    (found,) = work_trees(few, strategy, load_picking(), load_orchard(), load_grid(), count=1, seed=1)
+    reading = reader(inspect_harvest(few.machine, found, tmp_path / "zone.rrd"))
+    distances = {entity for entity in reading.entities() if entity.startswith("/distance")}
+    assert distances == ({"/distance/1_2", "/distance/limit"} if arms == 2 else set())
+    assert ("/distance/**" in reading.rules()) == (arms == 2) and reading.unmatched_rules() == []
 
 
 def test_what_a_run_keeps_of_a_tree_is_its_rounds_one_after_another(harvest: Harvest) -> None:

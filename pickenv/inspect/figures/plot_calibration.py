@@ -227,7 +227,7 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
             axes.tick_params(length=2.0, labelbottom=row == n - 1, labelleft=column == 0 and row > 0)
             if row == n - 1:
                 axes.set_xlabel(f"q{column + 1} ({units[column]})")
-            if column == 0 and row > 0:
+            if column == 0:
                 axes.set_ylabel(f"q{row + 1}\n({units[row]})")
         grid[0, 0].set_ylabel("density\n(relative)")
         figure.align_ylabels(grid[:, 0])

@@ -76,7 +76,7 @@ def attitude_fields(comparison: Comparison) -> dict[str, Array]:
     first, last = comparison.policies[0], comparison.policies[-1]
     if first.field_attitude is None or last.field_attitude is None:
         return {}
-    error = np.concatenate([last.field_errors, last.field_attitude], axis=-1)
+    error = np.concatenate([last.field_errors, last.field_attitude], axis=1)
     floor = noncompensable_error(comparison.plant.geometry, comparison.field_joints, error)[..., 3:]
     return {first.key: first.field_attitude, last.key: last.field_attitude, FLOOR: floor}
 

@@ -110,7 +110,7 @@ def matters(
         key=lambda c: -abs(c.gain),
     )
     if abs(best[0].gain) < MATTERS:
-        most = np.ceil(100.0 * abs(best[0].gain) - 1e-9)
+        most = abs(np.ceil(100.0 * abs(best[0].gain) - 1e-9))  # no minus before a zero
         return (
             f"On {plant} this changes no more than {most:.0f} of 100 picks, with any gripper "
             f"and however well the fruit is seen; most {_where(best[0])}: {both(best[0])}."
