@@ -4,9 +4,12 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.dataset as ds
 import pytest
 
 from pickenv.arm import forward, pose_error
@@ -21,7 +24,7 @@ from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
 from pickenv.study.analysis.study_drawings import gather, study_drawings
 from pickenv.study.analysis.study_recording import arms_compared, record_study
-from pickenv.study.analysis.study_report import page, study_page, write_outputs
+from pickenv.study.analysis.study_report import _failures, page, study_page, write_outputs
 from pickenv.study.analysis.study_verdict import specified, study_verdict
 from pickenv.study.design.config import load_study
 from pickenv.study.design.protocol import prepared_study
@@ -199,6 +202,28 @@ def test_each_share_of_the_page_is_named_for_what_it_is_of(folder, found):
             square = f"{row['mean_square_mm2']:.4f}"
             said = f"{before}{row['parameter']} {100 * row['share']:.1f} {ends} {square}"
             assert f" {said} " in words, said
+
+
+def test_arms_without_a_result_are_counted_by_reason(found):
+    status = ["ok"] * 5 + ["too few poses"] * 2 + ["did not converge"] * 3
+    told = pa.table({"status": pa.array(status).dictionary_encode()})
+    (table,) = [_failures(replace(found, rows=ds.dataset(told)))]
+    assert list(table.rows) == [("did not converge", "3"), ("too few poses", "2")]
+    whole = _failures(replace(found, rows=ds.dataset(told.slice(0, 5))))
+    assert whole == "Every arm has a result in every setting."
+
+
+def test_an_arm_of_a_method_that_learns_is_placed_among_twenty(monkeypatch):
+    """Where they take a second each; a thousand arms are no trouble to least squares."""
+    asked = []
+    for method, most in (("ls+bpnn", 20), ("ls", 1000), ("raw", 1000)):
+        asked.clear()
+        protocol = SimpleNamespace(config=SimpleNamespace(arms=5000), circumstances=asked.append)
+        monkeypatch.setattr(single_arms, "evaluate_arm", lambda *given: [None])
+        monkeypatch.setattr(single_arms, "gathered", lambda parts: SimpleNamespace(status=["lost"] * len(parts)))
+        with pytest.raises(InputError, match="it has no place in setting 3: lost"):
+            place(protocol, None, SimpleNamespace(method=method, number=3), None, "it")
+        assert asked == list(range(most))
 
 
 def test_the_designs_own_arm_stands_where_its_error_does(folder, found):

@@ -75,6 +75,12 @@ def test_failed_arms_and_constant_columns_are_left_out():
     assert {row["parameter"] for row in found} == {"delta_a0_mm", "lengths"} and found[0]["arms"] == 400
 
 
+def test_a_column_counts_that_varies_by_more_than_rounding():
+    x, z = even(500, 2).T
+    found = sensitivities_of(rows_of({"delta_a0_mm": 1e-11 * x, "delta_a1_mm": 1e-13 * z}, 1 + x**2)).to_pylist()
+    assert {row["parameter"] for row in found} == {"delta_a0_mm", "lengths"}
+
+
 def test_too_few_arms_and_nothing_that_varies_are_said():
     x = even(8, 1)[:, 0]
     with pytest.raises(InputError, match=r"setting 0 has 8 arms with a result; its 1 deviations need 15"):
