@@ -194,6 +194,7 @@ def test_tables_hold_degrees_millimetres_and_counts(tmp_path):
     again = json.loads(export(calibration, tmp_path / "o.json", kind="offsets").path.read_text())
     assert again["format"] == "pickenv joint offsets 1" and "counts" not in again["rows"][0]
     assert [row["unit"] for row in again["rows"]] == ["deg"] * 5
+    assert [row["standard_deviation"] for row in again["rows"]] == [None] * 5  # not known: null, for JSON has no NaN
     slides = export(zeros_off("qiao2026", np.full(6, 1e-3)), tmp_path / "q.json", kind="offsets", counts_per_turn=4096)
     rows = json.loads(slides.path.read_text())["rows"]
     assert rows[1]["unit"] == "mm" and rows[1]["add_to_reading"] == pytest.approx(1.0) and rows[1]["counts"] is None
