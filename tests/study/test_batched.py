@@ -139,13 +139,20 @@ def test_batches_agree_for_other_plants(study_file, plant):
     compare(replace(config, arms=5, fruit=5, poses=(20,)), SINGLE if plant == "field" else AGREEMENT)
 
 
-@pytest.mark.parametrize("degrees", [2.0, 90.0])
-def test_arms_far_from_their_design_have_the_same_status(study_file, tmp_path, degrees):
-    """At two degrees some fruit are out of reach; at ninety most arms need more than plain steps, or are not found."""
+@pytest.mark.parametrize(("degrees", "radius"), [(2.0, "1.0"), (2.0, "6.0"), (90.0, "1.0")])
+def test_arms_far_from_their_design_have_the_same_status(study_file, tmp_path, degrees, radius):
+    """At two degrees some fruit are out of reach, by more or less than the radius; at ninety most arms need more than
+    plain steps, or are not found."""
     path = tmp_path / "hopeless.toml"
     text = (TOLERANCES / "medium.toml").read_text(encoding="utf-8")
     path.write_text(text.replace("half_width_deg = 0.03", f"half_width_deg = {degrees}"), encoding="utf-8")
-    config = load_study(study_file(('"medium"', f'"{path}"'), ("[8, 14]", "[12]"), ("[12, 20]", "[20]")))
+    changes = (
+        ('"medium"', f'"{path}"'),
+        ("[8, 14]", "[12]"),
+        ("[12, 20]", "[20]"),
+        ("radius_mm = 1.0", f"radius_mm = {radius}"),
+    )
+    config = load_study(study_file(*changes))
     table = compare(replace(config, arms=12, chunk=12, payload_kg=(0.0,), methods=("ls",)))
     assert len(set(table["status"].to_pylist())) > 1
 
