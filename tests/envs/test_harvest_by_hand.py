@@ -178,6 +178,19 @@ def test_sensing_and_cutting_take_a_second_in_which_arm_and_master_stand(begin):
     assert env.state.joints[0, [1, joint(MIDDLE, UP)]] - before[[1, joint(MIDDLE, UP)]] == pytest.approx([0.04, -0.04])
 
 
+def test_a_blade_stops_its_own_master_alone():
+    """Three machines side by side: nobody cuts, one arm does, and all three are in their last period."""
+    envs = HarvestVectorEnv(3, fruit=2)
+    envs.reset(seed=0)
+    envs.state.busy[:] = [[0, 0, 0], [0, 5, 0], [1, 1, 1]]
+    before = envs.state.joints.copy()
+    inwards = np.where(before[:, :3] > (envs.task.machine.lower + envs.task.machine.upper)[:3] / 2, -0.5, 0.5)
+    envs.step(np.hstack([inwards, np.zeros((3, 9))]).astype(np.float32))
+    moved = envs.state.joints[:, :3] - before[:, :3]
+    assert moved[0] == pytest.approx(inwards[0] * envs.task.increment[:3])
+    assert not moved[1:].any()
+
+
 def test_the_end_waits_for_the_blade(begin):
     env = begin([[0.0, 0.0, 0.0]])
     overs = [env.step(action())[2] for _ in range(11)]

@@ -204,6 +204,38 @@ def test_of_one_arm_the_heading_knows_no_side_arms():
     assert pick_heading(fruit, 0.0) != pytest.approx(pick_heading(fruit, 0.1), abs=1e-3)
 
 
+def test_of_two_arms_the_heading_knows_half_their_distance():
+    machine = load_machine(slaves=2)
+    fruit = np.array([[0.4, -1.4, 1.0], [-0.3, -1.2, 1.3]])
+    half = (machine.offsets[1] - machine.offsets[0]) / 2
+    assert pick_point(machine, fruit, "corrected").master[0] == pytest.approx(pick_heading(fruit, half))
+
+
+@pytest.mark.parametrize("slaves", [1, 2, 3])
+def test_the_arm_with_fewest_fruit_counts_up_to_an_equal_share(slaves):
+    """By loops over arms and fruit; a lone arm that reaches all has its share, and no more."""
+    machine, rng = load_machine(slaves=slaves), np.random.default_rng(1)
+    low, high, home = machine.slave.lower[1:], machine.slave.upper[1:], machine.slave_home[1:]
+    masters = np.array([-1.25, 0.95, 0.55]) + rng.normal(0.0, 0.05, (6, 3))
+    tips = machine.tips(masters[0], np.tile([0.0, 0.0, 0.65], (slaves, 1)))
+    fruit = tips.mean(axis=0) + rng.normal(0.0, 0.06, (7, 3))
+    inside = rng.random((4, len(fruit))) < 0.8
+    found, shares = _point_costs(machine, masters, fruit, inside), []
+    for i, master in enumerate(masters):
+        ways = machine.slave_inverse(master, fruit)[..., 1:]
+        for j, height in enumerate(inside):
+            cost, load = 0.0, np.zeros(slaves)
+            for f in np.flatnonzero(height):
+                able = [a for a in range(slaves) if (ways[a, f] >= low).all() and (ways[a, f] <= high).all()]
+                if able:
+                    motion = min((np.abs(ways[a, f] - home) / (high - low)).sum() for a in able)
+                    cost += -1.0 + 0.3 * motion / (1.5 * len(fruit))
+                    load[able] += 1
+            shares.append(load.min() / (len(fruit) / slaves))
+            assert found[i, j] == pytest.approx(cost - 0.3 * min(shares[-1], 1.0))
+    assert min(shares) < 1.0 and (max(shares) > 1.0) == (slaves == 2)
+
+
 def test_fruit_beyond_what_any_arm_could_reach_is_left_out_of_the_middle(machine, monkeypatch):
     """A search of one point: it turns to the middle of the fruit that is near enough, of both where none is."""
     monkeypatch.setattr(POINTS, "_search", lambda: Search(0.0, 0.0, 1, 1.0))

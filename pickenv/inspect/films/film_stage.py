@@ -153,7 +153,7 @@ def film_stage(film_set: FilmSet, frame: FilmFrame, side: int) -> Stage:
         _fruit(film_set, side, frame.episode, now, stated),
     )
     words: tuple[Words, ...] = (
-        Words(policy.label, colour=None, large=True),
+        Words(policy.label, large=True),
         Words(f"picked {stated.picked} of {stated.tried}"),
         Words(f"{stated.distance_mm:.1f} mm to the fruit", "top right"),
         Words(f"ghost: the arm as believed, deviation × {GAIN}", "bottom left"),
