@@ -100,6 +100,8 @@ def test_the_page_is_whole_and_needs_nothing_from_outside(html):
     assert page.open == [] and len(set(page.ids)) == len(page.ids)
     assert all(link.startswith(("#", "data:")) for link in page.links)
     assert all(link[1:] in page.ids for link in page.links if link.startswith("#"))
+    sections = re.findall(r'<section id="([^"]+)"', html)
+    assert len(sections) > 3 and {f"#{section}" for section in sections} <= set(page.links)  # the contents
     assert not re.search(r"https?://(?!www\.w3\.org)", html)
 
 
