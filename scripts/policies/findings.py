@@ -192,7 +192,11 @@ def error_tables(grid: PolicyGrid) -> list[str]:
 def success_table(grid: PolicyGrid) -> list[str]:
     """Success by gripper with intervals."""
     keys = calibrated.COMPENSATIONS
-    lines = ["Success by gripper, scripted policy, open loop; 95 % intervals over arms.", ""]
+    lines = [
+        "Success by gripper, scripted policy, open loop: the chance that the gripper's model gives, 95 % intervals "
+        "over arms.",
+        "",
+    ]
     lines += [
         f"| plant | gripper | {' | '.join(policy_label(key) for key in keys)} |",
         "|---|---|" + "---|" * len(keys),
