@@ -295,7 +295,7 @@ def page_lines(findings: list[Finding], sizes: Sizes) -> list[str]:
         f"{sizes.epochs} epochs, where the paper has 500) by a laser tracker that measures them in time. `qiao2026` is "
         "smooth, `field` leaves after least squares what measured arms leave, and `orchard` also drifts. Arms, fruit, "
         "pictures and calibrations come from seed 0. 95 % intervals are over arms, and over training seeds where a "
-        "policy was trained several times; `python scripts/policies/findings_seeds.py` asks other seeds.",
+        "policy was trained several times; [other seeds](findings-seeds.md) say the same.",
         "",
     ]
     for each in findings:

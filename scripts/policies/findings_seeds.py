@@ -41,6 +41,17 @@ NUMBERS = {
     "success_ci95": "success_rate",
 }
 """Of each row of a comparison: intervals, and what they are of."""
+WORDS = {
+    "mean_mm": "mean error, mm",
+    "median_arm_mm": "error of the median arm, mm",
+    "p95_arm_mm": "error of the 95th percentile arm, mm",
+    "success_rate": "share of the fruit taken",
+    "difference": "difference between calibrations, mm",
+    "removed": "share of LS's error removed",
+    "instrument": "what the instrument changes, mm",
+    "servo": "servo with a camera, mm",
+    "crossing": "camera that equals a calibration, mm",
+}
 
 Claim = dict[str, Any]
 """A number: ``kind``, ``what`` in words, ``value``, ``ci95`` (both ends, an open one None, or None), and whether a
@@ -81,7 +92,7 @@ def policy_claims(grid: PolicyGrid) -> list[Claim]:
         name = f"{row['plant']}, {row['policy']}, {policy_label(row['compensation'])}"
         for interval, number in NUMBERS.items():
             said = number == "mean_mm"
-            what = f"{name}, {number}"
+            what = f"{name}, {WORDS[number]}"
             if number == "success_rate":
                 what += f", {row['gripper']}"
                 said = row["gripper"] == "li_cup" and row["compensation"] in ("raw", "ls")
@@ -159,7 +170,7 @@ def page_lines(by_seed: list[dict[str, Claim]]) -> list[str]:
         "|---|--:|--:|--:|",
     ]
     for kind, (held, tried) in counted(by_seed).items():
-        lines.append(f"| {kind} | {held} | {tried} | {held / tried:.0%} |")
+        lines.append(f"| {WORDS.get(kind, kind)} | {held} | {tried} | {100 * held / tried:.0f} % |")
     seeds = " | ".join(f"seed {seed}" for seed in range(1, len(by_seed)))
     lines += [
         "",
@@ -195,8 +206,8 @@ def main() -> None:
         by_seed.append({each["what"]: each for each in json.loads(kept.read_text(encoding="utf-8"))})
         print(f"seed {seed} done", flush=True)
     for kind, (held, tried) in counted(by_seed).items():
-        print(f"{kind}: {held} of {tried} ({held / tried:.0%})")
-    write_text(options.out.with_suffix(".json"), json.dumps(by_seed, indent=1))
+        print(f"{WORDS.get(kind, kind)}: {held} of {tried} ({100 * held / tried:.0f} %)")
+    write_text(options.out.parent / "_static" / "findings-seeds.json", json.dumps(by_seed, indent=1) + "\n")
     print(f"wrote {write_text(options.out, chr(10).join(page_lines(by_seed)) + chr(10))}")
 
 
