@@ -211,7 +211,7 @@ def locate_circles(
     ]
     pixels = np.array(found, dtype=float).reshape(-1, 4)
     pixels = pixels[pixels[:, 3] >= camera.least_correlation]
-    return Detections(triangulate(camera, pixels[:, :3]), np.full(len(pixels), -1), pixels[:, 3])
+    return Detections(triangulate(camera, pixels[:, :3]), np.full(len(pixels), -1), np.minimum(pixels[:, 3], 1.0))
 
 
 def _matched(

@@ -149,13 +149,13 @@ def in_groups(config: StudyConfig, seeds: Sequence[int], size: int, out: Path) -
 def sentence_of_groups(name: str, size: int, found: Sequence[Agreement]) -> str:
     """How many intervals hold in groups of seeds, in words."""
     shares = np.array([100 * each.held / each.intervals for each in found])
-    low, high = mean_interval(shares, least=2) or (shares.min(), shares.max())
+    ends = mean_interval(shares)
+    spread = f"95 % interval over groups {ends[0]:.0f} to {min(ends[1], 100.0):.0f}; " if ends else ""
     apart = sum(each.contradicted for each in found)
     return (
-        f"{name}, {len(found)} groups of {size} seeds: {shares.mean():.0f} % of yield intervals (95 % interval over "
-        f"groups {low:.0f} to {min(high, 100.0):.0f}; least {shares.min():.0f}, most {shares.max():.0f}) hold the mean "
-        f"of their group's other seeds; of {sum(each.pairs for each in found)} pairs of grades or numbers of poses "
-        f"{apart} change their order with intervals that exclude one another"
+        f"{name}, {len(found)} groups of {size} seeds: {shares.mean():.0f} % of yield intervals ({spread}least "
+        f"{shares.min():.0f}, most {shares.max():.0f}) hold the mean of their group's other seeds; of "
+        f"{sum(each.pairs for each in found)} pairs of grades or numbers of poses {apart} change their order with intervals that exclude one another"
     )
 
 
