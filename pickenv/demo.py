@@ -166,6 +166,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         identification,
         test=test,
         choices=Choices(
+            fit="full",  # as the paper does
             terms="none",
             residual="bpnn" if settings.network else "none",
             frames="known",

@@ -34,7 +34,8 @@ class Linearised:
         unknowns: Fitted unknowns of the measurements, by name.
         names: Names of the parameters.
         scale: What their columns are multiplied by ``(P,)``: coefficients are in their tolerances.
-        ridge: What the priors add to the normal equations' diagonal ``(P,)``: none but on coefficients.
+        ridge: What the priors add to the normal equations' diagonal ``(P,)``.
+        pull: What they add to the right-hand side ``(P,)``: parameters fitted have left where they are expected.
     """
 
     arm: ArmModel
@@ -42,6 +43,7 @@ class Linearised:
     names: tuple[str, ...]
     scale: Array
     ridge: Array
+    pull: Array
 
     @staticmethod
     def of(bare: Identification, terms: tuple[Term, ...]) -> Linearised:
@@ -49,8 +51,15 @@ class Linearised:
         arm, fitted = ArmModel.of(bare.geometry, terms), bare.identifiability.kept_names
         names = fitted + arm.parameter_names[len(bare.geometry.parameter_names) :]
         scale = np.r_[np.ones(len(fitted)), arm.term_tolerances]
-        ridge = np.r_[np.zeros(len(fitted)), (bare.scatter / expected_sizes(arm)) ** 2]
-        return Linearised(arm, bare.unknowns, names, scale, ridge)
+        of_fitted = (bare.scatter / bare.prior_std[bare.identifiability.kept]) ** 2
+        ridge = np.r_[of_fitted, (bare.scatter / expected_sizes(arm)) ** 2]
+        moved = np.zeros(len(fitted))
+        if bare.prior is not None:
+            change = dict(zip(bare.geometry.parameter_names, bare.prior.start.difference(bare.arm_model), strict=True))
+            moved = np.array([change.get(name, 0.0) for name in fitted])
+        return Linearised(
+            arm, bare.unknowns, names, scale, ridge, np.r_[-of_fitted * moved, np.zeros(len(scale) - len(moved))]
+        )
 
     @property
     def fitted(self) -> Places:
@@ -121,7 +130,7 @@ class BlockEquations:
         matrix, right = self.matrix.sum(axis=0), self.right.sum(axis=0)
         if block is not None:
             matrix, right = matrix - self.matrix[block], right - self.right[block]
-        return matrix + np.diag(self.model.ridge), right
+        return matrix + np.diag(self.model.ridge), right + self.model.pull
 
     def left(self, block: int, solution: Array) -> float:
         """Sum of squares that a solution leaves of one block."""

@@ -7,7 +7,7 @@ solution, so that a redundant model gives the same geometry as its base set inst
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,14 +16,14 @@ from scipy.linalg import block_diag
 
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.by_view import jackknife_covariance, shared_rows
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.gauge import identifiable_parameters
-from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability, identifiability
 from pickenv.calibration.model.measurements import Measurements, random_joints
+from pickenv.calibration.model.noise import Noise
 from pickenv.calibration.model.observations import Equations, Imaginable
-from pickenv.calibration.model.splits import Rows
+from pickenv.calibration.model.prior import PriorModel
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
 
@@ -32,6 +32,10 @@ PROBES = 60
 
 OFFSET = 1e-3
 """Parameters count as found when a further step would move them by less than this share of their uncertainty."""
+
+
+NOTHING = 1e-7
+"""A parameter of which neither rows nor priors say so much, as a share of the clearest one, stays where it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +47,8 @@ class Identification:
         unknowns: Identified unknowns of the measurements themselves (reflectors, anchors, sockets), m.
         identifiability: What could be identified, what was dropped, and what absorbed it.
         delta: Identified minus starting parameters, m or rad, per parameter (0 for dropped ones).
-        covariance: Of the kept parameters, from the residual's own scatter (of pictures, see `by_view`); NaN without
-            spare equations.
+        covariance: Of the kept parameters: of the posterior where they have priors, else from the residual's own
+            scatter; NaN without spare equations.
         chi_square: Sum of squared whitened residuals.
         degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
@@ -54,6 +58,8 @@ class Identification:
         solve_seconds: Time of the solution alone.
         poses: Number of poses used.
         kind: What was measured: "pose", "position", ….
+        prior: What was expected beforehand; None where nothing was.
+        noise: What rows scatter by, where that was found.
     """
 
     arm_model: ArmModel
@@ -70,6 +76,8 @@ class Identification:
     solve_seconds: float
     poses: int
     kind: str
+    prior: PriorModel | None = None
+    noise: Noise | None = None
 
     @property
     def geometry(self) -> Geometry:
@@ -85,6 +93,25 @@ class Identification:
     def standard_deviation(self) -> Array:
         """Of every parameter, m or rad; NaN for dropped ones."""
         return self.identifiability.of_all(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def prior_std(self) -> Array:
+        """Standard deviation of every parameter before measuring, m or rad; infinite where nothing was expected."""
+        names = self.identifiability.names
+        width = {} if self.prior is None else dict(zip(self.prior.parameters.names, self.prior.width, strict=True))
+        return np.array([width.get(name, np.inf) for name in names])
+
+    @property
+    def narrowed(self) -> Array:
+        """How much narrower every parameter is known than before measuring, 0 to 1; 0 for dropped ones."""
+        share = 1.0 - np.nan_to_num(self.standard_deviation, nan=np.inf) / self.prior_std
+        return np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0)
+
+    @property
+    def spent(self) -> float:
+        """How many parameters' worth of the rows the fit used up."""
+        width = self.prior_std[self.identifiability.kept]
+        return float(np.sum(1.0 - np.clip(np.diag(self.covariance) / width**2, 0.0, 1.0)))
 
     def report(self) -> str:
         """A short report for people: rank, condition, what was dropped, and the parameters in mm and degrees."""
@@ -128,8 +155,9 @@ def identify(
     data: Measurements | Sequence[Equations],
     *,
     max_iterations: int = 20,
-    row_factors: Array | None = None,
+    whiten: Callable[[Array], Array] | None = None,
     rank_tolerance: float = REDUNDANCY_TOLERANCE,
+    every: bool = False,
 ) -> Identification:
     """Identify the model's parameters by rank-aware, weighted Gauss-Newton.
 
@@ -139,8 +167,11 @@ def identify(
             `pickenv.calibration.identification.alignment`).
         data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
         max_iterations: Steps at most, until the rank is judged once more and after it; three or four are usual.
-        row_factors: Factors on the whitened rows ``(rows,)``, in the order of the data; for robust weights.
+        whiten: Weighs stated rows ``(rows, ...)``, in the order of the data, anew: robust weights, or noise that was
+            found (`pickenv.calibration.model.noise.Noise.whiten`).
         rank_tolerance: What counts as redundant, see `pickenv.calibration.model.identifiability.REDUNDANCY_TOLERANCE`.
+        every: Whether every parameter has a prior among the data: then all are kept, and the covariance is that of the
+            posterior, for rows whitened to unit variance.
 
     Returns:
         The identification; ``converged`` is False if the last step was not negligible.
@@ -156,15 +187,18 @@ def identify(
     own = tuple(name for part in sets for name in part.unknowns())
     names = own + model.names
     tolerance = np.concatenate([*(part.tolerances() for part in sets), model.tolerance])
-    factors = 1.0 if row_factors is None else row_factors[:, None]
-    matrix, weighted = _system(model, sets, arm, unknowns, tolerance, factors), _weighted(sets, arm, unknowns, factors)
+    whiten = whiten or np.asarray
+    matrix, weighted = _system(model, sets, arm, unknowns, tolerance, whiten), whiten(_stacked(sets, arm, unknowns))
     poses = sum(len(part.joints) for part in sets)
-    found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance, rank_tolerance)
-    _enough_poses(model, arm, sets, unknowns, found, len(weighted))
+    if every:
+        found = identifiability(matrix, names, tolerance, poses, NOTHING)
+    else:
+        found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance, rank_tolerance)
+        _enough_poses(model, arm, sets, unknowns, found, len(weighted))
     kept, scale = found.kept, tolerance[found.kept]
     iterates, unknown_iterates = [arm], [begun]
     history = [_rms(weighted)]
-    converged, damping, judged = False, 0.0, not own
+    converged, damping, judged = False, 0.0, every or not own
     for _ in range(max_iterations if judged else 2 * max_iterations):
         step = whole = _solve(matrix[:, kept], weighted, 0.0)
         if damping:
@@ -172,7 +206,7 @@ def identify(
         change = np.zeros(len(names))
         change[kept] = step * scale
         moved, moved_unknowns = _moved(arm, unknowns, model, change)
-        moved_weighted = _weighted(sets, moved, moved_unknowns, factors)
+        moved_weighted = whiten(_stacked(sets, moved, moved_unknowns))
         rms = _rms(moved_weighted)
         # A shortened step proves nothing: what counts is what the whole one would still explain.
         progress = judged_step(whole, matrix[:, kept] @ whole, weighted, history[-1], rms)
@@ -195,13 +229,13 @@ def identify(
         if settled and judged:
             converged = True
             break
-        matrix = _system(model, sets, arm, unknowns, tolerance, factors)
+        matrix = _system(model, sets, arm, unknowns, tolerance, whiten)
         if settled:
             # Where a kind's unknowns start, a parameter may have no effect that has one where they end: a tip that
             # starts in the flange's middle hides how the flange turns. So the rank is judged once more with them, of
             # the arm as it started: axes that were parallel are told apart by their errors alone, which is too weak.
             judged = True
-            seen = _system(model, sets, iterates[0], unknowns, tolerance, factors)
+            seen = _system(model, sets, iterates[0], unknowns, tolerance, whiten)
             there = identifiable_parameters(model, sets, iterates[0], unknowns, seen, names, tolerance, rank_tolerance)
             if there.rank <= found.rank:
                 converged = True
@@ -209,14 +243,19 @@ def identify(
             found, kept, scale = there, there.kept, tolerance[there.kept]
         damping = damping / 10.0 if damping > 1e-6 else 0.0
     ended = np.concatenate(unknowns)
+    chi_square, freedom = float(weighted @ weighted), len(weighted) - found.rank
+    if every:  # of the rows alone, as stated
+        measured = [(part, values) for part, values in zip(sets, unknowns, strict=True) if len(part.joints)]
+        stated = np.concatenate([part.residual(arm, values) for part, values in measured])
+        chi_square, freedom = float(stated @ stated), len(stated) - found.rank
     return Identification(
         arm_model=arm,
         unknowns=dict(zip(own, ended.tolist(), strict=True)),
         identifiability=found,
         delta=np.concatenate([ended - begun, iterates[0].difference(arm)[model.columns]]),
-        covariance=_covariance(matrix, weighted, found, tolerance, shared_rows(sets)),
-        chi_square=float(weighted @ weighted),
-        degrees_of_freedom=len(weighted) - found.rank,
+        covariance=_posterior(matrix[:, kept], scale) if every else _covariance(matrix, weighted, found, tolerance),
+        chi_square=chi_square,
+        degrees_of_freedom=freedom,
         converged=converged,
         residual_rms=tuple(history),
         iterates=tuple(iterates),
@@ -285,10 +324,9 @@ def observations_of(data: Measurements | Sequence[Equations]) -> tuple[Equations
     return (data,) if isinstance(data, Measurements) else tuple(data)
 
 
-def _weighted(sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array], factors: Array | float) -> Array:
-    """Whitened residuals of all data."""
-    stacked = np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)])
-    return stacked if isinstance(factors, float) else stacked * factors[:, 0]
+def _stacked(sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:
+    """Stated residuals of all data."""
+    return np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)])
 
 
 def _system(
@@ -297,13 +335,13 @@ def _system(
     arm: ArmModel,
     unknowns: Sequence[Array],
     tolerance: Array,
-    factors: Array | float,
+    whiten: Callable[[Array], Array] = np.asarray,
 ) -> Array:
     """Whitened, scaled Jacobian: unknowns first, then the model's columns."""
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
     by_arm = np.concatenate([columns[:, model.columns] for columns, _ in parts])
     by_unknown = block_diag(*(columns for _, columns in parts))
-    return np.asarray(np.hstack([by_unknown, by_arm]) * (tolerance * factors))
+    return whiten(np.hstack([by_unknown, by_arm])) * tolerance
 
 
 def _moved(arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array) -> tuple[ArmModel, list[Array]]:
@@ -330,20 +368,18 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _covariance(
-    matrix: Array, weighted: Array, found: Identifiability, tolerance: Array, rows: Rows | None = None
-) -> Array:
+def _covariance(matrix: Array, weighted: Array, found: Identifiability, tolerance: Array) -> Array:
     """Covariance of the kept parameters, with the residual's own scatter as the noise (GUM type A); else NaN."""
     freedom = len(weighted) - found.rank
     if freedom <= 0:
         return np.full((found.rank, found.rank), np.nan)
-    inverse_r = np.linalg.inv(np.linalg.qr(matrix[:, found.kept], mode="r"))
-    scale = np.outer(tolerance[found.kept], tolerance[found.kept])
-    if rows is not None:
-        shared = jackknife_covariance(inverse_r, matrix[:, found.kept], weighted, rows)
-        if shared is not None:
-            return np.asarray(shared * scale)
-    return np.asarray((weighted @ weighted) / freedom * (inverse_r @ inverse_r.T) * scale)
+    return (weighted @ weighted) / freedom * _posterior(matrix[:, found.kept], tolerance[found.kept])
+
+
+def _posterior(matrix: Array, scale: Array) -> Array:
+    """Covariance of parameters whose rows have unit variance, their priors' among them."""
+    inverse_r = np.linalg.inv(np.linalg.qr(matrix, mode="r"))
+    return np.asarray(inverse_r @ inverse_r.T * np.outer(scale, scale))
 
 
 def _enough_poses(
@@ -364,7 +400,7 @@ def _enough_poses(
         names = tuple(name for name, keep in zip(model.names, geometric, strict=True) if keep)
         links = ErrorModel(model.columns[geometric], names, model.tolerance[geometric])
         tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
-        matrix = _system(links, [probe], bare, unknowns, tolerance, 1.0)
+        matrix = _system(links, [probe], bare, unknowns, tolerance)
         seen = identifiable_parameters(links, [probe], bare, unknowns, matrix, (*part.unknowns(), *names), tolerance)
         full = max(full, seen.rank)
     if rows <= full or (isinstance(part, Measurements) and found.rank < full and rows < 2 * full):

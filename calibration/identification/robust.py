@@ -95,7 +95,7 @@ def robust_identify(
     rows, _ = data.equations()
     for _ in range(WEIGHTINGS):
         factors = np.where(rows >= 0, np.sqrt(weights)[rows], 1.0)
-        found = identify(model, start, [data], row_factors=factors)
+        found = identify(model, start, [data], whiten=lambda stated, by=factors: (stated.T * by).T)  # type: ignore[misc]
         sizes = sizes_of(found.arm_model, unknowns_of(found, data), data)
         used, weights = weights, sizes.weights(loss)
         settled = bool(np.max(np.abs(weights - used)) < 1e-3)

@@ -14,11 +14,11 @@ import numpy as np
 from pickenv.arm import Arm
 from pickenv.calibration.identification.block_equations import BlockEquations, Linearised, Places, solved
 from pickenv.calibration.identification.harmonics import chosen_orders, every_order, nearby, refined
-from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.error_model import geometric_model, with_terms
+from pickenv.calibration.identification.least_squares import Identification
+from pickenv.calibration.identification.posterior import solve
+from pickenv.calibration.model.arm_model import Term
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.prior import coefficients_prior
+from pickenv.calibration.model.prior import prior_model
 from pickenv.calibration.model.splits import contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, ThermalTerm, weighed
 from pickenv.errors import InputError
@@ -55,10 +55,16 @@ class TermChoice:
 def identify_terms(
     terms: tuple[Term, ...], bare: Identification, observations: Observations, known: bool = False
 ) -> Identification:
-    """Identify geometry and terms, from a geometry identified without them; coefficients have a prior."""
-    start = ArmModel.of(bare.geometry, terms)
-    model = with_terms(geometric_model(bare.geometry, known), start)
-    return identify(model, start, [observations, coefficients_prior(start, bare.scatter)], max_iterations=60)
+    """Identify geometry and terms, with the priors of a geometry identified without them; coefficients have their own.
+
+    Args:
+        terms: The terms.
+        bare: The geometry without them.
+        observations: The rows.
+        known: Whether base and tool are known, where ``bare`` was identified without priors.
+    """
+    model = bare.prior or prior_model("", bare.geometry, known=known, fit="full")
+    return solve(model.with_terms(terms), observations)
 
 
 def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> TermChoice:

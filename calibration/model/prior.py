@@ -1,30 +1,58 @@
-"""What is expected of parameters before anything was measured, as one more data set in the least squares.
+"""What is expected of an arm's parameters before anything was measured: mean, standard deviation, and where from.
 
-A term's coefficients are expected to be zero within a few tolerances. Without that, terms that the poses hardly show
-(most of a gravity model's moments) fit the noise; with it they stay at zero unless the data insist.
+Every parameter has a prior, and what is fitted is said by its width. Parts lie within what they are made to (a
+tolerance class), base and tool of an instrument that stood anywhere within metres, coefficients of terms within a few tolerances.
+Where rows tell nothing, the prior speaks. Words of the command line are widths: "offsets" leaves parts no width, "full"
+gives all of them any width, as the papers do. SI units.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.arm.plant.tolerances import Tolerances, load_tolerances, standard_deviations
+from pickenv.calibration.model.arm_model import ArmModel, Term
+from pickenv.calibration.model.error_model import (
+    ErrorModel,
+    complete_model,
+    frames_model,
+    geometric_model,
+    joint_zeros_model,
+    with_terms,
+)
+from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.terms import ComplianceTerm
 
-EXPECTED = 1.0
-"""Standard deviation of a term's coefficient before measuring, in its tolerances (1 mm or 1 mrad at the tool)."""
+FitWord = Literal["auto", "offsets", "full"]
+FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)
+"""What a fit may move: all parameters by their priors, the joints' zeros alone, or all parameters without priors."""
+
+TOLERANCE_CLASS = "cobot"
+"""The tolerance class that parts are expected to be made to, where none is named."""
+
+FRAME_STD = (10.0, 10.0)
+"""Standard deviations of a frame that stands anywhere about where alignment puts it, m and rad: no information."""
+
+COEFFICIENT = 1.0
+"""Standard deviation of a term's coefficient, in its tolerances (1 mm or 1 mrad at the tool)."""
 
 ANY_STIFFNESS = 100.0
 """The same for compliances, one per joint of known torque: stiffnesses from 100 N*m/rad or 1 kN/m are as good."""
 
+FRAMES, ZEROS, PARTS, TERMS = "frames", "zeros", "parts", "terms"
+"""Groups of parameters; the data scale the widths of zeros and of parts."""
+
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Parameters expected near those of a reference model; fits among `Equations`.
+    """Parameters expected near those of a reference model; one more data set among `Equations`.
 
     Attributes:
         reference: The model expected.
@@ -68,20 +96,107 @@ class Prior:
         return rows, np.zeros((len(rows), 0))
 
 
+@dataclass(frozen=True, eq=False)
+class PriorModel:
+    """The parameters that a fit may move, each with its prior.
+
+    Attributes:
+        parameters: The parameters ``(P,)``.
+        start: Their expected values, where a fit starts too.
+        std: Their standard deviations ``(P,)``, m, rad or a coefficient's unit; infinite where nothing is expected.
+        group: The group of each, of `FRAMES`, `ZEROS`, `PARTS` and `TERMS`.
+        source: Where the widths of zeros and parts come from.
+        scales: Factors on the widths by group, as far as they are known; what is missing is found from the rows.
+    """
+
+    parameters: ErrorModel
+    start: ArmModel
+    std: Array
+    group: NDArray[np.str_]
+    source: str
+    scales: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def proper(self) -> bool:
+        """Whether every parameter has a prior."""
+        return bool(np.isfinite(self.std).all())
+
+    @property
+    def width(self) -> Array:
+        """Standard deviations with their scales ``(P,)``."""
+        return self.std * np.array([self.scales.get(name, 1.0) for name in self.group])
+
+    def prior(self, weight: float = 1.0) -> Prior:
+        """The priors of finite width as a data set, their widths divided by ``weight``."""
+        some = np.isfinite(self.std)
+        return Prior(self.start, self.parameters.columns[some], self.width[some] / weight)
+
+    def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
+        """The same with further terms, whose coefficients are expected at zero."""
+        if not terms:
+            return self
+        start = ArmModel.of(self.start.geometry, terms)
+        parameters = with_terms(self.parameters, start)
+        std = np.r_[self.std, expected_sizes(start) * start.term_tolerances]
+        group = np.r_[self.group, np.full(len(std) - len(self.std), TERMS)]
+        return replace(self, parameters=parameters, start=start, std=std, group=group)
+
+    def from_geometry(self, geometry: Geometry) -> PriorModel:
+        """The same about another geometry, whose base and tool were aligned to other rows."""
+        return replace(self, start=replace(self.start, geometry=geometry))
+
+
+def prior_model(
+    arm: str,
+    geometry: Geometry,
+    *,
+    known: bool,
+    fit: str = "auto",
+    tolerances: Tolerances | str | None = None,
+    scale: float | None = None,
+) -> PriorModel:
+    """The parameters of an arm with their priors.
+
+    Args:
+        arm: Its name; of finished poses base and tool alone are fitted.
+        geometry: Its nominal geometry, with base and tool as aligned.
+        known: Whether the instrument measures the arm's own tool in its own base frame. That says nothing of how joint
+            1 sits on the base and the flange on the last link: they are expected within the class, as other parts.
+        fit: One of `FIT_WORDS`.
+        tolerances: The tolerance class of zeros and parts, or its name; `TOLERANCE_CLASS` when left out.
+        scale: Factor on its widths; found from the rows when left out.
+
+    Raises:
+        InputError: If the class is unknown.
+    """
+    start = ArmModel.of(geometry)
+    if arm == CARRIER or fit == "full":
+        parameters = frames_model(geometry) if arm == CARRIER else geometric_model(geometry, known)
+        std = np.full(len(parameters.names), np.inf)
+        return PriorModel(parameters, start, std, _groups(parameters, geometry, known), "none: any value is as likely")
+    made = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)
+    zeros = joint_zeros_model(geometry)
+    parameters = complete_model(geometry)
+    if fit == "offsets":
+        parameters = zeros if known else frames_model(geometry).joined(zeros)
+    group = _groups(parameters, geometry, known)
+    std = standard_deviations(made, geometry)[parameters.columns]
+    angle = geometry.parameter_is_angle[parameters.columns]
+    std = np.where(group == FRAMES, np.where(angle, FRAME_STD[1], FRAME_STD[0]), std)
+    scales = {} if scale is None else {ZEROS: scale, PARTS: scale}
+    said = f"tolerance class {made.name}" + ("" if scale is None else f", times {scale:g}")
+    return PriorModel(parameters, start, std, group, said, scales)
+
+
 def expected_sizes(model: ArmModel) -> Array:
     """Standard deviations of the terms' coefficients before measuring ``(k,)``, in their tolerances."""
     counts = [len(term.names(model.geometry)) for term in model.terms]
-    return np.repeat([ANY_STIFFNESS if isinstance(term, ComplianceTerm) else EXPECTED for term in model.terms], counts)
+    sizes = [ANY_STIFFNESS if isinstance(term, ComplianceTerm) else COEFFICIENT for term in model.terms]
+    return np.repeat(sizes, counts)
 
 
-def coefficients_prior(start: ArmModel, scatter: float) -> Prior:
-    """A prior on all coefficients of the model's terms.
-
-    Args:
-        start: The model; its coefficients are expected.
-        scatter: What remains without the terms, in claimed standard uncertainties: the prior is weighed against what
-            the data are really worth.
-    """
-    first = len(start.geometry.parameter_names)
-    columns = np.arange(first, first + len(start.coefficients))
-    return Prior(start, columns, start.term_tolerances * expected_sizes(start) / max(scatter, 1e-9))
+def _groups(parameters: ErrorModel, geometry: Geometry, known: bool) -> NDArray[np.str_]:
+    """The group of each parameter; frames that are known to the instrument are parts of the arm."""
+    frame = np.array([name.startswith(("base_", "tool_")) for name in parameters.names])
+    zero = np.isin(parameters.columns, joint_zeros_model(geometry).columns)
+    return np.where(frame & (not known), FRAMES, np.where(zero, ZEROS, PARTS))

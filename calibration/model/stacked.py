@@ -7,7 +7,7 @@ own, the arm's are meant. SI units.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Self
@@ -217,6 +217,14 @@ class Stacked:
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Of all stations ``(R, 3)``, m; what has fewer components is filled up with zeros."""
         return np.concatenate([_widened(station.misses(model, own)) for station, own in self._with(unknowns)])
+
+    def seen_by_station(
+        self, model: ArmModel, unknowns: Array
+    ) -> Iterator[tuple[Observations, ArmModel, Array, float]]:
+        """Each station's data, the arm as it sees it, the data's own unknowns, and what its uncertainties count."""
+        for station, values in self._with(unknowns):
+            own, frames = station.parted(values)
+            yield station.data, station.seen(model, frames), own, station.scale
 
     def readings(self) -> Array:
         """Of all stations, each in columns of its own."""

@@ -7,21 +7,21 @@ from collections.abc import Mapping
 import numpy as np
 
 from pickenv.arm import Arm
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.base_frame import base_frame_error
 from pickenv.calibration.assessment.instrument import said_of_instruments
 from pickenv.calibration.assessment.quality import grade_quality
+from pickenv.calibration.assessment.workspace import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut, said_of_rows
-from pickenv.calibration.identification.ladder import LadderChoice, Rung
 from pickenv.calibration.identification.starts import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
-from pickenv.calibration.model.coverage import Coverage, pose_coverage
-from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.fitting import Fit
+from pickenv.calibration.pipeline.given import workspace_joints
 from pickenv.calibration.pipeline.held_out import (
     GEOMETRIC,
     NOMINAL,
@@ -54,9 +54,7 @@ def assess(
     terms: TermChoice | None = None,
     gate: GateReport | None = None,
     left_out: tuple[LeftOut, ...] = (),
-    coverage: Coverage | None = None,
-    rung: Rung | None = None,
-    ladder: LadderChoice | None = None,
+    workspace: tuple[str, Array] | None = None,
 ) -> Result:
     """Judge a calibration on rows that it never saw.
 
@@ -71,9 +69,7 @@ def assess(
         terms: How terms were chosen.
         gate: The residual models' verdicts.
         left_out: Rows left out.
-        coverage: What the poses hide, where it was computed already.
-        rung: What was fitted of the geometry, where not all of it.
-        ladder: How that was chosen.
+        workspace: Where the arm will work: what that is called, and joints ``(M, n)`` all over it.
     """
     unlearnt = without_residual(fit)
     learnt = fit.calibration.learnt
@@ -85,9 +81,6 @@ def assess(
     after = list(held_out.errors.values())[-1]
     before = None if arm.name == CARRIER else held_out.errors[NOMINAL]
     if isinstance(test, Measurements) and isinstance(train, Measurements):
-        if coverage is None:
-            start = bare.calibration.nominal
-            coverage = pose_coverage(geometric_model(start, aligned is None), start, train)
         said = "stated noise" if train.std_stated else "noise assumed, since none is stated,"
         noise = f"{said} of {train.position_std * 1e3:.4g} mm"
     else:
@@ -107,6 +100,8 @@ def assess(
         if train.miss_unit != "mm":
             left = np.full_like(left, np.nan)
         base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left, tracked)
+    name, region = workspace or workspace_joints(None, arm.nominal)
+    over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name)
     model = fitted_model(arm.name, bare.calibration.nominal, aligned is None)
     return Result(
         arm=arm,
@@ -120,7 +115,7 @@ def assess(
             what_is_left(unlearnt, train),
             before,
             after,
-            coverage,
+            over,
             geometric=bare.identification,
             parametric=held_out.parametric,
             blocks=test.rows_of_misses if held_out.blocks is None else held_out.blocks,
@@ -131,12 +126,10 @@ def assess(
             ),
             unit=train.miss_unit,
             rows=(len(test.joints), held_out.rows),
-            expected={} if rung is None else dict(zip(rung.model.names, rung.std.tolist(), strict=True)),
         ),
         uncertainty=uncertainty,
         base_frame=base_frame,
         terms=terms,
-        ladder=ladder,
         gate=gate,
         left_out=left_out,
         pixels=_pixels(bare, train, test, held_out),

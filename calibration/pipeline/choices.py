@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pickenv.calibration.identification.ladder import FULL
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.prior import TOLERANCE_CLASS
 from pickenv.calibration.pipeline.restation import REFIT_ROWS
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.residual_models import NEEDS
@@ -32,8 +32,12 @@ class Choices:
         lens: "fixed" or "free", for pictures; as their description says when None.
         refit: Which of "base" and "tool" the rows to judge by have of their own, as rows of another station do.
         refit_rows: So many of them are used to find those.
-        fit: One of `pickenv.calibration.identification.ladder.RUNGS`, or "auto": all of the geometry where the poses
-            show enough of it, else the highest rung that helps.
+        fit: One of `pickenv.calibration.model.prior.FIT_WORDS`: "auto", all parameters by their priors; "offsets", the
+            joints' zeros alone; "full", all of them without priors, as the papers do.
+        tolerances: The tolerance class that parts are expected to be made to, by name or path.
+        prior_scale: Factor on its widths; found from the rows when None.
+        workspace: Where the verdict speaks (`pickenv.calibration.pipeline.given.workspace_joints`); the joint limits
+            when None.
     """
 
     terms: str = "auto"
@@ -48,6 +52,9 @@ class Choices:
     refit: tuple[str, ...] = ()
     refit_rows: int = REFIT_ROWS
     fit: str = "auto"
+    tolerances: str = TOLERANCE_CLASS
+    prior_scale: float | None = None
+    workspace: str | None = None
 
 
 def refuse_options(train: Observations, choices: Choices) -> None:
@@ -55,7 +62,6 @@ def refuse_options(train: Observations, choices: Choices) -> None:
     if choices.residual in NEEDS:  # said now, and not after the work
         require(NEEDS[choices.residual])
     given = {"--frames known": choices.frames == "known"}
-    given[f"--fit {choices.fit}"] = choices.fit not in ("auto", FULL)
     given[f"--residual {choices.residual}"] = choices.residual not in ("auto", "none")
     if choices.lens is not None and not isinstance(train, PixelObservations):
         raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")

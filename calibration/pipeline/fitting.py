@@ -14,25 +14,22 @@ import numpy as np
 
 from pickenv.arm import Arm, forward
 from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
-from pickenv.calibration.identification.ladder import FULL, LadderChoice, Rung, climb, rung_of
-from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
+from pickenv.calibration.identification.least_squares import Identification, identify
+from pickenv.calibration.identification.posterior import solve
 from pickenv.calibration.identification.rows import unknowns_of
-from pickenv.calibration.identification.starts import fitted_model, rough_start
+from pickenv.calibration.identification.starts import rough_start
 from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.coverage import Coverage, pose_coverage, refuse_lost
-from pickenv.calibration.model.error_model import frames_model, geometric_model, with_terms
+from pickenv.calibration.model.error_model import frames_model
 from pickenv.calibration.model.kinds.sockets import SocketObservations
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, Observations
+from pickenv.calibration.model.prior import PriorModel, prior_model
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, QUICK_FITTERS, fit_residual
 from pickenv.errors import InputError
 from pickenv.provenance import versions
-
-ENOUGH_FOR_LADDER = 20
-"""Fewer training rows than this choose no rung."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +59,7 @@ def fit(
     settings: BpnnSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fit:
-    """Fit an arm: least squares on geometry and terms, then, if data are given, a residual model on what remains.
+    """Fit an arm as the papers do: least squares without priors, then a residual model on what remains.
 
     Args:
         arm: The arm.
@@ -80,7 +77,11 @@ def fit(
     Raises:
         InputError: If there are too few rows, the data do not fit the arm, or the identification does not converge.
     """
-    found = fit_geometry(arm, data, fit_frames(arm, data, known_frames), terms)
+    aligned = fit_frames(arm, data, known_frames)
+    start = arm.nominal if aligned is None else aligned.geometry
+    model = prior_model(arm.name, start, known=known_frames, fit="full").with_terms(terms)
+    model = replace(model, std=np.full(len(model.std), np.inf))  # coefficients of terms among them
+    found = fit_geometry(arm, data, aligned, model)
     if residual_measurements is None:
         return found
     if rng is None:
@@ -106,27 +107,21 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
     return found
 
 
-def fit_geometry(
-    arm: Arm,
-    data: Observations,
-    aligned: Identification | None,
-    terms: tuple[Term, ...] = (),
-    rung: Rung | None = None,
-) -> Fit:
-    """Geometry and terms by least squares, from where `fit_frames` left base and tool; or what a rung has of them.
+def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, model: PriorModel) -> Fit:
+    """Geometry and terms, from where `fit_frames` left base and tool.
+
+    Args:
+        arm: The arm.
+        data: The rows.
+        aligned: Evidence of the base and tool fit; None where they are known.
+        model: What is fitted, with its priors (`pickenv.calibration.model.prior.prior_model`).
 
     Raises:
-        InputError: If there are too few rows, or the identification does not converge.
+        InputError: If there are too few rows for parameters without priors, or it does not converge.
     """
-    nominal = arm.nominal if aligned is None else aligned.geometry
-    if rung is None:
-        start = ArmModel.of(nominal, terms)
-        model = with_terms(fitted_model(arm.name, arm.nominal, aligned is None), start)
-        found = identify_converged(model, start, [data])
-    else:
-        found = rung.identify(data)
-        if not found.converged:
-            raise InputError(f"{data.source}: the identification did not converge; measure more varied poses")
+    found = solve(model, data)
+    if not found.converged:
+        raise InputError(f"{data.source}: the identification did not converge; measure more varied poses")
     record = {
         "source": data.source,
         "poses": len(data.joints),
@@ -136,59 +131,15 @@ def fit_geometry(
         "frames": "known" if aligned is None else "fitted",
         "rank": found.identifiability.rank,
         "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
-        "fit": FULL if rung is None else rung.name,
+        "prior": model.source,
+        "terms": sorted(kind_of_term(term) for term in model.start.terms),
         "residual": None,
         "versions": versions("scipy"),
     }
-    if rung is not None:
-        record["terms"] = sorted(kind_of_term(term) for term in rung.start.terms)
     if found.unknowns:
         record["unknowns"] = found.unknowns
+    nominal = arm.nominal if aligned is None else aligned.geometry
     return Fit(Calibration(arm.name, arm.nominal, nominal, found.arm_model, None, record), found, aligned)
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """As much of an arm as its measurements show.
-
-    Attributes:
-        fit: The fit.
-        coverage: What the poses hide; None for measurements of other kinds.
-        rung: What was fitted of the geometry; None where all of it.
-        ladder: How that was chosen; None where all of it was fitted, unasked.
-    """
-
-    fit: Fit
-    coverage: Coverage | None
-    rung: Rung | None
-    ladder: LadderChoice | None
-
-
-def fit_shown(arm: Arm, data: Observations, aligned: Identification | None, asked: str) -> Shown:
-    """The geometry, from where `fit_frames` left base and tool; where poses hide too much of it, what helps.
-
-    Args:
-        arm: The arm.
-        data: Training rows, in the order measured.
-        aligned: Base and tool; None where they are known.
-        asked: One of `pickenv.calibration.identification.ladder.RUNGS`, or "auto".
-
-    Raises:
-        InputError: As `fit_geometry`; or if the poses hide too much, and no rung helps or there are too few rows to
-            tell.
-    """
-    start, known = arm.nominal if aligned is None else aligned.geometry, aligned is None
-    coverage = None
-    if isinstance(data, Measurements):
-        coverage = pose_coverage(geometric_model(start, known), start, data)
-    choice = None if asked == "auto" else LadderChoice(asked, {})
-    if choice is None and coverage is not None and coverage.little and len(data.joints) >= ENOUGH_FOR_LADDER:
-        choice = climb(arm, start, data, known)
-    rung = None if choice is None or choice.chosen == FULL else rung_of(choice.chosen, arm, start, data, known)
-    found = fit_geometry(arm, data, aligned, rung=rung)
-    if choice is None and coverage is not None and isinstance(data, Measurements):
-        refuse_lost(coverage, start, data)
-    return Shown(found, coverage, rung, choice)
 
 
 def fit_remainder(

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, Geometry, load_arm
+from pickenv.arm import Arm, Geometry, forward, load_arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.starts import stations_of
 from pickenv.calibration.model.finished_poses import pose_carrier
+from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.origins import named
+from pickenv.calibration.model.splits import equally_spaced
 from pickenv.calibration.model.stacked import OWN
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
@@ -98,6 +100,64 @@ def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = N
         return joints_of(targets, geometry), np.array(targets.lines, dtype=np.int64)
     data = read_observations([path], geometry, columns).observations
     return data.joints, origins_of(data).line
+
+
+WORKSPACE_POSES, TRIALS = 400, 200_000
+"""Joint vectors that stand for a workspace, and how many are drawn at most to find those that lie in a box."""
+
+
+def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, Array]:
+    """What a workspace is called, and joints ``(M, n)`` all over it; the same every time.
+
+    Args:
+        text: A file of targets (joints or tool poses in our own columns); or ranges joined by commas, of joints in deg
+            or mm (``q1=-90:90``) and of the tool's position in the controller's base frame in mm (``x=300:900``); what
+            is not named is within the joint limits. All of these when None.
+        geometry: The nominal arm.
+
+    Raises:
+        InputError: If a range cannot be read, or the arm reaches nothing in it.
+    """
+    rng = np.random.default_rng(0)
+    if text is None:
+        return "the joint limits", random_joints(geometry, WORKSPACE_POSES, rng)
+    if "=" not in str(text):
+        joints = joints_of(read_targets(text, geometry), geometry)
+        return f"the targets of {text}", joints[equally_spaced(len(joints), WORKSPACE_POSES)]
+    lower, upper = geometry.lower.copy(), geometry.upper.copy()
+    box = np.array([[-np.inf, np.inf]] * 3)
+    names = [name.split("_")[0] for name in joint_columns(geometry.prismatic)]
+    for part in str(text).split(","):
+        name, _, ends = part.strip().partition("=")
+        try:
+            low, high = (float(end) for end in ends.split(":"))
+        except ValueError:
+            raise InputError(
+                f"workspace '{part.strip()}' is no range; write q1=-90:90 (deg or mm) or x=300:900 (mm)"
+            ) from None
+        if not low < high:
+            raise InputError(f"workspace '{part.strip()}' is empty; give the lower end first")
+        if name in names:
+            joint = names.index(name)
+            unit = 1e-3 if geometry.prismatic[joint] else np.radians(1.0)
+            lower[joint], upper[joint] = max(low * unit, lower[joint]), min(high * unit, upper[joint])
+            if not lower[joint] < upper[joint]:
+                raise InputError(f"workspace '{part.strip()}' lies outside the limits of {geometry.joint_names[joint]}")
+        elif name in ("x", "y", "z"):
+            box["xyz".index(name)] = low * 1e-3, high * 1e-3
+        else:
+            raise InputError(
+                f"workspace '{part.strip()}' names no joint or axis; give some of {', '.join([*names, 'x', 'y', 'z'])}"
+            )
+    joints = rng.uniform(lower, upper, (TRIALS if np.isfinite(box).any() else WORKSPACE_POSES, geometry.joints))
+    if np.isfinite(box).any():
+        place = forward(geometry, joints).position
+        joints = joints[((place >= box[:, 0]) & (place <= box[:, 1])).all(axis=1)][:WORKSPACE_POSES]
+        if len(joints) < 10:
+            raise InputError(
+                f"the arm reaches hardly anything within workspace '{text}'; check its axes, in mm from the base"
+            )
+    return f"workspace {text}", joints
 
 
 def _each(columns: Columns) -> list[str | Path]:

@@ -7,7 +7,7 @@ mm and degrees on screens, SI inside.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,16 +25,13 @@ from pickenv.calibration.assessment.screen import (
     UNBOUNDED,
     Block,
     figure,
-    main_parts,
     unit_of,
     unknowns_in,
 )
-from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from pickenv.calibration.assessment.stiffness_table import stiffness_block, stiffness_rows
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.diagnosis import LeftOut
-from pickenv.calibration.identification.ladder import LadderChoice
-from pickenv.calibration.identification.least_squares import describe_absorption
+from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.finished_poses import CARRIER
@@ -81,7 +78,6 @@ class Result:
         uncertainty: Of predicted poses.
         base_frame: The error in the robot's own base frame; None where base and tool were known.
         terms: How terms were chosen; None where they were not.
-        ladder: How what is fitted of the geometry was chosen; None where all of it was, unasked.
         gate: The residual models' verdicts; None where none was judged.
         floor: What the files say about noise; None if not read from files.
         left_out: Rows far off that were left out.
@@ -99,7 +95,6 @@ class Result:
     uncertainty: PoseUncertainty
     base_frame: BaseFrameError | None
     terms: TermChoice | None = None
-    ladder: LadderChoice | None = None
     gate: GateReport | None = None
     floor: NoiseFloor | None = None
     left_out: tuple[LeftOut, ...] = ()
@@ -165,6 +160,8 @@ class Result:
             f"mean_{self.miss_unit}": self.best.mean,
             f"mean_ci95_{self.miss_unit}": self.best.mean_ci95,
         }
+        if self.quality.workspace is not None:
+            record["workspace"] = self.quality.workspace.as_dict()
         if self.harmonics:
             record["harmonics"] = {"note": OWN, "found": self.harmonics}
         if self.stiffnesses:
@@ -215,18 +212,15 @@ class Result:
 
     def blocks(self) -> tuple[Block, ...]:
         """What both the terminal and the page show, in order, after verdict and frames."""
-        found = [self._errors(), self._parameters(), self._others(), self._dropped()]
+        found = [self._errors(), self._parameters()]
         if self.left_out:
             places = tuple((item.text(),) for item in self.left_out)
             kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
             what = self.held_out.rows.capitalize()
             found.append(Block(f"{what} far off, and kept" if kept else f"{what} left out", (), places, note))
-        if self.ladder is not None:
-            tried = {name: figure(rms * MISS_UNITS[self.miss_unit]) for name, rms in self.ladder.blocked_rms.items()}
-            asked = (("asked for", f"--fit {self.ladder.chosen}"),)
-            header = ("fit", f"RMS on blocks ({self.miss_unit})") if tried else ()
-            found.insert(1, Block("Fitted", header, tuple(tried.items()) or asked, self.ladder.text()))
+        if self.quality.workspace is not None:
+            found.insert(1, self.quality.workspace.block())
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
@@ -304,53 +298,49 @@ class Result:
         return Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note)
 
     def parameters(self) -> list[dict[str, Any]]:
-        """Each identified parameter: name, change and standard deviation on screens' units, and what became of it."""
+        """Each fitted parameter on screens' units: its change and standard deviation, and how much the rows told.
+
+        ``narrowed`` is how much narrower it is known than before measuring, 0 to 1; None where nothing was expected.
+        """
         found, model = self.fit.identification, self.fit.calibration.model
         moved = ArmModel.of(self.fit.calibration.nominal, model.terms).difference(model)
         change = dict(zip(model.parameter_names, moved, strict=True)) | found.unknowns
-        known: dict[str, float] = {}
-        for each in (self.geometric.identification, found):
-            known |= zip(each.identifiability.names, each.standard_deviation, strict=True)
-        lost, rows = {item.name for item in found.identifiability.dropped}, []
-        for name in known:
-            if name in lost:
+        rows, seen = [], found.identifiability
+        columns = zip(seen.names, found.standard_deviation, found.prior_std, found.narrowed, strict=True)
+        for name, std, before, narrowed in columns:
+            if name not in seen.kept_names:
                 continue
             unit, scale = unit_of(name, model.geometry.parameter_names)
-            row = {"name": name, "unit": unit, "change": float(change[name] * scale), "std": float(known[name] * scale)}
-            rows.append(row | {"state": self.quality.states.of(name)})
+            row = {"name": name, "unit": unit, "change": float(change[name] * scale), "std": float(std * scale)}
+            known = np.isfinite(before)
+            rows.append(
+                row
+                | {
+                    "prior_std": float(before * scale) if known else None,
+                    "narrowed": float(narrowed) if known else None,
+                }
+            )
         return rows
 
     def _parameters(self) -> Block:
-        measured = [row for row in self.parameters() if row["state"] == MEASURED]
-        measured = [row for row in measured if not row["name"].startswith(("periodic", "compliance"))]
-        rows = [
-            (row["name"], figure(row["change"]), figure(row["std"]), row["unit"]) for row in measured if has_moved(row)
-        ]
-        note = f"{self.quality.states.text()}; here are those that moved by more than {SIGMAS:g} sigma"
-        return Block("Parameters", ("parameter", "change", "± 1 sigma", "unit"), tuple(rows), note)
+        every = [row for row in self.parameters() if not row["name"].startswith(("periodic", "compliance"))]
+        rows = []
+        for row in every:
+            told = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
+            if has_moved(row):
+                rows.append((row["name"], figure(row["change"]), figure(row["std"]), row["unit"], told))
+        heads = ("parameter", "change", "± 1 sigma", "unit", "told by the rows")
+        note = f"those of {len(every)} that moved by more than {SIGMAS:g} sigma; {self.prior_text}"
+        return Block("Parameters", heads, tuple(rows), note)
 
-    def _others(self) -> Block:
-        """Names of the parameters that stayed: measured and not told from their nominal value, or held by a prior."""
-        stayed: dict[str, Callable[[Mapping[str, Any]], bool]] = {
-            "measured, and not told from its nominal value": lambda row: (
-                row["state"] == MEASURED and not has_moved(row)
-            ),
-            HELD: lambda row: row["state"] == HELD,
-        }
-        named = {why: [row["name"] for row in self.parameters() if those(row)] for why, those in stayed.items()}
-        rows = tuple((why, ", ".join(names)) for why, names in named.items() if names)
-        return Block("Parameters that stayed", (), rows, f"within {SIGMAS:g} sigma, or held")
-
-    def _dropped(self) -> Block:
-        dropped = self.fit.identification.identifiability.dropped
-        rows = [(item.name, describe_absorption(main_parts(item.absorbed_by))) for item in dropped]
-        rows += [
-            (row["name"], f"known to ± {figure(row['std'])} {row['unit']} only")
-            for row in self.parameters()
-            if row["state"] == LOST
-        ]
-        note = "left at their nominal value, with what absorbs them (m, rad), or known in sums with others only"
-        return Block("Lost in others", (), tuple(rows), note)
+    @property
+    def prior_text(self) -> str:
+        """What was expected of the parameters before measuring, in words."""
+        prior = self.geometric.identification.prior
+        if prior is None or not prior.proper:
+            return "nothing was expected of them beforehand"
+        scales = ", ".join(f"{name} times {figure(scale)}" for name, scale in prior.scales.items())
+        return f"expected beforehand: {prior.source}" + (f", the widths of {scales}" if scales else "")
 
     def _gate(self, gate: GateReport) -> Block:
         first = gate.verdicts[0]
@@ -369,8 +359,6 @@ class Result:
             ("condition number of the geometry", figure(self.quality.observability.condition)),
             ("least squares", f"{len(found.residual_rms) - 1} iterations, {figure(1e3 * found.solve_seconds)} ms"),
         ]
-        if self.quality.coverage is not None:
-            rows.append(("poses", self.quality.coverage.advice()))
         if self.floor is not None:
             rows.append(("noise floor of a position", self.floor.text()))
         return Block("Evidence", (), tuple(rows))
@@ -408,10 +396,11 @@ class Result:
             "left_out_rows": [vars(item) for item in self.left_out],
             "parameters": len(found.identifiability.names),
             "rank": found.identifiability.rank,
-            "states": self.quality.states.as_dict(),
+            "parameters_told": found.spent,
             "changes": self.parameters(),
             "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
-            "lost_to_poses": [] if self.quality.coverage is None else list(self.quality.coverage.lost),
+            "workspace": None if self.quality.workspace is None else self.quality.workspace.as_dict(),
+            "prior": _prior_record(found),
             "condition": self.quality.observability.condition,
             "converged": self.fit.identification.converged,
             "solve_seconds": found.solve_seconds,
@@ -422,7 +411,12 @@ class Result:
             "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
             "harmonics": {"note": OWN, "found": self.harmonics} if self.harmonics else None,
             "stiffnesses": self.stiffnesses or None,
-            "fit": None if self.ladder is None else self.ladder.as_dict(unit, MISS_UNITS[unit]),
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
             **({} if self.pixels is None else self.pixels.as_dict()),
         }
+
+
+def _prior_record(found: Identification) -> dict[str, Any] | None:
+    """What was expected beforehand, and the scales that the rows gave it (JSON)."""
+    prior = found.prior
+    return None if prior is None else {"source": prior.source, "scales": dict(prior.scales)}

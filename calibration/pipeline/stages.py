@@ -17,23 +17,22 @@ import numpy as np
 
 from pickenv.arm import Arm
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
-from pickenv.calibration.identification.ladder import FULL, MEANING, RUNGS, LadderChoice, Rung
-from pickenv.calibration.identification.least_squares import Identification, identify
+from pickenv.calibration.identification.least_squares import Identification
+from pickenv.calibration.identification.posterior import solve
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.coverage import Coverage
-from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import FRAMES, Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
+from pickenv.calibration.model.prior import FIT_WORDS, PriorModel, prior_model
 from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.choices import Choices, refuse_options
-from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_remainder, fit_shown
-from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows
+from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
+from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows, workspace_joints
 from pickenv.calibration.pipeline.held_out import HeldOut, held_out_elsewhere, held_out_of, pooled
 from pickenv.calibration.pipeline.restation import near_rows
 from pickenv.calibration.pipeline.result import Result
@@ -69,9 +68,7 @@ class Draft:
         progress: Called with (what is done, how many are done, how many there are).
         left_out: Rows far off that were left out.
         aligned: Evidence of the base and tool fit; None where they are known.
-        coverage: What the poses hide; None for measurements of other kinds.
-        rung: What is fitted of the geometry; None where all of it.
-        ladder: How that was chosen; None where it was not.
+        model: The parameters of the geometry with their priors.
         fits: What was fitted so far, by name, in order; the last will be used.
         terms: Terms that are part of it.
         term_choice: How they were chosen.
@@ -86,9 +83,7 @@ class Draft:
     progress: Callable[[str, int, int], None] | None = None
     left_out: tuple[LeftOut, ...] = ()
     aligned: Identification | None = None
-    coverage: Coverage | None = None
-    rung: Rung | None = None
-    ladder: LadderChoice | None = None
+    model: PriorModel | None = None
     fits: Mapping[str, Fit] = field(default_factory=dict)
     terms: tuple[Term, ...] = ()
     term_choice: TermChoice | None = None
@@ -199,9 +194,7 @@ def _assessed(draft: Draft, held_out: HeldOut) -> Result:
         terms=draft.term_choice,
         gate=draft.gate,
         left_out=draft.left_out,
-        coverage=draft.coverage,
-        rung=draft.rung,
-        ladder=draft.ladder,
+        workspace=workspace_joints(draft.choices.workspace, draft.arm.nominal),
     )
 
 
@@ -272,8 +265,8 @@ def _check(draft: Draft) -> Draft:
     choices, poses = draft.choices, draft.poses
     if choices.frames is not None and choices.frames not in FRAMES:
         raise InputError(f"frames is '{choices.frames}'; give {' or '.join(FRAMES)}")
-    if choices.fit not in ("auto", *RUNGS):
-        raise InputError(f"fit is '{choices.fit}'; give auto, {', '.join(RUNGS[:-1])} or {FULL}")
+    if choices.fit not in FIT_WORDS:
+        raise InputError(f"fit is '{choices.fit}'; give {', '.join(FIT_WORDS[:-1])} or {FIT_WORDS[-1]}")
     if type(draft.train) is not type(draft.test):
         raise InputError(
             f"{draft.train.source} holds {draft.train.kind}, but {draft.test.source}, to judge by, {draft.test.kind}; "
@@ -302,21 +295,17 @@ def _align(draft: Draft) -> Draft:
 
 
 def _identify(draft: Draft) -> Draft:
-    """The geometry by least squares, or as much of it as was asked for or as helps where the poses hide too much."""
-    shown = fit_shown(draft.arm, draft.train, draft.aligned, draft.choices.fit)
-    draft = replace(draft, coverage=shown.coverage, rung=shown.rung, ladder=shown.ladder)
-    return draft.with_fit(GEOMETRY, shown.fit)
+    """The geometry, from what was expected of it and what the rows say."""
+    choices, known = draft.choices, draft.aligned is None
+    start = draft.arm.nominal if draft.aligned is None else draft.aligned.geometry
+    model = prior_model(
+        draft.arm.name, start, known=known, fit=choices.fit, tolerances=choices.tolerances, scale=choices.prior_scale
+    )
+    return replace(draft, model=model).with_fit(GEOMETRY, fit_geometry(draft.arm, draft.train, draft.aligned, model))
 
 
 def _add_terms(draft: Draft) -> Draft:
     """As many of the wanted terms, in their order, as converge; "auto" chooses them within the training rows."""
-    if draft.rung is not None:
-        if draft.choices.terms not in ("auto", "none"):
-            raise InputError(
-                f"--terms {draft.choices.terms} goes with all of the geometry, but of {draft.train.source} "
-                f"{MEANING[draft.rung.name]} are fitted; leave --terms out, or give --fit full"
-            )
-        return draft
     (name, geometric), choice = draft.best, None
     bare, known = geometric.identification, draft.aligned is None
     if draft.choices.terms != "auto":
@@ -367,15 +356,11 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
     """Verdicts on residual models within the training rows."""
     data = train.select(equally_spaced(len(train), GATE_ROWS))
-    start, known = draft.best[1].calibration.nominal, draft.aligned is None
+    expected = draft.best[1].identification.prior
+    assert expected is not None
 
     def refit(rows: Measurements) -> ArmModel:
-        if draft.rung is not None:
-            return draft.rung.identify(rows).arm_model
-        bare = identify(geometric_model(start, known), start, rows)
-        if not draft.terms:
-            return bare.arm_model
-        return identify_terms(draft.terms, bare, rows, known).arm_model
+        return solve(expected, rows).arm_model
 
     told = None
     if draft.progress is not None:

@@ -73,12 +73,29 @@ def calibrate(
     ] = None,
     refit_rows: Annotated[int | None, typer.Option(help="Rows to find them from; 6 if left out.", min=3)] = None,
     fit: Annotated[
-        Literal["auto", "offsets", "compliance", "reduced", "full"],
+        Literal["auto", "offsets", "full"],
         typer.Option(
-            help="What is fitted: offsets of the joints, compliance with them, a reduced geometry, or the full one. "
-            "auto: full where the poses show enough, else the highest of these that helps."
+            help="auto: all parameters, each expected within its tolerance class; offsets: the joints' zeros alone; "
+            "full: all parameters without expectations, as the papers do."
         ),
     ] = "auto",
+    tolerances: Annotated[
+        str, typer.Option(help="Tolerance class that the arm's parts are made to, by name or file.")
+    ] = "cobot",
+    prior_scale: Annotated[
+        float | None,
+        typer.Option(
+            help="Factor on the class; found from the rows if left out.", min=1e-3, max=1e3, show_default=False
+        ),
+    ] = None,
+    workspace: Annotated[
+        str | None,
+        typer.Option(
+            help="Where the arm will work: a file of targets, or ranges such as q1=-90:90,x=300:900 (deg, mm); the "
+            "joint limits if left out.",
+            show_default=False,
+        ),
+    ] = None,
     terms: Annotated[
         str,
         typer.Option(
@@ -133,6 +150,9 @@ def calibrate(
     moved, count = frames_and_rows(refit, refit_rows)
     choices = Choices(
         fit=fit,
+        tolerances=tolerances,
+        prior_scale=prior_scale,
+        workspace=workspace,
         terms=terms,
         residual=residual,
         force=force,
@@ -167,6 +187,9 @@ def calibrate(
     }
     options |= {
         "fit": fit,
+        "tolerances": tolerances,
+        "prior_scale": prior_scale,
+        "workspace": workspace,
         "terms": terms,
         "residual": residual,
         "force": force,

@@ -227,12 +227,22 @@ def _length_zone(tolerances: Tolerances, length: Array) -> Array:
     return it_tolerance(tolerances.it_grade, np.maximum(np.abs(length), tolerances.least_length)) / 2.0
 
 
+def half_widths(tolerances: Tolerances, nominal: Geometry) -> Array:
+    """Half-widths of the tolerance zones of a geometry's parameters ``(5n + 12,)``, m and rad; of frames the least."""
+    lengths = np.concatenate([*(getattr(nominal, name) for name in LINK_PARAMETERS), np.zeros(12)])
+    return np.where(nominal.parameter_is_angle, tolerances.angle, _length_zone(tolerances, lengths))
+
+
+def standard_deviations(tolerances: Tolerances, nominal: Geometry) -> Array:
+    """Standard deviations of a geometry's parameters ``(5n + 12,)`` over arms of the class, m and rad."""
+    share = math.sqrt(3.0) if tolerances.distribution == "uniform" else 3.0
+    return half_widths(tolerances, nominal) / share
+
+
 def _zone(plant: Plant, tolerances: Tolerances) -> Callable[[Array], Array]:
     """How far what a calibration did not identify may lie from where it is."""
     assert plant.posterior is not None
-    nominal, unseen = plant.arm.nominal, plant.posterior.unseen
-    lengths = np.concatenate([*(getattr(nominal, name) for name in LINK_PARAMETERS), np.zeros(12)])  # frames: least
-    half = np.where(nominal.parameter_is_angle, tolerances.angle, _length_zone(tolerances, lengths))[unseen]
+    half = half_widths(tolerances, plant.arm.nominal)[plant.posterior.unseen]
     return lambda even: half * _deviation(tolerances, even)
 
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from pickenv.calibration.assessment.quality import axis_errors, base_combinations
 from pickenv.calibration.assessment.screen import Block, figure
-from pickenv.calibration.assessment.states import HELD, MEASURED
 from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
@@ -154,7 +153,7 @@ def _worth(r: Result) -> str:
 def _tiles(r: Result) -> dict[str, str]:
     mean = f"{figure(r.best.mean)} {r.miss_unit}"
     what = "position" if r.miss_unit == "mm" else "angular"
-    noise, states = r.quality.completeness, list(r.quality.states.geometry.values())
+    noise, found = r.quality.completeness, r.geometric.identification
     return {
         **(
             {f"mean {what} error, nominal → calibrated": f"{figure(r.position[NOMINAL].mean)} → {mean}"}
@@ -162,7 +161,7 @@ def _tiles(r: Result) -> dict[str, str]:
             else {f"mean {what} error": mean}
         ),
         "95 of 100 poses are better than this": f"{figure(r.best.p95)} {r.miss_unit}",
-        "parameters of the geometry measured": f"{states.count(MEASURED)} of {len(states)}",
+        "parameters that the rows tell": f"{found.spent:.1f} of {len(found.identifiability.names)}",
         f"what remains, in units of the {noise.noise} (1 is perfect)": f"{np.sqrt(noise.reduced):.2g} ×"
         if np.isfinite(noise.reduced)
         else "not known",
@@ -214,9 +213,8 @@ def _parameters(r: Result) -> Section:
     joints, links = r.arm.nominal.joint_names, r.arm.nominal.link_names
     combinations = base_combinations(r.fit.identification.identifiability)
     every, own = r.parameters(), r.fit.identification.unknowns
-    measured = [row for row in every if row["state"] == MEASURED]
     limits: dict[str, float] = {}
-    for row in measured:
+    for row in every:
         if not row["name"].startswith("base_") and row["name"] not in own:
             size = abs(row["change"]) + 2 * np.nan_to_num(row["std"])
             limits[row["unit"]] = max(limits.get(row["unit"], 1e-12), size)
@@ -225,33 +223,34 @@ def _parameters(r: Result) -> Section:
         name, unit, change = row["name"], row["unit"], row["change"]
         limit = limits.get(unit, abs(change) or 1.0)
         drawn = "" if name in own else Bar(change, float(np.nan_to_num(row["std"])), limit)
-        absorbed = combinations[name] if combinations.get(name, name) != name else ""
+        told = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
+        if combinations.get(name, name) != name:
+            told = combinations[name]
         said = f"{figure(change)} ± {figure(row['std'])} {unit}"
-        return name, parameter_words(name, joints, links), said, drawn, absorbed
+        return name, parameter_words(name, joints, links), said, drawn, told
 
     def table(caption: str, rows: Sequence[Mapping[str, Any]]) -> PageTable:
         return PageTable(caption, heads, [cells(row) for row in rows], "wide code")
 
-    moved, stayed = ([row for row in measured if has_moved(row) is yes] for yes in (True, False))
-    held = [row for row in every if row["state"] == HELD]
-    groups = [(f"{len(stayed)} measured, and within {SIGMAS:g} sigma of the nominal value", stayed)]
-    groups += [(f"{len(held)} held by their prior: the data tell little of them", held)]
-    heads = ("parameter", "meaning", "change ± uncertainty", "drawn", "stands for")
+    moved, stayed = ([row for row in every if has_moved(row) is yes] for yes in (True, False))
+    heads = ("parameter", "meaning", "change ± uncertainty", "drawn", "told by the rows")
+    folded = f"{len(stayed)} within {SIGMAS:g} sigma of the nominal value"
     return Section(
         "What moved",
         (
-            _sentence(r.quality.states.text()),
+            _sentence(r.prior_text),
             table(f"{len(moved)} parameters moved by more than {SIGMAS:g} sigma", moved) if moved else "",
-            *(Folded(caption, [table(caption, rows)]) for caption, rows in groups if rows),
+            *([Folded(folded, [table(folded, stayed)])] if stayed else []),
         ),
         "Calibrated minus nominal, with one standard uncertainty (±); bars show the change and a whisker of two "
-        "standard uncertainties. A change within its whisker is not significant. Where the last column names a sum, "
-        "only the sum is known.",
+        "standard uncertainties. A change within its whisker is not significant. Told by the rows: how much narrower a "
+        "parameter is known than before measuring; 0 % is the drawing's word alone. Without expectations the column "
+        "names the sum that is known instead.",
     )
 
 
 def _poses(r: Result, train: Observations) -> Section:
-    geometry, seen, coverage = r.fit.identification.geometry, r.quality.observability, r.quality.coverage
+    geometry, seen, over = r.fit.identification.geometry, r.quality.observability, r.quality.workspace
     ranges: Pair | None = None
     caption = f"Where the {len(train.joints)} fitted poses lie within the joint limits."
     indices = (
@@ -269,7 +268,7 @@ def _poses(r: Result, train: Observations) -> Section:
     return Section(
         "Were the poses good?",
         (
-            _sentence(coverage.advice()) if coverage is not None else "",
+            _table(over.block()) if over is not None else "",
             ranges,
             Pair((PageTable("Observability of the parameters", (), indices), hard if pairs else None)),
         ),

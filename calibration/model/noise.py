@@ -1,0 +1,224 @@
+"""What rows scatter by about a model, found from the rows themselves: variance components, and what neighbours share.
+
+Each channel of an instrument has a scatter of its own, whatever is stated of it. What a model cannot say is alike at
+neighbouring joints. Its length and share maximise the marginal likelihood of a Gaussian process on what remains
+(Rasmussen and Williams 2006, eq 5.8); n rows alike tell as much as one of variance (1 - share + share n) / n. So rows
+of a cluster weigh less than rows that stand apart, and what all rows have in common widens the posterior (a sandwich
+covariance: White 1982). Equations of one picture share the error of the pose behind it; that error's size
+is found by expectation maximisation (Laird and Ware 1982). SI units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial.distance import cdist
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.splits import Rows, equally_spaced
+from pickenv.calibration.model.stacked import Stacked, frame_columns
+
+POSE = 6
+"""Equations that one pose can be worth; a row that gives more of them gives some again."""
+
+LENGTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+"""Distances of joints over which an error may stay alike, rad or m."""
+
+SHARES = (0.2, 0.4, 0.6, 0.8, 0.95)
+"""Shares of the variance that may be alike."""
+
+STATED = 3.0
+"""Equations' worth of what is stated of a channel, beside what its rows show."""
+
+USUAL = 0.75
+"""So many of the facts, a cluster being one, stand no closer together than is usual."""
+
+WORTH = 3.0
+"""Logarithm of the likelihood ratio above which neighbours count as alike."""
+
+PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
+"""Rows, taken evenly, on which length and share are found, and among which each row's neighbours are counted."""
+
+ROUNDS = 40
+"""Rounds of expectation maximisation."""
+
+
+class SharedPose(NamedTuple):
+    """What equations of one row share.
+
+    Attributes:
+        equations: Their places among all.
+        basis: Directions of the pose's error among them ``(m, 6)``, orthonormal.
+        shrink: How much of each is taken off in whitening ``(6,)``.
+    """
+
+    equations: Rows
+    basis: Array
+    shrink: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """What equations scatter by, in stated standard uncertainties.
+
+    Attributes:
+        scatter: Standard deviation of each equation ``(E,)``, larger where rows stand closer than usual.
+        channels: Standard deviation by channel ``(C,)``.
+        share: Share of the variance that neighbouring rows have in common.
+        length: Distance of joints over which they have, rad or m.
+        common: By how much rows that stand as usual tell less than independent ones would: a factor on variances.
+        shared: Rows whose equations share the error of one pose.
+        pose_std: Size of that error per axis: position, m, and attitude, rad.
+    """
+
+    scatter: Array
+    channels: Array
+    share: float = 0.0
+    length: float = 0.0
+    common: float = 1.0
+    shared: tuple[SharedPose, ...] = ()
+    pose_std: tuple[float, float] = (0.0, 0.0)
+
+    def whiten(self, rows: Array) -> Array:
+        """Stated equations ``(E + k, ...)`` with unit covariance; the last k, of no instrument, stay as they are."""
+        count = len(self.scatter)
+        white = np.array(rows, dtype=float)
+        white[:count] = (white[:count].T / self.scatter).T
+        for at, basis, shrink in self.shared:
+            white[at] -= basis @ ((basis.T @ white[at]).T * shrink).T
+        return white
+
+
+def stated_noise(data: Observations) -> Noise:
+    """The noise as stated, nothing shared."""
+    rows, channels = data.equations()
+    return Noise(np.ones(len(rows)), np.ones(int(channels.max(initial=0)) + 1))
+
+
+def noise_of(data: Observations, model: ArmModel, unknowns: Array, spent: float) -> Noise:
+    """The noise of rows about a model fitted to them.
+
+    Args:
+        data: The rows.
+        model: The fitted model.
+        unknowns: The data's own unknowns.
+        spent: How many parameters' worth of the rows the fit has used up; the rest of them shows the scatter.
+    """
+    residual = data.residual(model, unknowns)
+    rows, channels = data.equations()
+    own = rows >= 0
+    many = own & (np.bincount(rows[own], minlength=len(data.joints))[rows] > POSE)
+    sizes = np.ones(int(channels.max(initial=0)) + 1)
+    spare = max(1.0 - spent / max(own.sum(), 1), 0.1)
+    for channel in range(len(sizes)):
+        here = own & (channels == channel)
+        if here.any():
+            free = spare * here.sum()
+            sizes[channel] = np.sqrt((STATED + np.sum(residual[here] ** 2)) / (STATED + free))
+    scatter = np.where(own, sizes[channels], 1.0)
+    if many.any():
+        return _of_pictures(data, model, unknowns, residual, rows, many, spent, scatter, sizes)
+    share, length = _alike(data.joints, residual / scatter, rows)
+    if not share:
+        return Noise(scatter, sizes)
+    like = neighbours(data.joints, length)
+    order = np.argsort(like)
+    facts = np.cumsum(1.0 / like[order])
+    usual = like[order][np.searchsorted(facts, USUAL * facts[-1])]
+    common = 1.0 - share + share * usual
+    closer = np.maximum((1.0 - share + share * like) / common, 1.0)
+    return Noise(np.where(own, scatter * np.sqrt(closer)[rows], 1.0), sizes, share, length, common)
+
+
+def neighbours(joints: Array, length: float) -> Array:
+    """How many rows each row is like ``(N,)``, itself counted: the sum of exp(-d^2 / 2 l^2) over all rows."""
+    some = equally_spaced(len(joints), NEIGHBOUR_ROWS)
+    like = np.empty(len(joints))
+    for part in np.array_split(np.arange(len(joints)), max(1, len(joints) // NEIGHBOUR_ROWS)):
+        kernel = np.exp(-0.5 * cdist(joints[part], joints[some], "sqeuclidean") / length**2)
+        kernel[part[:, None] == some] = 0.0
+        like[part] = 1.0 + kernel.sum(axis=1) * (len(joints) - 1) / max(len(some) - 1, 1)
+    return like
+
+
+def _alike(joints: Array, white: Array, rows: Rows) -> tuple[float, float]:
+    """Share of the variance that neighbours have in common, and the length; zeros where the rows do not say so."""
+    if len(joints) < 4 * POSE or (rows < 0).any() or len(white) % len(joints):
+        return 0.0, 0.0
+    columns = white.reshape(len(joints), -1)
+    some = equally_spaced(len(joints), PROCESS_ROWS)
+    joints, columns = joints[some], columns[some]
+    apart = cdist(joints, joints, "sqeuclidean")
+    best, choice = _log_likelihood(np.eye(len(some)), columns) + WORTH, (0.0, 0.0)
+    for length in LENGTHS:
+        kernel = np.exp(-0.5 * apart / length**2)
+        for share in SHARES:
+            value = _log_likelihood(share * kernel + (1.0 - share) * np.eye(len(some)), columns)
+            if value > best:
+                best, choice = value, (share, length)
+    return choice
+
+
+def _log_likelihood(covariance: Array, columns: Array) -> float:
+    """Of columns ``(N, k)``, each with a variance of its own, the best; but for a constant."""
+    factor = cho_factor(covariance, lower=True, check_finite=False)
+    squares = np.maximum(np.sum(columns * cho_solve(factor, columns, check_finite=False), axis=0), 1e-300)
+    return float(-0.5 * len(columns) * np.log(squares).sum() - columns.shape[1] * np.log(np.diag(factor[0])).sum())
+
+
+def _of_pictures(
+    data: Observations,
+    model: ArmModel,
+    unknowns: Array,
+    residual: Array,
+    rows: Rows,
+    many: Array,
+    spent: float,
+    scatter: Array,
+    sizes: Array,
+) -> Noise:
+    """Where rows have many equations: each channel's own scatter, and the pose's error that they share."""
+    tool = tool_columns(data, model, unknowns)
+    places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
+    _, channels = data.equations()
+    channel = np.array([channels[at[0]] for at in places])
+    gram = np.stack([tool[at].T @ tool[at] for at in places])
+    right = np.stack([tool[at].T @ residual[at] for at in places])
+    square = np.array([residual[at] @ residual[at] for at in places])
+    count = np.array([len(at) for at in places], dtype=float)
+    spare = max(1.0 - spent / (POSE * len(places)), 0.1)
+    white = np.array([sizes[each] for each in channel]) ** 2
+    bound = np.sqrt(np.trace(gram, axis1=1, axis2=2).mean() / POSE)
+    pose = np.repeat([1.0, 1.0], 3) / max(bound, 1e-300)
+    pose = pose**2
+    for _ in range(ROUNDS):
+        covariance = np.linalg.inv(gram / white[:, None, None] + np.diag(1.0 / pose))
+        mean = (covariance @ (right / white[:, None])[..., None])[..., 0]
+        second = covariance + mean[:, :, None] * mean[:, None, :]
+        sums = np.diagonal(second, axis1=1, axis2=2).mean(axis=0) / spare
+        pose = np.repeat([sums[:3].mean(), sums[3:].mean()], 3)
+        remains = square - 2.0 * np.sum(mean * right, axis=1) + np.einsum("nij,nji->n", gram, second)
+        for each in np.unique(channel):
+            here = channel == each
+            sizes[each] = max(float(np.sqrt(remains[here].sum() / count[here].sum())), 1e-9)
+        white = sizes[channel] ** 2
+    shared = []
+    for at, each in zip(places, channel, strict=True):
+        scatter[at] = sizes[each]
+        basis, strength, _ = np.linalg.svd(tool[at] * np.sqrt(pose) / sizes[each], full_matrices=False)
+        shared.append(SharedPose(at, basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)))
+    std = float(np.sqrt(pose[0])), float(np.sqrt(pose[3]))
+    return Noise(scatter, sizes, shared=tuple(shared), pose_std=std)
+
+
+def tool_columns(data: Observations, model: ArmModel, unknowns: Array) -> Array:
+    """Derivatives of the stated equations by the tool's pose, in its own axes ``(E, 6)``."""
+    whole = [(data, model, unknowns, 1.0)]
+    parts = data.seen_by_station(model, unknowns) if isinstance(data, Stacked) else whole
+    place = frame_columns(model.geometry, "tool")
+    return np.concatenate([part.jacobian(seen, own)[0][:, place] / scale for part, seen, own, scale in parts])
