@@ -40,8 +40,8 @@ SAME = 1e-9
 """Gains are all equal where they vary by no more than this part of the largest: by roundings."""
 
 PART_OFF, FRAME_OFF = 8.0, 4.0
-"""A link, or a frame said to be known, farther from its drawing than so many standard deviations of its class is none of
-that class. Eight measured series of six arms keep below 6.1; a UR5e's rows given as a UR5's have 20."""
+"""A link, or a frame said to be known, farther from its drawing than so many standard deviations of its class is none
+of that class. Eight measured series of six arms keep below 6.1; a UR5e's rows given as a UR5's have 20."""
 
 SURE_BY = 2.0
 """It is surely so far where that many of its own standard deviations are taken off."""
@@ -329,12 +329,11 @@ def _failures(
     if before is None or count < ENOUGH:
         return
     was, now = _rms(before, unit), _rms(after, unit)
-    said = f"the calibrated arm ({now:#.4g} {unit} RMS) {{}} the nominal one ({was:#.4g} {unit} RMS) on {count} held-out {called}"
     if now >= was or _chance(before, after, blocks) > SIGNIFICANCE:
+        verb = "is no better than" if now >= was else "cannot be told from"
         yield (
-            said.format("is no better than" if now >= was else "cannot be told from")
-            + ": "
-            + _cause(found, before, after, unlearnt, unit)
+            f"on {count} held-out {called} the calibrated arm ({now:#.4g} {unit} RMS) {verb} the nominal one "
+            f"({was:#.4g} {unit} RMS): {_cause(found, before, after, unlearnt, unit)}"
         )
 
 

@@ -126,7 +126,7 @@ def prior_scales(
     moved = model.start.difference(solution.arm_model)[model.parameters.columns] / model.std
     right = noise.whiten(data.residual(solution.arm_model, unknowns)) + matrix[:, count:] @ moved
     size = matrix.shape[1]
-    triangle = np.linalg.qr(np.column_stack([matrix, right]), mode="r")[:size]
+    triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, right]), mode="r"))[:size]
     rows, target = triangle[:, :size], triangle[:, size]
     groups = np.r_[np.full(count, ""), model.group]
     fixed = {name: scale for name, scale in model.scales.items() if name not in names}

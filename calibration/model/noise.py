@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
@@ -177,7 +178,7 @@ def _of_pictures(
     unknowns: Array,
     residual: Array,
     rows: Rows,
-    many: Array,
+    many: NDArray[np.bool_],
     spent: float,
     scatter: Array,
     sizes: Array,

@@ -1,9 +1,9 @@
 """What is expected of an arm's parameters before anything was measured: mean, standard deviation, and where from.
 
 Every parameter has a prior, and what is fitted is said by its width. Parts lie within what they are made to (a
-tolerance class), base and tool of an instrument that stood anywhere within metres, coefficients of terms within a few tolerances.
-Where rows tell nothing, the prior speaks. Words of the command line are widths: "offsets" leaves parts no width, "full"
-gives all of them any width, as the papers do. SI units.
+tolerance class), base and tool of an instrument that stood anywhere within metres, coefficients of terms within a few
+tolerances. Where rows tell nothing, the prior speaks. Words of the command line are widths: "offsets" leaves parts no
+width, "full" gives all of them any width, as the papers do. SI units.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class PriorModel:
     @property
     def width(self) -> Array:
         """Standard deviations with their scales ``(P,)``."""
-        return self.std * np.array([self.scales.get(name, 1.0) for name in self.group])
+        return np.asarray(self.std * np.array([self.scales.get(name, 1.0) for name in self.group]))
 
     def prior(self, weight: float = 1.0) -> Prior:
         """The priors of finite width as a data set, their widths divided by ``weight``."""

@@ -155,7 +155,8 @@ def sentence_of_groups(name: str, size: int, found: Sequence[Agreement]) -> str:
     return (
         f"{name}, {len(found)} groups of {size} seeds: {shares.mean():.0f} % of yield intervals ({spread}least "
         f"{shares.min():.0f}, most {shares.max():.0f}) hold the mean of their group's other seeds; of "
-        f"{sum(each.pairs for each in found)} pairs of grades or numbers of poses {apart} change their order with intervals that exclude one another"
+        f"{sum(each.pairs for each in found)} pairs of grades or numbers of poses {apart} change their order with "
+        "intervals that exclude one another"
     )
 
 
