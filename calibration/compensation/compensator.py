@@ -64,6 +64,7 @@ class Compensator:
         reservations: What stands against using it, by name (`pickenv.reservations`).
         within95: What holds 95 of 100 errors of position, m, and attitude, rad, at commands ``(..., n)``, as counted on
             held-out rows; None where nobody knows.
+        caution: What its rows do not tell of the workspace, in a sentence; None where they tell it.
     """
 
     nominal: Geometry
@@ -73,6 +74,7 @@ class Compensator:
     single_precision: bool = False
     reservations: Mapping[str, str] = field(default_factory=dict)
     within95: Callable[[Array], tuple[Array | None, Array | None]] | None = None
+    caution: str | None = None
 
     def __call__(self, joints: ArrayLike) -> Array:
         """Joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m, within the joint limits.

@@ -5,7 +5,7 @@ What a file cannot hold of a calibration is told with it (`Delivery.notes`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,14 +107,14 @@ def export(
         )
     if chosen == "mjcf" and own is None:
         first, *others = export_mjcf(calibration, _arm(calibration, arm), out, sample=sample, seed=seed)
-        return Delivery(first, _new_file_notes(calibration, chosen), tuple(others))
+        return _delivered(calibration, first, _new_file_notes(calibration, chosen), tuple(others))
     if chosen in ("toml", "onnx") or (chosen == "urdf" and own is None):
         writers: dict[str, Callable[[], Path]] = {
             "toml": lambda: write_arm_toml(calibration, _arm(calibration, arm), out),
             "urdf": lambda: write_arm_urdf(calibration, _arm(calibration, arm), out),
             "onnx": lambda: write_onnx(calibration, out),
         }
-        return Delivery(writers[chosen](), _new_file_notes(calibration, chosen))
+        return _delivered(calibration, writers[chosen](), _new_file_notes(calibration, chosen))
     makers: dict[str, Callable[[], Document]] = {
         "urdf": lambda: onto_urdf(calibration, Path(str(own)), tip, out),
         "mjcf": lambda: onto_mjcf(calibration, Path(str(own)), tip, out),
@@ -128,7 +128,14 @@ def export(
         "transforms": lambda: _transforms(calibration, own, tip),
     }
     document = makers[chosen]()
-    return Delivery(write_whole(out, lambda temporary: temporary.write_bytes(document.data)), document.notes)
+    path = write_whole(out, lambda temporary: temporary.write_bytes(document.data))
+    return _delivered(calibration, path, document.notes)
+
+
+def _delivered(calibration: Calibration, path: Path, notes: Sequence[str], beside: tuple[Path, ...] = ()) -> Delivery:
+    """What was written, with what the calibration's rows do not tell."""
+    caution = calibration.caution
+    return Delivery(path, (*(() if caution is None else (f"caution: {caution}",)), *notes), beside)
 
 
 def _own_file(onto: str | Path | None) -> tuple[Path | None, str | None]:

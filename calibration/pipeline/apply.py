@@ -52,6 +52,7 @@ class CorrectedCommands:
         reasons: For each target that is not reached, by index, why.
         lines: Line of each target in its file.
         prismatic: Joint types.
+        caution: What the calibration's rows do not tell of its workspace; None where they tell it.
     """
 
     targets: Array
@@ -66,6 +67,7 @@ class CorrectedCommands:
     reasons: dict[int, str]
     lines: tuple[int, ...]
     prismatic: tuple[bool, ...]
+    caution: str | None = None
 
     def table(self) -> tuple[list[str], NDArray[np.object_]]:
         """Column names with units, and one row per target."""
@@ -117,6 +119,8 @@ class CorrectedCommands:
                 f"  95 of 100 such commands end within {1e3 * np.median(self.within95[0]):.3f} mm (median of targets; "
                 f"{1e3 * np.max(self.within95[0]):.3f} mm at most), as counted on held-out rows"
             )
+        if self.caution is not None:
+            lines.append(f"  caution: {self.caution}")
         for i, reason in self.reasons.items():
             lines.append(f"  row {self.lines[i]}: {reason}")
         return "\n".join(lines)
@@ -203,6 +207,7 @@ def apply_calibration(
         reasons=dict(sorted(reasons.items())),
         lines=targets.lines,
         prismatic=geometry.prismatic,
+        caution=calibration.caution,
     )
 
 

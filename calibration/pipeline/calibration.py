@@ -146,6 +146,7 @@ class Calibration:
             single_precision,
             self.reservations(),
             None if sure is None else partial(self._within95, sure, conditions),
+            self.caution,
         )
 
     def _within95(
@@ -154,6 +155,13 @@ class Calibration:
         """`PoseUncertainty.within95` at joints ``(..., n)`` under the same conditions everywhere."""
         here = None if conditions is None else conditions.repeated(joints.shape[:-1] or (1,))
         return sure.within95(self.model, joints, here)
+
+    @property
+    def caution(self) -> str | None:
+        """What its rows do not tell of the workspace it was made for, in a sentence; None where they tell it."""
+        workspace = self.record.get("workspace")
+        said = workspace.get("reservation") if isinstance(workspace, Mapping) else None
+        return None if said is None else str(said)
 
     def reservations(self) -> dict[str, str]:
         """What stands against using it, by name, each a sentence that says what to do; empty where nothing does."""
