@@ -32,8 +32,8 @@ SPREAD = 3.0
 WIDEST = 100.0
 """A scale is within this factor of 1."""
 
-UNKNOWN_STD = 1e4
-"""Standard deviation of the measurements' own unknowns, in their tolerances: no information."""
+UNKNOWN_STD = 10.0
+"""Standard deviation of the measurements' own unknowns, in SI units: no information."""
 
 
 @single_threaded()
@@ -65,11 +65,16 @@ def solve(model: PriorModel, data: Observations, noise: Noise | None = None) -> 
         solution = replace(solution, prior=weighed, noise=weights)
         solution = replace(solution, degrees_of_freedom=len(weights.scatter) - round(solution.spent))
         start, before = solution.arm_model, (weights, scales)
+        unknowns = np.array([solution.unknowns[name] for name in data.unknowns()])
+        by_arm, by_own = data.jacobian(solution.arm_model, unknowns)
+        stated = np.hstack([by_own, by_arm[:, model.parameters.columns]])
         if noise is None:
-            unknowns = np.array([solution.unknowns[name] for name in data.unknowns()])
-            weights = noise_of(data, solution.arm_model, unknowns, solution.spent)
+            columns = weights.whiten(stated[:, solution.identifiability.kept])
+            leverage = np.sum((columns @ solution.covariance) * columns, axis=1)
+            weights = noise_of(data, solution.arm_model, unknowns, leverage)
         if wanted:
-            scales = {**scales, **prior_scales(weighed, data, solution, weights, wanted)}
+            left = weights.whiten(data.residual(solution.arm_model, unknowns))
+            scales = {**scales, **prior_scales(weighed, solution, weights.whiten(stated), left, wanted)}
         if _settled(before, (weights, scales)):
             break
     return replace(solution, covariance=_widened(solution, weights.common))
@@ -107,27 +112,23 @@ def _without_priors(model: PriorModel, data: Observations) -> Identification:
 
 
 def prior_scales(
-    model: PriorModel, data: Observations, solution: Identification, noise: Noise, names: list[str]
+    model: PriorModel, solution: Identification, columns: Array, left: Array, names: list[str]
 ) -> dict[str, float]:
     """Scales of the widths of these groups that maximise the marginal likelihood, each expected near 1.
 
     Args:
         model: The model, with the scales of the solution.
-        data: The rows.
         solution: Where the model is linearised.
-        noise: What the rows scatter by.
+        columns: Whitened derivatives of the rows there ``(E, own + P)``, by their own unknowns first.
+        left: Whitened residuals there ``(E,)``.
         names: Groups whose scales are wanted.
     """
-    unknowns = np.array([solution.unknowns[name] for name in data.unknowns()])
-    by_arm, by_own = data.jacobian(solution.arm_model, unknowns)
-    matrix = noise.whiten(np.hstack([by_own * data.tolerances() * UNKNOWN_STD, by_arm[:, model.parameters.columns]]))
-    count = by_own.shape[1]
-    matrix[:, count:] *= model.std
-    moved = model.start.difference(solution.arm_model)[model.parameters.columns] / model.std
-    right = noise.whiten(data.residual(solution.arm_model, unknowns)) + matrix[:, count:] @ moved
-    size = matrix.shape[1]
-    triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, right]), mode="r"))[:size]
-    rows, target = triangle[:, :size], triangle[:, size]
+    count = columns.shape[1] - len(model.std)
+    width = np.r_[np.full(count, UNKNOWN_STD), model.std]
+    moved = model.start.difference(solution.arm_model)[model.parameters.columns]
+    system = np.column_stack([columns * width, left + columns[:, count:] @ moved])
+    triangle = np.asarray(np.linalg.qr(system, mode="r"))[: len(width)]
+    rows, target = triangle[:, :-1], triangle[:, -1]
     groups = np.r_[np.full(count, ""), model.group]
     fixed = {name: scale for name, scale in model.scales.items() if name not in names}
 

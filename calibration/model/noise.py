@@ -45,6 +45,9 @@ WORTH = 3.0
 PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
 """Rows, taken evenly, on which length and share are found, and among which each row's neighbours are counted."""
 
+LEAST_SPARE = 0.05
+"""So much of an equation is taken to show scatter, however much the fit has used."""
+
 ROUNDS = 40
 """Rounds of expectation maximisation."""
 
@@ -101,29 +104,28 @@ def stated_noise(data: Observations) -> Noise:
     return Noise(np.ones(len(rows)), np.ones(int(channels.max(initial=0)) + 1))
 
 
-def noise_of(data: Observations, model: ArmModel, unknowns: Array, spent: float) -> Noise:
+def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Array) -> Noise:
     """The noise of rows about a model fitted to them.
 
     Args:
         data: The rows.
         model: The fitted model.
         unknowns: The data's own unknowns.
-        spent: How many parameters' worth of the rows the fit has used up; the rest of them shows the scatter.
+        leverage: How much of each equation the fit has used up ``(E,)``, 0 to 1; the rest of it shows the scatter.
     """
     residual = data.residual(model, unknowns)
     rows, channels = data.equations()
     own = rows >= 0
     many = own & (np.bincount(rows[own], minlength=len(data.joints))[rows] > POSE)
     sizes = np.ones(int(channels.max(initial=0)) + 1)
-    spare = max(1.0 - spent / max(own.sum(), 1), 0.1)
+    spare = np.clip(1.0 - leverage, LEAST_SPARE, 1.0)
     for channel in range(len(sizes)):
         here = own & (channels == channel)
         if here.any():
-            free = spare * here.sum()
-            sizes[channel] = np.sqrt((STATED + np.sum(residual[here] ** 2)) / (STATED + free))
+            sizes[channel] = np.sqrt((STATED + np.sum(residual[here] ** 2)) / (STATED + np.sum(spare[here])))
     scatter = np.where(own, sizes[channels], 1.0)
     if many.any():
-        return _of_pictures(data, model, unknowns, residual, rows, many, spent, scatter, sizes)
+        return _of_pictures(data, model, unknowns, residual, rows, many, leverage, scatter, sizes)
     share, length = _alike(data.joints, residual / scatter, rows)
     if not share:
         return Noise(scatter, sizes)
@@ -179,7 +181,7 @@ def _of_pictures(
     residual: Array,
     rows: Rows,
     many: NDArray[np.bool_],
-    spent: float,
+    leverage: Array,
     scatter: Array,
     sizes: Array,
 ) -> Noise:
@@ -192,7 +194,7 @@ def _of_pictures(
     right = np.stack([tool[at].T @ residual[at] for at in places])
     square = np.array([residual[at] @ residual[at] for at in places])
     count = np.array([len(at) for at in places], dtype=float)
-    spare = max(1.0 - spent / (POSE * len(places)), 0.1)
+    spare = max(1.0 - leverage[many].sum() / (POSE * len(places)), LEAST_SPARE)
     white = np.array([sizes[each] for each in channel]) ** 2
     bound = np.sqrt(np.trace(gram, axis1=1, axis2=2).mean() / POSE)
     pose = np.repeat([1.0, 1.0], 3) / max(bound, 1e-300)
