@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from never_worse.judge import (
+    VECTORS,
     PoseOf,
     aligned_errors,
     calibrated_flange,
@@ -21,11 +22,25 @@ from never_worse.judge import (
     regions,
     rms,
 )
+from scipy.spatial.transform import Rotation
 
 import pickenv
-from pickenv.arm import load_arm
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration import Result, read_observations
+from pickenv.arm import Arm, Geometry, forward, load_arm, load_plant
+from pickenv.arm.kinematics.geometry import Array, from_standard_dh
+from pickenv.bench.real_sets import SETS
+from pickenv.calibration import (
+    Measurements,
+    Result,
+    align,
+    complete_model,
+    frames_model,
+    identify,
+    random_joints,
+    read_observations,
+    simulated_tracker,
+)
+from pickenv.errors import InputError
+from pickenv.files import write_text
 
 MM = 1e3
 
@@ -60,6 +75,11 @@ class Row:
     def meets(self) -> bool | None:
         """Whether the row is at most what it may be; None where nothing is asked."""
         return None if self.at_most is None else self.calibrated <= self.at_most
+
+    @property
+    def worse(self) -> bool:
+        """Whether the calibrated arm is worse than the drawing."""
+        return self.nominal is not None and self.calibrated > self.nominal
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -129,4 +149,250 @@ def ur10e(settings: Settings) -> list[Row]:
     return judged("UR10e, 23 pictures", result, flange_of(arm.nominal), truth, where, UR10E_LIMITS)
 
 
-CASES: dict[str, Callable[[Settings], list[Row]]] = {"ur10e": ur10e}
+def kinhec(settings: Settings) -> list[Row]:
+    """Camera poses that KinHEC generates of arms with errors in their DH tables, against its own true tables.
+
+    Tier `small`, track `robot_error`, with the seeds of that tier: 30 poses a sequence, stated as 1 mm and 2 mrad.
+    """
+    rows: list[Row] = []
+    for robot, limits in KINHEC_LIMITS.items():
+        figures = []
+        for sequence in generated_sequences(robot, settings.sequences):
+            figures.append(judged_sequence(sequence, settings.seed))
+            settings.step(f"{robot}, sequence {len(figures)}")
+        rows += [row for pair in figures for row in pair]
+        rows += summary_of(robot, figures, limits)
+    return rows
+
+
+KINHEC_LIMITS = {"ur5e": (0.76, 1.8), "iiwa7": (None, None)}
+"""What the mean of the sequences may be, 0.15 rad beside the poses and over all joints, mm."""
+
+REFUSED_IN_8 = 1.0
+"""So many truly better arms of eight may be refused."""
+
+
+def generated_sequences(robot: str, count: int) -> list[Any]:
+    """The first sequences of an arm with a wrong DH table, as KinHEC generates them."""
+    try:
+        from kinhec import generate_sequence  # type: ignore[import-untyped, unused-ignore]
+        from kinhec.plans import build_plan, load_tier  # type: ignore[import-untyped, unused-ignore]
+    except ImportError:
+        raise InputError("the package kinhec is missing; pip install kinhec") from None
+    tier = load_tier("small")
+    track = tier["tracks"]["robot_error"]
+    levels = len(track["dh_len_std_mm"]) * len(track["dh_ang_std_deg"])
+    track |= {"robots": [*track["robots"], *{robot} - set(track["robots"])]}
+    track["repeats"] = max(track["repeats"], -(-count // levels))
+    plans = build_plan(tier, ["robot_error"])["robot_error"]
+    chosen = [plan for plan in plans if plan.robot == robot and "dh_error" in plan.robot_noise["models"]]
+    return [generate_sequence(plan) for plan in chosen[:count]]
+
+
+def dh_geometry(robot: Any, **numbers: Any) -> Geometry:
+    """The geometry of an arm of KinHEC, with numbers of its DH table replaced."""
+    table = {name: numbers.get(name, getattr(robot, name)) for name in ("a", "d", "alpha", "theta_offset")}
+    return from_standard_dh(
+        tuple(f"J{i + 1}" for i in range(robot.dof)),
+        (False,) * robot.dof,
+        theta=table.pop("theta_offset"),
+        **table,
+        lower=robot.q_min,
+        upper=robot.q_max,
+    )
+
+
+def judged_sequence(sequence: Any, seed: int) -> list[Row]:
+    """One sequence: where the camera stood on the board, at the joints that the robot read."""
+    from kinhec.robots import get_robot  # type: ignore[import-untyped, unused-ignore]
+
+    robot = get_robot(sequence.config.robot)
+    nominal, true = dh_geometry(robot), dh_geometry(robot, **sequence.extra["true_dh"])
+    columns = sequence.camera_table.to_pydict()
+    board, turn = (
+        np.array([columns[f"cam_target_meas_{name}"] for name in names]).T
+        for names in (("px", "py", "pz"), ("qx", "qy", "qz", "qw"))
+    )
+    back = Rotation.from_quat(turn).inv()
+    rows = Measurements(
+        joints=np.array(sequence.robot_table.to_pydict()["q_meas"]),
+        position=-back.apply(board),
+        rotation=back.as_matrix(),
+        prismatic=nominal.prismatic,
+        position_std=1e-3,
+        attitude_std=2e-3,
+        source=sequence.config.sequence_id,
+        std_stated=True,
+    )
+    arm = Arm(robot.name, robot.source, nominal, None, np.asarray(robot.qd_max, dtype=float))
+    result = pickenv.calibrate(arm, rows)
+    where = regions(rows.joints, nominal.lower, nominal.upper, seed)
+    near = {name: where[name] for name in ("0.15 rad beside", "all joints")}
+    subject = f"{robot.name}, {sequence.config.level.replace('|', ', ')}"
+    return judged(subject, result, flange_of(nominal), flange_of(true), near, {})
+
+
+def summary_of(robot: str, figures: list[list[Row]], limits: tuple[float | None, float | None]) -> list[Row]:
+    """Means over an arm's sequences, and how often the verdict is wrong."""
+    rows = []
+    for region, limit in enumerate(limits):
+        part = [pair[region] for pair in figures]
+        calibrated, nominal = (
+            float(np.mean([getattr(row, name) for row in part])) for name in ("calibrated", "nominal")
+        )
+        shares = [row.within95 for row in part if row.within95 is not None]
+        within = float(np.mean(shares)) if shares else None
+        at_most = nominal if limit is None else limit
+        rows.append(
+            Row(
+                f"{robot}, mean of {len(figures)}", part[0].where, calibrated, nominal, within95=within, at_most=at_most
+            )
+        )
+    worse = [any(row.worse for row in pair) for pair in figures]
+    false = sum(bad and pair[0].grade == "good" for bad, pair in zip(worse, figures, strict=True))
+    refused = sum(not bad and pair[0].grade == "do not use" for bad, pair in zip(worse, figures, strict=True))
+    many = REFUSED_IN_8 * len(figures) / 8
+    rows.append(Row(robot, "GOOD, and worse than nominal", false, unit="arms", at_most=0.0))
+    rows.append(Row(robot, "better than nominal, and refused", refused, unit="arms", at_most=many))
+    return rows
+
+
+URDF_POSES, URDF_NOISE = 80, (2e-4, 1e-3)
+URDF_OFF = (1e-3, 4e-3)
+"""Standard deviation of each of the six numbers of an origin, m and rad."""
+
+URDF_LIMIT = 0.45
+AXES = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0")
+ORIGINS = ("0 0 0.3", "0.1 0 0.2", "0 0.05 0.6", "0.5 0 0.1", "0.3 0 0")
+FLANGE = "0.12 0.02 0.05"
+
+
+def urdf_text(move: Callable[[], tuple[Array, Array]]) -> str:
+    """A URDF of five joints; ``move`` gives what is added to each origin, the flange's too: m and rad."""
+    parts = ['<robot name="five">', '<link name="base"/>']
+    parents = ("base", *(f"l{i}" for i in range(1, 6)))
+    for i, place in enumerate((*ORIGINS, FLANGE)):
+        shift, turn = move()
+        xyz = " ".join(f"{value:.17g}" for value in np.array(place.split(), dtype=float) + shift)
+        rpy = " ".join(f"{value:.17g}" for value in turn)
+        child, kind = ("flange", "fixed") if i == len(ORIGINS) else (f"l{i + 1}", "revolute")
+        axis = (
+            "" if kind == "fixed" else f'<axis xyz="{AXES[i]}"/><limit lower="-2" upper="2" effort="1" velocity="1"/>'
+        )
+        parts.append(f'<link name="{child}"/><joint name="j{i + 1}" type="{kind}"><origin xyz="{xyz}" rpy="{rpy}"/>')
+        parts.append(f'<parent link="{parents[i]}"/><child link="{child}"/>{axis}</joint>')
+    return "\n".join([*parts, "</robot>", ""])
+
+
+def urdf_origins(settings: Settings) -> list[Row]:
+    """An arm of five joints whose every joint origin is off, base and flange too, by poses in its own base frame."""
+    rng = np.random.default_rng(settings.seed)
+    settings.folder.mkdir(parents=True, exist_ok=True)
+    files = {name: settings.folder / f"five_{name}.urdf" for name in ("nominal", "true", "patched")}
+    write_text(files["nominal"], urdf_text(lambda: (np.zeros(3), np.zeros(3))))
+    write_text(files["true"], urdf_text(lambda: (rng.normal(0.0, URDF_OFF[0], 3), rng.normal(0.0, URDF_OFF[1], 3))))
+    arm, true = (load_arm(files[name]) for name in ("nominal", "true"))
+
+    def measured(count: int) -> Measurements:
+        joints = random_joints(arm.nominal, count, rng)
+        pose = forward(true.nominal, joints)
+        turn = Rotation.from_rotvec(rng.normal(0.0, URDF_NOISE[1], (count, 3))).as_matrix()
+        seen = pose.position + rng.normal(0.0, URDF_NOISE[0], (count, 3))
+        return Measurements(
+            joints, seen, turn @ pose.rotation, arm.nominal.prismatic, *URDF_NOISE, frames="known", std_stated=True
+        )
+
+    rows, test = measured(URDF_POSES), measured(VECTORS)
+    result = pickenv.calibrate(arm, rows)
+    settings.step("80 poses")
+    calibration, grade = result.calibration, grade_of(result)
+    held_out = MM * rms(calibration.errors(test)[:, :3])
+    nominal = MM * rms(test.difference(arm.nominal)[:, :3])
+    files["patched"].unlink(missing_ok=True)
+    result.export(files["patched"], onto=files["nominal"])
+    patched = load_arm(files["patched"]).nominal
+    behind = MM * rms(test.difference(patched)[:, :3])
+    subject = "URDF, 5 joints, all origins off"
+    return [
+        Row(subject, "held out, with its noise", held_out, nominal, grade=grade, at_most=URDF_LIMIT),
+        Row(subject, "behind the patched URDF", behind, nominal, grade=grade, at_most=URDF_LIMIT),
+    ]
+
+
+FEW, DRAWS = (5, 10, 20, 50, 200), 5
+
+
+def few_rows(settings: Settings) -> list[Row]:
+    """Few random tracker rows of the UR5's grid, judged on all the others; a refusal leaves the drawing as it is."""
+    arm, grid, _ = SETS["ur5"].load(settings.data)
+    assert isinstance(grid, Measurements)
+    rng, rows = np.random.default_rng(settings.seed), []
+    for count in FEW:
+        drawn = []
+        for draw in range(DRAWS):
+            order = rng.permutation(len(grid))
+            drawn.append(judged_rows(arm, grid.select(order[:count]), grid.select(order[count:])))
+            settings.step(f"{count} rows, draw {draw + 1}")
+        nominal, plain, calibrated = (float(np.mean([figures[i] for figures, _ in drawn])) for i in range(3))
+        grades = ", ".join(
+            f"{sum(grade == name for _, grade in drawn)} {name}" for name in sorted({g for _, g in drawn})
+        )
+        limit = min(nominal, plain / 2) if count == 10 else nominal
+        subject = f"UR5, {count} rows, mean of {DRAWS}"
+        rows.append(Row(subject, "rest of the grid", calibrated, nominal, plain, grade=grades, at_most=limit))
+        worst = max(figures[2] / figures[0] for figures, _ in drawn)
+        rows.append(Row(subject, "worst draw, part of nominal", worst, unit="", at_most=1.0))
+    return rows
+
+
+def judged_rows(arm: Arm, rows: Measurements, rest: Measurements) -> tuple[tuple[float, float, float], str]:
+    """Errors on other rows, mm: nominal with base and tool from these rows, least squares, and calibrated; verdict."""
+    aligned = align(arm.nominal, rows, frames_model(arm.nominal), judge=False).geometry
+    nominal = MM * rms(rest.difference(aligned)[:, :3])
+    try:
+        plain = MM * rms(rest.difference(identify(complete_model(arm.nominal), aligned, rows).geometry)[:, :3])
+    except InputError:
+        plain = float("inf")
+    try:
+        result = pickenv.calibrate(arm, rows)
+    except InputError:
+        return (nominal, plain, nominal), "refused"
+    return (nominal, plain, MM * rms(result.calibration.errors(rest)[:, :3])), grade_of(result)
+
+
+WIDE, CLUSTERS = 40, (0, 300, 1100)
+CLUSTER = 0.1
+"""Standard deviation of a joint in a cluster: rad, and m along slides."""
+
+
+def clustered(settings: Settings) -> list[Row]:
+    """Wide rows and many clustered ones of a simulated arm with effects that no model holds, judged on wide rows."""
+    rng = np.random.default_rng(settings.seed)
+    plant = load_plant(CLUSTERED_PLANT)
+    arm, nominal = plant.arm, plant.arm.nominal
+    wide = random_joints(nominal, WIDE, rng)
+    middle = random_joints(nominal, 1, rng)[0]
+    near = np.clip(middle + rng.normal(0.0, CLUSTER, (max(CLUSTERS), nominal.joints)), nominal.lower, nominal.upper)
+    test = simulated_tracker(plant, random_joints(nominal, VECTORS, rng), rng)
+    rows: list[Row] = []
+    for count in CLUSTERS:
+        data = simulated_tracker(plant, np.concatenate([wide, near[:count]]), np.random.default_rng(settings.seed + 1))
+        result = pickenv.calibrate(arm, data)
+        settings.step(f"{WIDE} + {count} rows")
+        figures = [MM * rms(errors[:, :3]) for errors in (test.difference(nominal), result.calibration.errors(test))]
+        limit = rows[0].calibrated if rows else figures[0]
+        subject = f"{WIDE} wide rows" + (f" + {count} clustered" if count else "")
+        rows.append(Row(subject, "wide rows", figures[1], figures[0], grade=grade_of(result), at_most=limit))
+    return rows
+
+
+CLUSTERED_PLANT = "field"
+
+
+CASES: dict[str, Callable[[Settings], list[Row]]] = {
+    "ur10e": ur10e,
+    "kinhec": kinhec,
+    "urdf_origins": urdf_origins,
+    "few_rows": few_rows,
+    "clustered": clustered,
+}
