@@ -23,7 +23,7 @@ def write_arm_urdf(calibration: Calibration, arm: Arm, path: str | Path) -> Path
     """
     own = calibration.arm
     tool = own.tool if calibration.record.get("frames") == "fitted" else calibration.identified.tool
-    placed = replace(calibration.identified, base=own.base, tool=tool)
+    placed = replace(calibration.in_own_base, tool=tool)
     text = urdf_text(placed, f"{arm.name}_calibrated", arm.speed)
     declaration, _, rest = text.partition("\n")
     words = (*provenance(calibration), "written against URDF 1.0, as ROS 2 has it")

@@ -4,19 +4,19 @@ N_i and C_i are link frames of the table before and after calibration, D_i the f
 the file's joints are zero. K_i = N_i^-1 D_i is constant. The corrected joint stands at C_i K_i, and its origin is that
 in the corrected frame before it. The chain begins at the robot's own base: where an instrument stood is no part of it.
 Where the next axis is parallel, no pose tells where along its axis a link stands, and a fit puts it anywhere; then it
-stays where the file draws it, as Universal Robots' own calibration has it (ur_calibration, correctAxis). Metres and
-radians.
+stays where the file draws it, as Universal Robots' own calibration has it (ur_calibration, correctAxis). What moves the
+tool along or about the last axis is the joint's as well, and is given to the joint. Metres and radians.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Geometry
+from pickenv.arm import Geometry, rotation_matrix, rotation_vector
 from pickenv.arm.files.joint_chain import ChainJoint
 from pickenv.arm.kinematics.geometry import Pose, behind, identity_pose, inverse_pose
 from pickenv.calibration.delivery.same_chain import SameChain, link_frames
@@ -50,14 +50,13 @@ def corrected_chain(
 
     Args:
         nominal: The arm as it was before its calibration.
-        found: The calibrated arm; its base is not looked at.
+        found: The calibrated arm, with the base as it was where an instrument's frame was fitted.
         joints: Of the file.
         tool: Pose of the file's tip in the frame of its last joint.
         same: How the file tells of ``nominal``.
     """
-    placed = replace(found, base=nominal.base)
     before, after = (
-        [behind(same.root, pose) for pose in link_frames(geometry, same.zero)] for geometry in (nominal, placed)
+        [behind(same.root, pose) for pose in link_frames(geometry, same.zero)] for geometry in (nominal, found)
     )
     links = links_moved(joints)
     old = new = identity_pose()
@@ -78,8 +77,17 @@ def corrected_chain(
         moved = joint.motion(joint.offset)
         old, new = behind(old, moved), behind(stood, moved)
     hand = behind(after[-1], found.tool)
+    if joints and joints[-1].ratio:
+        along = _along(behind(behind(inverse_pose(new), hand), inverse_pose(tool)), joints[-1])
+        origins[-1], new = behind(origins[-1], along), behind(new, along)
     tip = behind(new, tool)
     return CorrectedChain(tuple(origins), tip, behind(inverse_pose(tip), hand), behind(inverse_pose(new), hand))
+
+
+def _along(moved: Pose, joint: ChainJoint) -> Pose:
+    """The part of a small motion that shifts along a joint's axis and turns about it."""
+    turn = joint.axis * (joint.axis @ rotation_vector(moved.rotation))
+    return Pose(joint.axis * (joint.axis @ moved.position), rotation_matrix(turn))
 
 
 def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:

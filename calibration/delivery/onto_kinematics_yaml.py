@@ -18,7 +18,7 @@ from pickenv.arm.files.joint_chain import ChainJoint
 from pickenv.arm.files.link_origins import link_origins
 from pickenv.arm.files.ur_yaml import UR_KEYS, UR_LINKS, ur_row
 from pickenv.arm.files.urdf_text import roll_pitch_yaw
-from pickenv.arm.kinematics.geometry import identity_pose
+from pickenv.arm.kinematics.geometry import behind, identity_pose, inverse_pose
 from pickenv.calibration.delivery.corrected_chain import Z, corrected_chain
 from pickenv.calibration.delivery.origin_lines import Document, provenance
 from pickenv.calibration.delivery.patched import correction, is_moved
@@ -97,7 +97,9 @@ def ur_kinematics_yaml(calibration: Calibration) -> Document:
     origins = link_origins(based)
     joints = [ChainJoint(link, link, 1.0, 0.0, False, pose, Z) for link, pose in zip(UR_LINKS, origins, strict=True)]
     alike = SameChain(identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS)))
-    found = corrected_chain(based, calibration.identified, joints, identity_pose(), alike)
+    robot = calibration.in_own_base
+    robot = replace(robot, base=behind(inverse_pose(own.base), robot.base))
+    found = corrected_chain(based, robot, joints, identity_pose(), alike)
     for link, origin in zip(UR_LINKS, found.origins, strict=True):
         values = [*origin.position, *roll_pitch_yaw(np.asarray(origin.rotation))]
         lines.append(f"  {link}:")

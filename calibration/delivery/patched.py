@@ -62,8 +62,8 @@ def correction(calibration: Calibration, own: JointRow, path: Path) -> Correctio
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     same = same_chain(calibration.arm, geometry, path.name, calibration.arm_name)
-    chain = corrected_chain(calibration.arm, calibration.identified, own.joints, own.tool, same)
     known = calibration.record.get("frames") != "fitted"
+    chain = corrected_chain(calibration.arm, calibration.in_own_base, own.joints, own.tool, same)
     retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
     tool, tip = behind(same.root, forward(calibration.arm, same.zero)), forward(geometry, np.zeros(geometry.joints))
     near, turned = apart(tool, tip)

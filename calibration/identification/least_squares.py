@@ -104,8 +104,9 @@ class Identification:
     @property
     def narrowed(self) -> Array:
         """How much narrower every parameter is known than before measuring, 0 to 1; 0 for dropped ones."""
-        share = 1.0 - np.nan_to_num(self.standard_deviation, nan=np.inf) / self.prior_std
-        return np.clip(np.nan_to_num(share, nan=0.0), 0.0, 1.0)
+        known = np.isfinite(self.standard_deviation)
+        std = np.where(known, self.standard_deviation, self.prior_std)
+        return np.where(known, np.clip(1.0 - std / np.where(known, self.prior_std, 1.0), 0.0, 1.0), 0.0)
 
     @property
     def spent(self) -> float:

@@ -181,6 +181,13 @@ class Calibration:
             )
         return found
 
+    @property
+    def in_own_base(self) -> Geometry:
+        """The calibrated geometry in the robot's own base: fitted frames are the instrument's, and no part of it."""
+        if self.record.get("frames") == "fitted":
+            return replace(self.identified, base=self.arm.base)
+        return self.identified
+
     def compensate(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Joint commands for joint targets ``(..., n)``, rad or m."""
         return self.compensator(conditions=conditions)(joints)

@@ -51,8 +51,8 @@ GEOMETRY = "geometry"
 
 SPLITS = ("random", "blocked")
 
-FEW_VIEWS = 60
-"""So many pictures are judged one by one, each by a fit to all others."""
+FEW_VIEWS, FEW_ROWS = 60, 20
+"""So many pictures, or rows, are judged one by one, each by a fit to all others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ def calibrate(
         test: Rows to judge by; some of ``data`` when left out.
         split: How those are held out: "random", and the calibration is fitted to the others; or "blocked", all ten
             contiguous tenths in turn, each judged by a model fitted and chosen without it, while the calibration itself
-            is fitted to all rows.
+            is fitted to all rows. Fewer than 40 poses are always judged so, and up to 20 one by one.
         test_rows: How many are held out at random; a fifth when left out.
         choices: Terms, residual model, frames, robustness and seed; the defaults choose by the data.
         unit: Serial number of the robot, kept in the calibration.
@@ -160,7 +160,8 @@ def calibrate(
         train = with_lens(train, choices.lens)
     if choices.refit and test is None:
         raise InputError("--refit is for rows of another station; give them with --test")
-    if test is None and (split == "blocked" or isinstance(train, PixelObservations)):
+    few = isinstance(train, Measurements) and len(train) < ENOUGH_FOR_BLOCKS and test_rows is None
+    if test is None and (split == "blocked" or few or isinstance(train, PixelObservations)):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
         result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
@@ -240,9 +241,9 @@ def _judged_elsewhere(draft: Draft, test: Observations) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """Rows to fit and rows held out, block by block; of few pictures each is a block."""
+    """Rows to fit and rows held out, block by block; of few pictures, or very few rows, each is a block."""
     count = len(train.joints)
-    if isinstance(train, PixelObservations) and count <= FEW_VIEWS:
+    if count <= (FEW_VIEWS if isinstance(train, PixelObservations) else FEW_ROWS):
         return [(np.delete(np.arange(count), view), np.array([view])) for view in range(count)]
     return contiguous_folds(train.groups, BLOCKS)
 

@@ -402,7 +402,7 @@ def clustered(settings: Settings) -> list[Row]:
                 grades[which].append(grade)
         for which, count in enumerate(CLUSTERS):
             nominal, calibrated = errors[:, which].mean(axis=0)
-            limit = errors[:, 0, which > 0].mean()
+            limit = errors[:, 0, 1 if which else 0].mean()
             subject = f"{name}, {WIDE} wide rows" + (f" + {count} clustered" if count else "")
             counted = counts_of(grades[which])
             rows.append(Row(subject, "wide rows", calibrated, nominal, grade=counted, at_most=limit))

@@ -52,9 +52,12 @@ def test_any_corrected_arm_is_read_back_from_toml_and_urdf(tmp_path_factory, cal
     same_kinematics(again.nominal, geometry, joints, 1e-12)
     np.testing.assert_allclose(again.nominal.lower, geometry.lower, atol=1e-12)
     np.testing.assert_allclose(again.speed, chosen.speed, atol=1e-12)
-    standing = replace(geometry, base=chosen.nominal.base)  # a robot stands on its own base, not on the instrument's
-    urdf = write_arm_urdf(moved, chosen, folder / "arm.urdf")
-    same_kinematics(load_arm(f"{urdf}#tool").nominal, standing, joints, 1e-9)
+    # Known frames are the robot's own, and how joint 1 and the flange sit is part of it; fitted ones the instrument's.
+    fitted = replace(geometry, base=chosen.nominal.base, tool=chosen.nominal.tool)
+    for frames, standing in (("known", geometry), ("fitted", fitted)):
+        one = replace(moved, record={**odd, "frames": frames})
+        urdf = write_arm_urdf(one, chosen, folder / f"{frames}.urdf")
+        same_kinematics(load_arm(f"{urdf}#tool").nominal, standing, joints, 1e-9)
 
 
 def test_hayatis_beta_survives_the_files(calibration, dynamic, tmp_path):
