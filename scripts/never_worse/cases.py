@@ -24,6 +24,7 @@ from never_worse.judge import (
     regions,
     rms,
 )
+from scipy.optimize import least_squares as solve
 from scipy.spatial.transform import Rotation
 
 import pickenv
@@ -410,17 +411,20 @@ def judged_rows(arm: Arm, rows: Measurements, rest: Measurements) -> tuple[tuple
     return (nominal, plain, MM * rms(result.calibration.errors(rest)[:, :3])), grade_of(result)
 
 
-def least_squares(start: Geometry, rows: Measurements, iterations: int = 20) -> Geometry:
-    """Plain least squares for all parameters, without priors; of the least norm where the rows are too few."""
-    model = complete_model(start)
-    for _ in range(iterations):
-        jacobian, _ = rows.jacobian(ArmModel(start), np.zeros(0))
-        scaled = jacobian[:, model.columns] * model.tolerance
-        step = np.linalg.lstsq(scaled, rows.residual(ArmModel(start), np.zeros(0)), rcond=1e-6)[0] * model.tolerance
+def least_squares(start: Geometry, rows: Measurements) -> Geometry:
+    """SciPy's least squares for all parameters at once, without priors and without a choice among them."""
+    model, none = complete_model(start), np.zeros(0)
+
+    def moved_by(steps: Array) -> ArmModel:
         change = np.zeros(len(start.parameter_names))
-        change[model.columns] = step
-        start = start.displaced(change)
-    return start
+        change[model.columns] = steps * model.tolerance
+        return ArmModel(start.displaced(change))
+
+    def slopes(steps: Array) -> Array:
+        return np.asarray(-rows.jacobian(moved_by(steps), none)[0][:, model.columns] * model.tolerance)
+
+    solved = solve(lambda steps: rows.residual(moved_by(steps), none), np.zeros(len(model.columns)), slopes)
+    return moved_by(solved.x).geometry
 
 
 WIDE, CLUSTERS = 40, (0, 300, 1100)
@@ -445,7 +449,7 @@ def clustered(settings: Settings) -> list[Row]:
                 grades[which].append(grade)
         for which, count in enumerate(CLUSTERS):
             nominal, calibrated = errors[:, which].mean(axis=0)
-            limit = errors[:, 0, which > 0].mean()
+            limit = errors[:, 0, 1].mean() if count else nominal
             subject = f"{name}, {WIDE} wide rows" + (f" + {count} clustered" if count else "")
             counted = counts_of(grades[which])
             rows.append(Row(subject, "wide rows", calibrated, nominal, grade=counted, at_most=limit))
