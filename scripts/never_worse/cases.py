@@ -219,7 +219,7 @@ def with_wrong_table(plan: Any) -> bool:
 
 def at_stations(plan: Any) -> bool:
     """Whether a sequence is of poses at which the arm stood still, with the camera on its hand."""
-    return plan.sampling["mode"] == "stations" and plan.configuration == "eye_in_hand"
+    return bool(plan.sampling["mode"] == "stations" and plan.configuration == "eye_in_hand")
 
 
 def judged_sequences(settings: Settings, track: str, robot: str, wanted: Callable[[Any], bool]) -> list[list[Row]]:
@@ -429,7 +429,10 @@ def least_squares(start: Geometry, rows: Measurements) -> Geometry:
     def slopes(steps: Array) -> Array:
         return np.asarray(-rows.jacobian(moved_by(steps), none)[0][:, model.columns] * model.tolerance)
 
-    solved = solve(lambda steps: rows.residual(moved_by(steps), none), np.zeros(len(model.columns)), slopes)
+    def misses(steps: Array) -> Array:
+        return rows.residual(moved_by(steps), none)
+
+    solved = solve(misses, np.zeros(len(model.columns)), slopes)
     return moved_by(solved.x).geometry
 
 
@@ -576,16 +579,16 @@ def speed(settings: Settings) -> list[Row]:
     begin, spent = time.perf_counter(), sum(os.times()[:4])
     grade = grade_of(pickenv.calibrate(arm, many))
     wall, busy = time.perf_counter() - begin, sum(os.times()[:4]) - spent
-    settings.step(f"{len(many)} rows")
+    settings.step(f"{MANY_ROWS} rows")
     arm, grid, _ = SETS["ur5"].load(settings.data)
-    few = grid.select(np.sort(np.random.default_rng(settings.seed).permutation(len(grid))[:450]))
+    few = grid.select(np.sort(np.random.default_rng(settings.seed).permutation(len(grid.joints))[:450]))
     spent = sum(os.times()[:4])
     blocked = grade_of(pickenv.calibrate(arm, few, split="blocked"))
     processor = sum(os.times()[:4]) - spent
     settings.step("450 rows, blocked")
     return [
-        Row(f"UR10 A, {len(many)} rows", "by the clock", wall, unit="s", grade=grade, at_most=MOST_SECONDS["wall"]),
-        Row(f"UR10 A, {len(many)} rows", "processor", busy, unit="s", grade=grade),
+        Row(f"UR10 A, {MANY_ROWS} rows", "by the clock", wall, unit="s", grade=grade, at_most=MOST_SECONDS["wall"]),
+        Row(f"UR10 A, {MANY_ROWS} rows", "processor", busy, unit="s", grade=grade),
         Row(
             "UR5, 450 rows, blocked", "processor", processor, unit="s", grade=blocked, at_most=MOST_SECONDS["processor"]
         ),
