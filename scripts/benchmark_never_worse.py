@@ -4,7 +4,9 @@ Each case calibrates by `pickenv.calibrate` as a user does, without options, and
 knows its truth: a maker's factory calibration, a generator's own parameters, rows that were never fitted. What a case
 may leave at most stands beside what it left.
 
-Run: python scripts/benchmark_never_worse.py [--only CASE] [--json FILE] [--data DIR]
+The case `kinhec` needs `pip install kinhec`. Tables are printed as Markdown.
+
+Run: python scripts/benchmark_never_worse.py [--only CASE] [--json FILE] [--data DIR] [--sequences 8] [--arms 30]
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from typing import Annotated, Any
 
 import typer
 from never_worse.cases import CASES, Row, Settings
-from rich.box import SIMPLE_HEAD
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -26,7 +28,8 @@ from pickenv.files import write_text
 
 ROOT = Path(__file__).parents[1]
 
-COLUMNS = ("nominal", "least\nsquares", "calibrated", "at most", "", "in its\n95 %", "verdict", "")
+FIGURES = ("nominal", "least squares", "calibrated", "at most")
+WORDS = ("unit", "in its 95 %", "verdict", "meets")
 
 
 def said(value: float | None) -> str:
@@ -42,13 +45,11 @@ def cells(row: Row) -> list[str]:
     return [row.subject, row.where, *figures, row.unit, share, row.grade or "", meets]
 
 
-def table_of(name: str, rows: list[Row], seconds: float) -> Table:
-    """The rows of a case."""
-    table = Table(title=f"{name} ({seconds:.1f} s)", title_justify="left", box=SIMPLE_HEAD, padding=(0, 0, 0, 1))
-    for head in ("fitted", "judged"):
-        table.add_column(head)
-    for head in COLUMNS:
-        table.add_column(head, justify="left" if head in ("", "verdict") else "right")
+def table_of(rows: list[Row]) -> Table:
+    """The rows of a case, as Markdown."""
+    table = Table(box=MARKDOWN)
+    for head in ("fitted", "judged", *FIGURES, *WORDS):
+        table.add_column(head, justify="right" if head in FIGURES else "left", no_wrap=True)
     for row in rows:
         table.add_row(*cells(row))
     return table
@@ -64,8 +65,8 @@ def main(
     sequences: Annotated[int, typer.Option(help="KinHEC sequences of each arm.", min=1)] = 8,
     arms: Annotated[int, typer.Option(help="Printed SO-101 that are drawn.", min=1)] = 30,
 ) -> None:
-    """Run the cases and print one table of each."""
-    console, log = Console(width=150), Console(stderr=True)
+    """Run the cases and print a table of each, as Markdown."""
+    console, log = Console(width=200), Console(stderr=True)
     names = only or list(CASES)
     for name in names:
         if name not in CASES:
@@ -97,7 +98,7 @@ def main(
             bars.remove_task(fits)
             bars.advance(cases)
             figures[name] = {"seconds": seconds, "rows": [row.as_dict() for row in rows]}
-            console.print(table_of(name, rows, seconds))
+            console.print(f"{name}, {seconds:.1f} s", table_of(rows), highlight=False)
     if json_file is not None:
         write_text(json_file, json.dumps({"seed": seed, "cases": figures}, indent=2) + "\n")
 

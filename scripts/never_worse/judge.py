@@ -63,7 +63,7 @@ def calibrated_flange(calibration: Calibration) -> PoseOf:
 def chain_of_origins(path: Path) -> PoseOf:
     """Flange of a kinematics file as ur_calibration writes it: each joint's origin, then a turn about its own z."""
     content = yaml_content(read_text(path, "a UR kinematics file (.yaml)"), path)
-    links: Any = content["kinematics"]  # type: ignore[index]
+    links: Any = content["kinematics"]
     origins = [links[name] for name in ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")]
 
     def flange(joints: Array) -> Pose:
@@ -99,7 +99,7 @@ def aligned_errors(model: PoseOf, truth: PoseOf, joints: Array, iterations: int 
     target, pose = points_of(truth(joints)), model(joints)
     for _ in range(iterations):
         miss = (target - points_of(pose)).reshape(-1)
-        step = np.linalg.lstsq(alignment_columns(pose), miss, rcond=1e-10)[0]
+        step = np.asarray(np.linalg.lstsq(alignment_columns(pose), miss, rcond=1e-10)[0], dtype=float)
         pose = _moved(pose, step)
         if np.abs(step).max() < 1e-12:
             break

@@ -188,6 +188,8 @@ def test_a_row_says_whether_it_meets_its_bound():
     assert replace(row, calibrated=0.8).meets and replace(row, calibrated=1.1).worse
     assert replace(row, at_most=None).meets is None
     assert not replace(row, calibrated=float("nan")).meets
+    sure = replace(row, at_most=1.0, within95=0.95, share=(0.9, 0.98))
+    assert sure.meets and not replace(sure, within95=1.0).meets and not replace(sure, within95=None).meets
     assert json.loads(json.dumps(row.as_dict()))["meets"] is False
 
 
