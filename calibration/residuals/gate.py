@@ -19,8 +19,8 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, random_split
-from pickenv.calibration.residuals.residual_models import FITTERS, fit_residual
 from pickenv.calibration.residuals.regressor import Fitter
+from pickenv.calibration.residuals.residual_models import FITTERS, fit_residual
 from pickenv.errors import InputError
 
 MARGIN = 0.02

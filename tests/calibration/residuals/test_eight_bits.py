@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("llvmlite")
 
-from pickenv.calibration.residuals import network_code  # noqa: E402
-from pickenv.calibration.residuals.network_code import MOST, CompiledNetwork, Layer, rounded_layers  # noqa: E402
+from pickenv.calibration.residuals import network_code
+from pickenv.calibration.residuals.network_code import MOST, CompiledNetwork, Layer, rounded_layers
 
 SHAPES = [(6, 40, 24, 10, 6), (3, 7, 5, 2), (4, 9, 3), (5, 2), (6, 64, 64, 64, 64, 1)]
 
