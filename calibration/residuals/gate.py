@@ -72,13 +72,11 @@ class GateReport:
         verdicts: One per model, in the order given.
         selected: The accepted model with the smallest inner RMS, or None: the residual stays off.
         blocked_rms: Of the selection on the held-out blocks, m (the geometric one where nothing is selected).
-        held_out: Rows of the held-out blocks, counted from 0.
     """
 
     verdicts: tuple[GateVerdict, ...]
     selected: str | None
     blocked_rms: float
-    held_out: tuple[int, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; lengths in mm and angles in degrees, as the names then say."""
@@ -143,12 +141,7 @@ def gate_residuals(
     chosen = min((verdict for verdict in verdicts if verdict.accepted), key=attrgetter("inner_rms"), default=None)
     blocked_rms = position_rms(blocked.test_residual) if chosen is None else chosen.blocked_rms
     assert blocked_rms is not None  # whatever was chosen was judged
-    return GateReport(
-        verdicts=tuple(verdicts),
-        selected=None if chosen is None else chosen.model,
-        blocked_rms=blocked_rms,
-        held_out=tuple(blocked.test_rows.tolist()),
-    )
+    return GateReport(tuple(verdicts), None if chosen is None else chosen.model, blocked_rms)
 
 
 def position_rms(residuals: Array) -> float:
@@ -168,13 +161,12 @@ class _Trial:
     test: Measurements
     train_residual: Array
     test_residual: Array
-    test_rows: Rows
 
     @staticmethod
     def of(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> _Trial:
         train, test = measurements.select(train_rows), measurements.select(test_rows)
         found = refit(train)
-        return _Trial(train, test, train.difference(found), test.difference(found), test_rows)
+        return _Trial(train, test, train.difference(found), test.difference(found))
 
 
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: _Trial) -> Array:

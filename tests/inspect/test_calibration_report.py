@@ -30,7 +30,6 @@ GATE = GateReport(
     (verdict("gp", True, 2.5e-4, "cuts the blocked RMS by 60%"), verdict("rbf", False, 7e-4, "no gain: raises <it>")),
     "gp",
     2.5e-4,
-    (),
 )
 
 

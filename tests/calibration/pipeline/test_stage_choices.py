@@ -89,7 +89,7 @@ def test_and_to_judge_residual_models(dynamic, sets, rows, asked, monkeypatch):
     def judging(data, refit, rng, *, models, fitters, progress):
         calls.append((len(data), models, rng.bit_generator.state))
         assert refit(data).geometry is not None
-        return GateReport((verdict("gp"),), "gp", 1e-3, ())
+        return GateReport((verdict("gp"),), "gp", 1e-3)
 
     monkeypatch.setattr(stages, "gate_residuals", judging)
     draft = stages._learn(identified(dynamic, sets, rows))
@@ -105,7 +105,7 @@ def test_and_to_judge_residual_models(dynamic, sets, rows, asked, monkeypatch):
 
 def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, monkeypatch):
     monkeypatch.setattr(
-        stages, "gate_residuals", lambda *_, **__: GateReport((verdict("rbf", accepted=False),), None, 1e-3, ())
+        stages, "gate_residuals", lambda *_, **__: GateReport((verdict("rbf", accepted=False),), None, 1e-3)
     )
     named = replace(AUTO, residual="rbf")
     for choices, fits in (
@@ -158,7 +158,7 @@ def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monke
 def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
     """Fits step by step, the choice of terms, the gate's verdicts, rows left out, and what the poses hide."""
     choice = TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3}, (gravity(dynamic),))
-    gate = GateReport((verdict("rbf"),), "rbf", 1e-3, ())
+    gate = GateReport((verdict("rbf"),), "rbf", 1e-3)
     monkeypatch.setattr(stages, "choose_terms", lambda *_: choice)
     monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: gate)
     left = (LeftOut("tracker.csv", 7, False, 5e-3, None, 9.0),)
