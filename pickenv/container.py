@@ -94,6 +94,16 @@ def _reason(error: Exception) -> str:
     return " ".join(str(text).split())[:160]
 
 
+def named_part(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The arrays with a prefix before their names, as a part of something larger."""
+    return {f"{prefix}{name}": np.asarray(value) for name, value in arrays.items()}
+
+
+def part_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    """The inverse of `named_part`."""
+    return {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
+
+
 def npz_path(path: str | Path) -> Path:
     """The path, with ``.npz`` appended if it is missing."""
     path = Path(path)

@@ -16,7 +16,7 @@ from pickenv.errors import InputError
 
 EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "learn": ("torch", "sklearn"),
+        "learn": ("torch",),
         "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
         "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
         "render": ("vtkmodules", "imageio_ffmpeg"),

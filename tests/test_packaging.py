@@ -42,7 +42,6 @@ def test_the_version_is_the_same_everywhere() -> None:
 
 PACKAGES = {
     "vtkmodules": "vtk",
-    "sklearn": "scikit-learn",
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
     "rerun": "rerun-sdk",

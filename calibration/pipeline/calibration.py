@@ -19,9 +19,8 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.terms import specification, term_from
 from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, uncertainty_from
-from pickenv.calibration.residuals.residual_models import LearntResidual
-from pickenv.calibration.residuals.saved_arrays import named_part, part_of
-from pickenv.container import npz_path, read_container, refusing_damage, write_container
+from pickenv.calibration.residuals.residual_models import FITTERS, LearntResidual
+from pickenv.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
 
@@ -253,10 +252,16 @@ class Calibration:
 
         Raises:
             InputError: If the file is missing, damaged in any byte, holds what cannot move an arm (numbers that are
-                not finite, a base that is no rotation), is of another version, of another arm or of another unit.
+                not finite, a base that is no rotation), is of another version, of another arm or of another unit, or
+                holds a residual model of a kind that there is no more.
         """
         path = npz_path(path)
         found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
+        kind = found.header.get("residual")
+        if kind not in (None, *FITTERS):
+            raise InputError(
+                f"{path} holds the residual model '{kind}', which is none of {', '.join(FITTERS)}; {REMAKE}"
+            )
         with refusing_damage(path, f"a {KIND} file", REMAKE):
             calibration = _from_parts(found.header, found.arrays)
         if arm is not None:

@@ -10,9 +10,7 @@ from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.prior import TOLERANCE_CLASS
 from pickenv.calibration.pipeline.restation import REFIT_ROWS
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.residual_models import NEEDS
 from pickenv.errors import InputError
-from pickenv.extras import require
 
 
 @dataclass(frozen=True)
@@ -59,8 +57,6 @@ class Choices:
 
 def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
-    if choices.residual in NEEDS:  # said now, and not after the work
-        require(NEEDS[choices.residual])
     given = {"--frames known": choices.frames == "known"}
     given[f"--residual {choices.residual}"] = choices.residual not in ("auto", "none")
     if choices.lens is not None and not isinstance(train, PixelObservations):

@@ -27,9 +27,8 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import geometric_model
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements, random_joints
 from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.residuals.residual_models import FITTERS, NEEDS, LearntResidual, fit_residual
+from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, require_residual
 from pickenv.errors import InputError
-from pickenv.extras import require
 from pickenv.intervals import LEAST, mean_interval
 
 HELD = 60.0
@@ -287,10 +286,7 @@ def conditions_study(
             f"plant '{plant.name}' has no link masses, so a payload changes nothing; give --payload 0, or a plant with "
             "a [load]"
         )
-    if settings.residual not in FITTERS:
-        raise InputError(f"unknown residual model '{settings.residual}'; give one of {', '.join(FITTERS)}")
-    if settings.residual in NEEDS:
-        require(NEEDS[settings.residual])
+    require_residual(settings.residual)
     heated, seed = warming(plant), np.random.SeedSequence(settings.seed)
     if calibration is None:
         of_draws, *of_arms = seed.spawn(1 + settings.arms)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from pickenv.calibration.model.prior import PriorModel, prior_model
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
-from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, QUICK_FITTERS, fit_residual
+from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, fit_residual
 from pickenv.errors import InputError
 from pickenv.provenance import versions
 
@@ -69,7 +70,7 @@ def fit(
             simulated); then the paper's 24 parameters are identified. Else base, tool and Hayati's beta are fitted too,
             and what the arm does in its own base frame stays unknown.
         terms: Parametric non-geometric effects to identify with the geometry.
-        residual: Residual model by name: "bpnn", "rbf", "gp" or "trees".
+        residual: Residual model by name: "bpnn", "rbf" or "gp".
         rng: Seeds the residual model; needed with ``residual_measurements``.
         settings: Settings of the network "bpnn"; the paper's when left out.
         progress: Called with (epochs done, epochs in all).
@@ -168,9 +169,7 @@ def fit_remainder(
         "settings": None if settings is None else asdict(settings),
         "generator": _generator_state(rng),
     }
-    fitter, span = QUICK_FITTERS.get(kind), PERIODIC_SPAN
-    if settings is not None:
-        fitter, span = (lambda x, y, generator: train_bpnn(x, y, generator, settings, progress)), np.inf
+    paper = None if settings is None else partial(train_bpnn, settings=settings, progress=progress)
     model = fit_residual(
         kind,
         data.joints,
@@ -178,10 +177,10 @@ def fit_remainder(
         data.prismatic,
         rng,
         conditions=data.conditions.inputs(),
-        fitter=fitter,
-        periodic_span=span,
+        fitter=paper,
+        periodic_span=PERIODIC_SPAN if paper is None else np.inf,
     )
-    whole = {**found.calibration.record, "residual": record, "versions": versions("scipy", "torch", "scikit-learn")}
+    whole = {**found.calibration.record, "residual": record, "versions": versions("scipy", "torch")}
     return replace(found, calibration=replace(found.calibration, learnt=model, record=whole))
 
 

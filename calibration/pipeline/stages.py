@@ -37,8 +37,8 @@ from pickenv.calibration.pipeline.held_out import HeldOut, held_out_elsewhere, h
 from pickenv.calibration.pipeline.restation import near_rows
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals, position_rms
-from pickenv.calibration.residuals.residual_models import FITTERS, TRIAL_FITTERS
+from pickenv.calibration.residuals.gate import GateReport, gate_residuals, position_rms
+from pickenv.calibration.residuals.residual_models import FITTERS, TRIAL_FITTERS, require_residual
 from pickenv.errors import InputError
 
 GATE_ROWS = 3000
@@ -268,6 +268,8 @@ def _check(draft: Draft) -> Draft:
         raise InputError(f"frames is '{choices.frames}'; give {' or '.join(FRAMES)}")
     if choices.fit not in FIT_WORDS:
         raise InputError(f"fit is '{choices.fit}'; give {', '.join(FIT_WORDS[:-1])} or {FIT_WORDS[-1]}")
+    if choices.residual not in ("auto", "none"):  # said now, and not after the work
+        require_residual(choices.residual)
     if type(draft.train) is not type(draft.test):
         raise InputError(
             f"{draft.train.source} holds {draft.train.kind}, but {draft.test.source}, to judge by, {draft.test.kind}; "
@@ -335,8 +337,6 @@ def _learn(draft: Draft) -> Draft:
         return _with_residual(draft, choices.residual, choices.learn_from, settings)
     if poses is None or choices.residual == "none":
         return draft
-    if choices.residual != "auto" and choices.residual not in FITTERS:
-        raise InputError(f"unknown residual model '{choices.residual}'; give auto, none or one of {', '.join(FITTERS)}")
     train = poses[0]
     selected: str | None = None
     if len(train) >= ENOUGH_FOR_BLOCKS:
@@ -369,17 +369,7 @@ def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> Gate
         rms = 1e3 * position_rms(draft.train.misses(best.identification.arm_model, np.zeros(0)))
         told = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
-    return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, rank=_error_on_both, progress=told)
-
-
-def _error_on_both(verdict: GateVerdict) -> float:
-    """What a model leaves of the error on the blocks held out, times what it leaves on the inner ones.
-
-    Both lie within the training rows here, so both may rank; a model that shone on one of them by luck counts half.
-    """
-    assert verdict.blocked_rms is not None
-    assert verdict.inner_rms is not None and verdict.geometric_inner_rms is not None
-    return verdict.blocked_rms / verdict.geometric_blocked_rms * verdict.inner_rms / verdict.geometric_inner_rms
+    return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=told)
 
 
 STAGES: tuple[Callable[[Draft], Draft], ...] = (_check, _align, _identify, _add_terms, _learn)

@@ -1,10 +1,9 @@
 """A calibrated arm as a plant: its truth is what the calibration found; its arms are drawn from what the data allow.
 
 Geometry and terms come with their covariance; parameters that were dropped lie anywhere in their tolerance. What no
-term says is a Gaussian process: that of the calibration where it learnt one (alone, or as a part of a blend), else one
-fitted to what geometry and terms leave of its rows, which stands in for the posterior that networks and forests do not
-have. What is no smooth function of the joints is scatter; of that the instrument's share is taken off, and the rest is
-the arm's. SI units.
+term says is a Gaussian process: that of the calibration where it learnt one, else one fitted to what geometry and terms
+leave of its rows, which stands in for the posterior that networks do not have. What is no smooth function of the joints
+is scatter; of that the instrument's share is taken off, and the rest is the arm's. SI units.
 """
 
 from __future__ import annotations
@@ -26,9 +25,7 @@ from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, M
 from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, GravityTerm, LeadTerm, PeriodicTerm
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.uncertainty import uncertainty_from
-from pickenv.calibration.residuals.blend import Blend
-from pickenv.calibration.residuals.gaussian_process import GaussianProcess
-from pickenv.calibration.residuals.random_features import FeatureProcess, feature_process
+from pickenv.calibration.residuals.gaussian_process import FeatureProcess, GaussianProcess, feature_process
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 from pickenv.errors import InputError
 from pickenv.toml_tables import GRAVITY
@@ -299,11 +296,8 @@ def _process(
 ) -> tuple[GaussianProcess | None, JointInputs | None, str]:
     """The Gaussian process on what geometry and terms leave, its inputs, and where it is from."""
     learnt = calibration.learnt
-    model: Any = None if learnt is None else learnt.model
-    if isinstance(model, Blend):
-        model = model.process
-    if learnt is not None and isinstance(model, GaussianProcess):
-        return model, learnt.inputs, "the residual is the calibration's own Gaussian process"
+    if learnt is not None and isinstance(learnt.model, GaussianProcess):
+        return learnt.model, learnt.inputs, "the residual is the calibration's own Gaussian process"
     if rows is None and learnt is not None:
         raise InputError(
             f"the residual model '{learnt.kind}' of the calibration does not know how sure it is; give the rows that "

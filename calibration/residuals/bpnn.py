@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.residuals.eight_bits import Layer, rounded_layers
-from pickenv.calibration.residuals.standardising import column_std
+from pickenv.calibration.residuals.regressor import column_std
 from pickenv.errors import InputError
 from pickenv.extras import is_there, require
 from pickenv.threads import torch_on_one_thread
@@ -116,13 +115,13 @@ class Bpnn:
         return np.float32 if self.fast else np.float64
 
     @cached_property
-    def _scaled(self) -> list[Layer]:
-        """The layers with the scaling of inputs and outputs folded in."""
+    def _scaled(self) -> list[tuple[Array, Array]]:
+        """Matrices ``(in, out)`` and biases of the layers, with the scaling of inputs and outputs folded in."""
         weights = [weight.T for weight in self.weights]
         weights[0] = weights[0] / self.input_std[:, None]
         biases = [self.biases[0] - self.input_mean @ weights[0], *self.biases[1:]]
         weights[-1], biases[-1] = weights[-1] * self.output_std, biases[-1] * self.output_std + self.output_mean
-        return [Layer(weight, bias) for weight, bias in zip(weights, biases, strict=True)]
+        return list(zip(weights, biases, strict=True))
 
     @cached_property
     def _layers(self) -> Layers:
@@ -130,7 +129,7 @@ class Bpnn:
 
         What is added after a cut-off goes into the next layer's bias, so that each layer passes its numbers but once.
         """
-        weights, biases = [layer.weights for layer in self._scaled], [layer.bias for layer in self._scaled]
+        weights, biases = [weight for weight, _ in self._scaled], [bias for _, bias in self._scaled]
         for i in range(1, len(weights)):
             biases[i] = biases[i] + biases[i - 1] @ weights[i]
         thresholds = [*(-bias for bias in biases[:-1]), biases[-1]]
@@ -146,11 +145,12 @@ class Bpnn:
             return None
         from scipy.stats import qmc
 
-        from pickenv.calibration.residuals.network_code import CompiledNetwork
+        from pickenv.calibration.residuals.network_code import CompiledNetwork, Layer, rounded_layers
 
+        layers = [Layer(weight, bias) for weight, bias in self._scaled]
         shares = qmc.Halton(len(self.input_mean), scramble=False).random(SAMPLE)
         spread = np.sqrt(3.0) * (2.0 * shares - 1.0)
-        return CompiledNetwork(rounded_layers(self._scaled, self.input_mean + self.input_std * spread))
+        return CompiledNetwork(rounded_layers(layers, self.input_mean + self.input_std * spread))
 
     def arrays(self) -> dict[str, Array]:
         """All numbers by name, for saving."""

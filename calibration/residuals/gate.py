@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,8 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, random_split
-from pickenv.calibration.residuals.residual_models import FITTERS, PARTS, Fitter, fit_residual
+from pickenv.calibration.residuals.regressor import Fitter
+from pickenv.calibration.residuals.residual_models import FITTERS, fit_residual
 from pickenv.errors import InputError
 
 MARGIN = 0.02
@@ -69,13 +72,11 @@ class GateReport:
         verdicts: One per model, in the order given.
         selected: The accepted model with the smallest inner RMS, or None: the residual stays off.
         blocked_rms: Of the selection on the held-out blocks, m (the geometric one where nothing is selected).
-        held_out: Rows of the held-out blocks, counted from 0.
     """
 
     verdicts: tuple[GateVerdict, ...]
     selected: str | None
     blocked_rms: float
-    held_out: tuple[int, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; lengths in mm and angles in degrees, as the names then say."""
@@ -90,12 +91,6 @@ class GateReport:
         return {"models": models, "selected": self.selected, "blocked_rms_mm": self.blocked_rms * 1e3}
 
 
-def inner_error(verdict: GateVerdict) -> float:
-    """What an accepted model leaves of the error within the training rows, m."""
-    assert verdict.inner_rms is not None
-    return verdict.inner_rms
-
-
 def gate_residuals(
     measurements: Measurements,
     refit: Refit,
@@ -103,7 +98,6 @@ def gate_residuals(
     *,
     models: Sequence[str] = tuple(FITTERS),
     fitters: Mapping[str, Fitter] | None = None,
-    rank: Callable[[GateVerdict], float] = inner_error,
     progress: Callable[[int, int], None] | None = None,
 ) -> GateReport:
     """Judge residual models on random and on blocked hold-out, and choose one honestly.
@@ -120,7 +114,6 @@ def gate_residuals(
         rng: Seeds the random split and every fit.
         models: Names of `FITTERS`.
         fitters: Other ways to fit a named model, such as with other settings.
-        rank: Selects among accepted models the one with the smallest value; the inner RMS when left out.
         progress: Called with (models judged, models in all).
 
     Raises:
@@ -128,80 +121,27 @@ def gate_residuals(
     """
     if not models:
         raise InputError(f"no residual model was named; give some of {', '.join(FITTERS)}")
-    fitters = fitters or {}
     test_rows = len(measurements) // 5
-    every = dict.fromkeys([*models, *(part for name in models for part in PARTS.get(name, ()))])
-    seeds = {name: int(rng.integers(2**63)) for name in every}
-    known: dict[tuple[str, int], Array] = {}
-
-    def predicted(name: str, trial: _Trial) -> Array:
-        """What a model learnt from the trial's training rows says of its other rows; parts are fitted once."""
-        if (name, id(trial)) not in known:
-            if name in PARTS and name not in fitters:
-                known[name, id(trial)] = np.mean([predicted(part, trial) for part in PARTS[name]], axis=0)
-            else:
-                own, train, test = np.random.default_rng(seeds[name]), trial.train, trial.test
-                given = train.conditions.inputs()
-                model = fit_residual(
-                    name,
-                    train.joints,
-                    trial.train_residual,
-                    train.prismatic,
-                    own,
-                    conditions=given,
-                    fitter=fitters.get(name),
-                )
-                known[name, id(trial)] = model.predict(test.joints, test.conditions.inputs())
-        return known[name, id(trial)]
-
+    seeds = [int(rng.integers(2**63)) for _ in models]
     blocked = _Trial.of(measurements, refit, *blocked_split(len(measurements), test_rows))
     shuffled = _Trial.of(measurements, refit, *random_split(len(measurements), test_rows, rng))
-    without = _verdict_without(blocked, shuffled)
-    inner: list[_Trial] | None = None
+
+    @cache
+    def inner() -> list[_Trial]:
+        return [_Trial.of(blocked.train, refit, *rows) for rows in contiguous_folds(blocked.train.groups, FOLDS)]
+
     verdicts = []
-    for number, name in enumerate(models):
+    for number, (name, seed) in enumerate(zip(models, seeds, strict=True)):
         if progress is not None:
             progress(number, len(models))
-        try:
-            left, random_left = (trial.test_residual - predicted(name, trial) for trial in (blocked, shuffled))
-        except InputError as error:
-            verdicts.append(replace(without, model=name, reason=f"not fitted: {error}"))
-            continue
-        accepted, reason = _compared(blocked.test_residual, left)
-        inner_rms = geometric_inner = None
-        if accepted:
-            if inner is None:
-                folds = contiguous_folds(blocked.train.groups, FOLDS)
-                inner = [_Trial.of(blocked.train, refit, *rows) for rows in folds]
-            untouched = np.concatenate([trial.test_residual for trial in inner])
-            remaining = np.concatenate([trial.test_residual - predicted(name, trial) for trial in inner])
-            inner_rms, geometric_inner = position_rms(remaining), position_rms(untouched)
-            wins_inside, inside = _compared(untouched, remaining)
-            if not wins_inside:
-                accepted, reason = False, f"{inside} cross-validated over the other blocks ({reason})"
-        verdict = replace(
-            without,
-            model=name,
-            random_rms=position_rms(random_left),
-            blocked_rms=position_rms(left),
-            blocked_attitude_rms=_attitude_rms(left),
-            inner_rms=inner_rms,
-            geometric_inner_rms=geometric_inner,
-            accepted=accepted,
-            reason=reason,
-        )
-        verdicts.append(verdict)
+        fitter = (fitters or {}).get(name)
+        verdicts.append(_verdict(name, partial(_left_by, name, seed, fitter), blocked, shuffled, inner))
     if progress is not None:
         progress(len(models), len(models))
-    chosen = min((verdict for verdict in verdicts if verdict.accepted), key=rank, default=None)
-    left_over = chosen.blocked_rms if chosen else without.geometric_blocked_rms
-    assert left_over is not None
-    return GateReport(
-        verdicts=tuple(verdicts),
-        selected=chosen.model if chosen else None,
-        blocked_rms=left_over,
-        held_out=tuple(blocked.test_rows.tolist()),
-    )
+    chosen = min((verdict for verdict in verdicts if verdict.accepted), key=attrgetter("inner_rms"), default=None)
+    blocked_rms = position_rms(blocked.test_residual) if chosen is None else chosen.blocked_rms
+    assert blocked_rms is not None  # whatever was chosen was judged
+    return GateReport(tuple(verdicts), None if chosen is None else chosen.model, blocked_rms)
 
 
 def position_rms(residuals: Array) -> float:
@@ -221,13 +161,71 @@ class _Trial:
     test: Measurements
     train_residual: Array
     test_residual: Array
-    test_rows: Rows
 
     @staticmethod
     def of(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> _Trial:
         train, test = measurements.select(train_rows), measurements.select(test_rows)
         found = refit(train)
-        return _Trial(train, test, train.difference(found), test.difference(found), test_rows)
+        return _Trial(train, test, train.difference(found), test.difference(found))
+
+
+def _left_by(name: str, seed: int, fitter: Fitter | None, trial: _Trial) -> Array:
+    """What a model that learns from the trial's training rows leaves of its other rows."""
+    train, test = trial.train, trial.test
+    model = fit_residual(
+        name,
+        train.joints,
+        trial.train_residual,
+        train.prismatic,
+        np.random.default_rng(seed),
+        conditions=train.conditions.inputs(),
+        fitter=fitter,
+    )
+    return trial.test_residual - model.predict(test.joints, test.conditions.inputs())
+
+
+def _verdict(
+    name: str,
+    left_by: Callable[[_Trial], Array],
+    blocked: _Trial,
+    shuffled: _Trial,
+    inner: Callable[[], Sequence[_Trial]],
+) -> GateVerdict:
+    """How a model fares; the inner trials are made for those that win on the outer blocks."""
+    untouched = blocked.test_residual
+    verdict = GateVerdict(
+        model=name,
+        random_rms=None,
+        blocked_rms=None,
+        geometric_random_rms=position_rms(shuffled.test_residual),
+        geometric_blocked_rms=position_rms(untouched),
+        blocked_attitude_rms=None,
+        geometric_blocked_attitude_rms=_attitude_rms(untouched),
+    )
+    try:
+        left, random_left = left_by(blocked), left_by(shuffled)
+    except InputError as error:
+        return replace(verdict, reason=f"not fitted: {error}")
+    accepted, reason = _compared(untouched, left)
+    verdict = replace(
+        verdict,
+        random_rms=position_rms(random_left),
+        blocked_rms=position_rms(left),
+        blocked_attitude_rms=_attitude_rms(left),
+        reason=reason,
+    )
+    if not accepted:
+        return verdict
+    before = np.concatenate([trial.test_residual for trial in inner()])
+    after = np.concatenate([left_by(trial) for trial in inner()])
+    accepted, inside = _compared(before, after)
+    return replace(
+        verdict,
+        inner_rms=position_rms(after),
+        geometric_inner_rms=position_rms(before),
+        accepted=accepted,
+        reason=reason if accepted else f"{inside} cross-validated over the other blocks ({reason})",
+    )
 
 
 def _compared(before: Array, after: Array) -> tuple[bool, str]:
@@ -239,18 +237,3 @@ def _compared(before: Array, after: Array) -> tuple[bool, str]:
     if turned is not None and untouched is not None and turned > (1.0 + MARGIN) * untouched:
         return False, f"no gain: positions gain {gain:.0%}, but attitudes lose {turned / untouched - 1.0:.0%}"
     return True, f"cuts the blocked RMS by {gain:.0%}"
-
-
-def _verdict_without(blocked: _Trial, shuffled: _Trial) -> GateVerdict:
-    """What geometry alone gives."""
-    random_rms, blocked_rms = position_rms(shuffled.test_residual), position_rms(blocked.test_residual)
-    attitude_rms = _attitude_rms(blocked.test_residual)
-    return GateVerdict(
-        model="",
-        random_rms=None,
-        blocked_rms=None,
-        geometric_random_rms=random_rms,
-        geometric_blocked_rms=blocked_rms,
-        blocked_attitude_rms=None,
-        geometric_blocked_attitude_rms=attitude_rms,
-    )

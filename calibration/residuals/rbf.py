@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.residuals.saved_arrays import SavedArrays
-from pickenv.calibration.residuals.standardising import column_std
+from pickenv.calibration.residuals.regressor import SavedArrays, column_std
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
 

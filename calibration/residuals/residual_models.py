@@ -1,54 +1,38 @@
 """Learnt residuals behind one small protocol: what remains after the geometric fit, from the joints (and conditions).
 
-Qiao 2026 eqs (17)-(18) with any regressor: BPNN, RBF network, Gaussian process, extra trees. Inputs are joints in rad
-and m, standardised, with sine and cosine for joints that turn far; outputs are pose (6) or position (3) residuals.
+Qiao 2026 eqs (17)-(18) with any regressor: BPNN, RBF network, Gaussian process. Inputs are joints in rad and m,
+standardised, with sine and cosine for joints that turn far; outputs are pose (6) or position (3) residuals.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.splits import equally_spaced
-from pickenv.calibration.residuals.blend import Blend, fit_blend
 from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
-from pickenv.calibration.residuals.extra_trees import ExtraTrees, fit_extra_trees
 from pickenv.calibration.residuals.gaussian_process import (
     GaussianProcess,
     GaussianProcessSettings,
     fit_gaussian_process,
 )
 from pickenv.calibration.residuals.rbf import Rbf, fit_rbf
-from pickenv.calibration.residuals.saved_arrays import named_part, part_of
-from pickenv.calibration.residuals.standardising import column_std
+from pickenv.calibration.residuals.regressor import Fitter, Regressor, column_std
+from pickenv.container import named_part, part_of
 from pickenv.errors import InputError
+from pickenv.extras import require
 
 PERIODIC_SPAN = 1.5 * np.pi
 """A revolute joint whose training rows span more than this, rad, enters by sine and cosine, so that turns close."""
 
-
 SLOW_ROWS = 2000
 """Training rows at most of the network, whose time grows too fast."""
-
-
-class Regressor(Protocol):
-    """What the registry needs of a model: numbers in, numbers out, and all of it in plain arrays."""
-
-    def predict(self, inputs: ArrayLike) -> Array:
-        """Outputs ``(..., k)`` at standardised inputs ``(..., F)``."""
-
-    def arrays(self) -> Mapping[str, NDArray[Any]]:
-        """All numbers by name, for saving without pickle; the class's ``from_arrays`` is the inverse."""
-
-
-Fitter = Callable[[Array, Array, np.random.Generator], Regressor]
-"""Fits standardised inputs ``(N, F)`` to targets ``(N, k)``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,31 +136,23 @@ class LearntResidual:
 
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> LearntResidual:
-        """The inverse of `arrays`.
-
-        Raises:
-            InputError: If the model is of a kind that this program does not know.
-        """
+        """The inverse of `arrays`."""
         kind = str(named["kind"])
-        if kind not in MODELS:
-            raise InputError(f"unknown residual model '{kind}' in the file; this program knows {', '.join(MODELS)}")
         inputs = JointInputs(named["periodic"], int(named["conditions"]), named["mean"], named["std"])
-        return LearntResidual(kind, inputs, MODELS[kind][1](part_of(named, "model_")))
+        return LearntResidual(kind, inputs, CLASSES[kind].from_arrays(part_of(named, "model_")))
 
 
 def _fit_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
-    """The paper's network as printed up to 400 poses; with more, larger batches and fewer epochs do as well sooner."""
+    """The paper's network as printed up to 400 poses; with more, larger batches and fewer epochs do as well sooner.
+
+    It learns from no more rows than its time allows.
+    """
+    rows = equally_spaced(len(inputs), SLOW_ROWS)
     paper = settings = BpnnSettings()
-    if len(inputs) > 400:
-        epochs, batch_size = max(20, 48_000 // len(inputs)), 2 * paper.batch_size
+    if len(rows) > 400:
+        epochs, batch_size = 48_000 // len(rows), 2 * paper.batch_size
         settings = replace(paper, epochs=epochs, batch_size=batch_size, learning_rate=2 * paper.learning_rate)
-    return train_bpnn(inputs, targets, rng, settings)
-
-
-def _fit_some_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
-    """The network, on no more rows than its time allows."""
-    chosen = equally_spaced(len(inputs), SLOW_ROWS)
-    return _fit_bpnn(inputs[chosen], targets[chosen], rng)
+    return train_bpnn(inputs[rows], targets[rows], rng, settings)
 
 
 def _fit_trial_process(inputs: Array, targets: Array, rng: np.random.Generator) -> GaussianProcess:
@@ -184,31 +160,28 @@ def _fit_trial_process(inputs: Array, targets: Array, rng: np.random.Generator) 
     return fit_gaussian_process(inputs, targets, rng, GaussianProcessSettings(likelihood_rows=200, starts=4))
 
 
-MODELS: Mapping[str, tuple[Fitter, Callable[[Mapping[str, NDArray[Any]]], Regressor]]] = MappingProxyType(
-    {
-        "bpnn": (_fit_bpnn, Bpnn.from_arrays),
-        "rbf": (fit_rbf, Rbf.from_arrays),
-        "gp": (fit_gaussian_process, GaussianProcess.from_arrays),
-        "trees": (fit_extra_trees, ExtraTrees.from_arrays),
-        "blend": (fit_blend, Blend.from_arrays),
-    }
+FITTERS: Mapping[str, Fitter] = MappingProxyType({"bpnn": _fit_bpnn, "rbf": fit_rbf, "gp": fit_gaussian_process})
+"""The residual models by name: how each is fitted."""
+
+TRIAL_FITTERS: Mapping[str, Fitter] = MappingProxyType({"gp": _fit_trial_process})
+"""How models are fitted that are only to be compared, on split after split."""
+
+CLASSES: Mapping[str, type[Bpnn | Rbf | GaussianProcess]] = MappingProxyType(
+    {"bpnn": Bpnn, "rbf": Rbf, "gp": GaussianProcess}
 )
-"""The residual models by name: how each is fitted, and how it is read back."""
+"""What each is, to be read back."""
 
-FITTERS: Mapping[str, Fitter] = MappingProxyType({name: fitter for name, (fitter, _) in MODELS.items()})
-"""How each is fitted."""
 
-QUICK_FITTERS: Mapping[str, Fitter] = MappingProxyType({"bpnn": _fit_some_bpnn})
-"""The slow residual models, trained on rows taken evenly where there are too many."""
+def require_residual(name: str) -> None:
+    """See to it that a residual model can be fitted, before the work.
 
-TRIAL_FITTERS: Mapping[str, Fitter] = MappingProxyType({**QUICK_FITTERS, "gp": _fit_trial_process})
-"""How models are fitted that are only to be compared, on split after split, in a time that does not grow with rows."""
-
-NEEDS: Mapping[str, str] = MappingProxyType({"bpnn": "torch", "trees": "sklearn", "blend": "sklearn"})
-"""The package that fitting a model takes, where it is one of an extra."""
-
-PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType({"blend": ("gp", "trees")})
-"""Models that are the mean of others."""
+    Raises:
+        InputError: If there is none of this name, or the package is missing that fits it.
+    """
+    if name not in FITTERS:
+        raise InputError(f"unknown residual model '{name}'; give one of {', '.join(FITTERS)}")
+    if name == "bpnn":
+        require("torch")
 
 
 def fit_residual(
@@ -225,7 +198,7 @@ def fit_residual(
     """Fit a residual model by name.
 
     Args:
-        name: One of `FITTERS`: "bpnn", "rbf", "gp", "trees", "blend".
+        name: One of `FITTERS`: "bpnn", "rbf", "gp".
         joints: Training joints ``(N, n)``, rad or m.
         residuals: Measured minus identified ``(N, 6)`` or ``(N, 3)``, m and rad (eq (17)).
         prismatic: Joint types.
@@ -237,8 +210,7 @@ def fit_residual(
     Raises:
         InputError: If the model is unknown, a number is not finite, or there are too few rows.
     """
-    if name not in FITTERS:
-        raise InputError(f"unknown residual model '{name}'; give one of {', '.join(FITTERS)}")
+    require_residual(name)
     if not (np.isfinite(joints).all() and np.isfinite(residuals).all()):
         raise InputError(f"joints or residuals for the residual model '{name}' are not all finite; remove those rows")
     inputs = joint_inputs(joints, prismatic, conditions, periodic_span=periodic_span)

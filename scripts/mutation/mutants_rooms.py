@@ -146,7 +146,7 @@ ROOMS = {
     ),
     "networks": room(
         "calibration/residuals",
-        "bpnn rbf extra_trees blend standardising residual_models",
+        "bpnn rbf regressor residual_models",
         "tests/calibration/residuals",
         "residual_referees bpnn residual_models",
     ),

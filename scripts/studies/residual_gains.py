@@ -37,7 +37,7 @@ SETS = 2
 APART = 4
 """Blocks held out lie so many tenths apart."""
 TERMS = {"gravity": "gravity", "harmonics": "periodic", "terms": "auto"}
-LEARNT = {"BPNN": "bpnn", "GP": "gp", "trees": "trees"}
+LEARNT = {"BPNN": "bpnn", "GP": "gp"}
 LEAST_ARMS = 8
 """Fewer arms have no interval."""
 MODELS = (*TERMS, *LEARNT)

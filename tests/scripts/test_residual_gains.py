@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT / "scripts/studies"))
 from remainder import spectrum  # noqa: E402
 from residual_gains import gains, table_of  # noqa: E402
 
-MODELS = ("gravity", "harmonics", "terms", "BPNN", "GP", "trees")
+MODELS = ("gravity", "harmonics", "terms", "BPNN", "GP")
 
 
 def measured_set(constant, decay, left, repeats):

@@ -18,7 +18,7 @@ from pickenv.arm.kinematics.geometry import Geometry, Pose
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.posterior import Layout, Posterior
 from pickenv.arm.plant.twin_arms import twin_plant
-from pickenv.container import read_container, refusing_damage, write_container
+from pickenv.container import named_part, part_of, read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 
 TWIN = "twin"
@@ -40,7 +40,7 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
     arrays: dict[str, NDArray[Any]] = {}
     geometries = {"arm": plant.arm.nominal, "identified": known.identified, "aligned": _with_frames(plant.arm, known)}
     for key, geometry in geometries.items():
-        arrays |= {f"{key}/{name}": value for name, value in geometry_arrays(geometry).items()}
+        arrays |= named_part(f"{key}/", geometry_arrays(geometry))
     parts = ("coefficients", "factor", "unseen", "traces", "field_factor", "rough")
     arrays |= {"speed": plant.arm.speed} | {name: getattr(known, name) for name in parts}
     if known.field is not None:
@@ -84,12 +84,8 @@ def _with_frames(arm: Arm, known: Posterior) -> Geometry:
 def _plant_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Plant:
     """The plant that a file's parts make; raises anything at all where they make none."""
     names, prismatic = header["joint_names"], header["prismatic"]
-
-    def geometry(key: str) -> Geometry:
-        part = {name.removeprefix(f"{key}/"): value for name, value in arrays.items() if name.startswith(f"{key}/")}
-        return geometry_from_arrays(part, names, prismatic, key)
-
-    nominal, identified, aligned = (geometry(key) for key in ("arm", "identified", "aligned"))
+    parts = {key: part_of(arrays, f"{key}/") for key in ("arm", "identified", "aligned")}
+    nominal, identified, aligned = (geometry_from_arrays(p, names, prismatic, key) for key, p in parts.items())
     layout = _layout(header["layout"], nominal)
     unseen = arrays["unseen"].astype(np.int64)
     count = sum(layout.sizes)

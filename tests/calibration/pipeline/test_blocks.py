@@ -145,14 +145,14 @@ def part(value, *added):
 def test_steps_that_differ_from_block_to_block_are_pooled_by_their_place():
     """The last step is what each block used; one between is what it had before it learnt."""
     parts = [part(10, "geometry+gravity", "geometry+gravity+gp"), part(20, "geometry+rbf"), part(30)]
-    found = pooled(["geometry", "geometry+gravity", "geometry+gravity+trees"], parts)
+    found = pooled(["geometry", "geometry+gravity", "geometry+gravity+gp"], parts)
     assert [list(values[:, 0]) for values in found.errors.values()] == [
         [10, 10, 20, 20, 30, 30],
         [11, 11, 21, 21, 31, 31],
         [-10, -10, -20, -20, -30, -30],
         [13, 13, 22, 22, 31, 31],
     ]
-    assert list(found.errors)[2:] == ["geometry+gravity", "geometry+gravity+trees"]
+    assert list(found.errors)[2:] == ["geometry+gravity", "geometry+gravity+gp"]
     assert found.blocks.tolist() == [0, 0, 1, 1, 2, 2]
     assert list(pooled(["geometry"], parts).errors)[2:] == [AS_CHOSEN]
     assert list(pooled(["geometry"], [part(1), part(2)]).errors) == ["nominal", "geometric"]

@@ -96,7 +96,7 @@ def sets(dynamic):
 def judged(request, dynamic, sets):
     train, test = sets if request.param == "poses" else [part.positions_only() for part in sets]
     verdict = GateVerdict("gp", 1e-4, 2e-4, 3e-4, 4e-4, None, None, 5e-5, 6e-5, True, "cuts")
-    gate = GateReport((verdict,), "gp", 2e-4, ())
+    gate = GateReport((verdict,), "gp", 2e-4)
     return assess(dynamic.arm, fit(dynamic.arm, train, known_frames=True), train, test, gate=gate)
 
 

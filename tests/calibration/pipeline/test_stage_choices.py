@@ -86,26 +86,26 @@ def verdict(name, blocked=1e-3, inner=1e-3, accepted=True):
 def test_and_to_judge_residual_models(dynamic, sets, rows, asked, monkeypatch):
     calls = []
 
-    def judging(data, refit, rng, *, models, fitters, rank, progress):
-        calls.append((len(data), models, rng.bit_generator.state, rank))
+    def judging(data, refit, rng, *, models, fitters, progress):
+        calls.append((len(data), models, rng.bit_generator.state))
         assert refit(data).geometry is not None
-        return GateReport((verdict("trees"),), "trees", 1e-3, ())
+        return GateReport((verdict("gp"),), "gp", 1e-3)
 
     monkeypatch.setattr(stages, "gate_residuals", judging)
     draft = stages._learn(identified(dynamic, sets, rows))
-    assert list(draft.fits) == ["geometry"] + ["geometry+trees"] * asked and (draft.gate is not None) == asked
+    assert list(draft.fits) == ["geometry"] + ["geometry+gp"] * asked and (draft.gate is not None) == asked
     if asked:
-        ((count, models, state, rank),) = calls
-        assert (count, models) == (40, tuple(FITTERS)) and rank is stages._error_on_both
+        ((count, models, state),) = calls
+        assert (count, models) == (40, tuple(FITTERS))
         assert state == np.random.default_rng(5).bit_generator.state
     named = stages._learn(identified(dynamic, sets, rows, replace(AUTO, residual="rbf")))
     assert calls[-1][1] == ("rbf",) if asked else calls == []
-    assert list(named.fits)[1:] == (["geometry+trees"] if asked else [])
+    assert list(named.fits)[1:] == (["geometry+gp"] if asked else [])
 
 
 def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, monkeypatch):
     monkeypatch.setattr(
-        stages, "gate_residuals", lambda *_, **__: GateReport((verdict("rbf", accepted=False),), None, 1e-3, ())
+        stages, "gate_residuals", lambda *_, **__: GateReport((verdict("rbf", accepted=False),), None, 1e-3)
     )
     named = replace(AUTO, residual="rbf")
     for choices, fits in (
@@ -116,12 +116,7 @@ def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, monkeypa
     ):
         assert list(stages._learn(identified(dynamic, sets, choices=choices)).fits) == fits
     with pytest.raises(InputError, match="unknown residual model 'magic'"):
-        stages._learn(identified(dynamic, sets, choices=replace(AUTO, residual="magic")))
-
-
-def test_models_are_ranked_by_the_product_of_what_they_leave_on_both():
-    assert stages._error_on_both(verdict("gp", 1e-3, 2e-3)) == pytest.approx((1 / 4) * (2 / 5))
-    assert stages._error_on_both(verdict("gp", 3e-3, 2e-3)) == pytest.approx((3 / 4) * (2 / 5))
+        stages.calibrate(dynamic.arm, sets[0], choices=replace(AUTO, residual="magic"))
 
 
 def test_residual_models_are_judged_on_3000_rows_at_most(dynamic, sets, monkeypatch):
@@ -163,7 +158,7 @@ def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monke
 def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
     """Fits step by step, the choice of terms, the gate's verdicts, rows left out, and what the poses hide."""
     choice = TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3}, (gravity(dynamic),))
-    gate = GateReport((verdict("rbf"),), "rbf", 1e-3, ())
+    gate = GateReport((verdict("rbf"),), "rbf", 1e-3)
     monkeypatch.setattr(stages, "choose_terms", lambda *_: choice)
     monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: gate)
     left = (LeftOut("tracker.csv", 7, False, 5e-3, None, 9.0),)

@@ -33,7 +33,7 @@ from pickenv.calibration.model.terms import (
     ThermalTerm,
 )
 from pickenv.calibration.pipeline.twin import SMOOTH, Scatter, repeated_std, scatter_of
-from pickenv.calibration.residuals.random_features import feature_process
+from pickenv.calibration.residuals.gaussian_process import feature_process
 from pickenv.container import write_container
 from pickenv.errors import InputError
 from tests.calibration.twins import found_by_hand, kernel, learnt_by_hand, process_by_hand
@@ -296,9 +296,9 @@ def test_what_cannot_become_a_plant_is_refused_in_a_sentence():
     found = found_by_hand(QIAO, rng)
     with pytest.raises(InputError, match="belongs to arm 'qiao2026' with another geometry than 'ur5'"):
         twin(found, UR5)
-    forest = replace(learnt_by_hand(QIAO, rng), kind="trees", model=object())
-    with pytest.raises(InputError, match=r"'trees' of the calibration does not know how sure it is; .*--rows"):
-        twin(replace(found, learnt=forest), QIAO)
+    network = replace(learnt_by_hand(QIAO, rng), kind="bpnn", model=object())
+    with pytest.raises(InputError, match=r"'bpnn' of the calibration does not know how sure it is; .*--rows"):
+        twin(replace(found, learnt=network), QIAO)
     with pytest.raises(InputError, match="how surely its parameters are known"):
         twin(replace(found, record={}), QIAO)
     tied = Coupling((0, 1, 2, 3, 4, 5), (1.0, 1.0, 1.0, 1.0, 1.0, 2.0), QIAO.nominal.prismatic)

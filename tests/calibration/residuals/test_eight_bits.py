@@ -5,7 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pickenv.calibration.residuals.eight_bits import MOST, Layer, rounded_layers
+pytest.importorskip("llvmlite")
+
+from pickenv.calibration.residuals import network_code
+from pickenv.calibration.residuals.network_code import MOST, CompiledNetwork, Layer, rounded_layers
 
 SHAPES = [(6, 40, 24, 10, 6), (3, 7, 5, 2), (4, 9, 3), (5, 2), (6, 64, 64, 64, 64, 1)]
 
@@ -57,9 +60,6 @@ def test_weights_rounded_one_after_the_other_leave_less_than_each_for_itself():
 
 @pytest.mark.parametrize("sizes", SHAPES)
 def test_the_code_does_what_is_written_down_plainly(sizes):
-    pytest.importorskip("llvmlite")
-    from pickenv.calibration.residuals.network_code import CompiledNetwork
-
     layers, inputs = drawn(sizes)
     expected = through(rounded_layers(layers, inputs), inputs, 255)
     found = CompiledNetwork(rounded_layers(layers, inputs))(inputs)
@@ -70,21 +70,15 @@ def test_the_code_does_what_is_written_down_plainly(sizes):
 
 
 def test_processors_that_cannot_multiply_bytes_find_the_same_bits(monkeypatch):
-    pytest.importorskip("llvmlite")
-    from pickenv.calibration.residuals import network_code
-
     layers, inputs = drawn((6, 256, 128, 64, 32, 6))
     found = []
     for able in dict.fromkeys((network_code.adds_products_of_bytes(), False)):
         monkeypatch.setattr(network_code, "adds_products_of_bytes", lambda able=able: able)
-        found.append(network_code.CompiledNetwork(rounded_layers(layers, inputs))(inputs))
+        found.append(CompiledNetwork(rounded_layers(layers, inputs))(inputs))
     np.testing.assert_array_equal(found[0], found[-1])
 
 
 def test_a_pose_at_which_no_neuron_fires_gets_the_biases():
-    pytest.importorskip("llvmlite")
-    from pickenv.calibration.residuals.network_code import CompiledNetwork
-
     layers, inputs = drawn((2, 8, 8, 3))
     layers[0] = Layer(layers[0].weights, np.full(8, -100.0))
     layers[1] = Layer(layers[1].weights, np.full(8, -1.0))

@@ -80,13 +80,8 @@ def test_every_figure_of_a_verdict_is_the_root_mean_square_of_its_own_rows(qiao,
         assert verdict.accepted
         gain = 1 - verdict.blocked_rms / verdict.geometric_blocked_rms
         assert verdict.reason == f"cuts the blocked RMS by {gain:.0%}"
-    assert found.held_out == tuple(held)
     best = min(found.verdicts, key=lambda verdict: verdict.inner_rms)
     assert found.selected == best.model and found.blocked_rms == best.blocked_rms
-    reversed_choice = judged(
-        qiao, error, {"rbf": saying(said), "gp": saying(0.5 * said)}, seed=5, rank=lambda verdict: -verdict.inner_rms
-    )
-    assert reversed_choice.selected != found.selected
 
 
 def test_a_model_that_could_not_be_fitted_has_no_figures_and_geometry_keeps_its_own(qiao):
@@ -183,7 +178,7 @@ def test_every_model_draws_for_itself(qiao):
 
 def test_reports_are_in_mm_and_degrees():
     verdict = GateVerdict("gp", 1e-3, 2e-3, 3e-3, 4e-3, np.radians(0.5), np.radians(0.7), 5e-3, 6e-3, True, "why")
-    told = GateReport((verdict,), "gp", 2e-3, (1, 2)).as_dict()
+    told = GateReport((verdict,), "gp", 2e-3).as_dict()
     assert told["selected"] == "gp" and told["blocked_rms_mm"] == 2.0
     assert told["models"]["gp"] == {
         "accepted": True,
@@ -198,4 +193,4 @@ def test_reports_are_in_mm_and_degrees():
         "geometric_inner_rms_mm": pytest.approx(6.0),
     }
     bare = GateVerdict("gp", 1e-3, 2e-3, 3e-3, 4e-3, None, None)
-    assert GateReport((bare,), None, 2e-3, ()).as_dict()["models"]["gp"]["inner_rms_mm"] is None
+    assert GateReport((bare,), None, 2e-3).as_dict()["models"]["gp"]["inner_rms_mm"] is None
