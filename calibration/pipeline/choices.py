@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.prior import TOLERANCE_CLASS
 from pickenv.calibration.pipeline.restation import REFIT_ROWS
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.errors import InputError
@@ -32,7 +31,8 @@ class Choices:
         refit_rows: So many of them are used to find those.
         fit: One of `pickenv.calibration.model.prior.FIT_WORDS`: "auto", all parameters by their priors; "offsets", the
             joints' zeros alone; "full", all of them without priors, as the papers do.
-        tolerances: The tolerance class that parts are expected to be made to, by name or path.
+        tolerances: The tolerance class that parts are expected to be made to, by name or path; the arm's own, or that
+            of a cobot, when None.
         prior_scale: Factor on its widths; found from the rows when None.
         workspace: Where the verdict speaks (`pickenv.calibration.pipeline.given.workspace_joints`); the joint limits
             when None.
@@ -50,7 +50,7 @@ class Choices:
     refit: tuple[str, ...] = ()
     refit_rows: int = REFIT_ROWS
     fit: str = "auto"
-    tolerances: str = TOLERANCE_CLASS
+    tolerances: str | None = None
     prior_scale: float | None = None
     workspace: str | None = None
 

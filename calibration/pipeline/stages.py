@@ -302,7 +302,12 @@ def _identify(draft: Draft) -> Draft:
     choices, known = draft.choices, draft.aligned is None
     start = draft.arm.nominal if draft.aligned is None else draft.aligned.geometry
     model = prior_model(
-        draft.arm.name, start, known=known, fit=choices.fit, tolerances=choices.tolerances, scale=choices.prior_scale
+        draft.arm.name,
+        start,
+        known=known,
+        fit=choices.fit,
+        tolerances=choices.tolerances or draft.arm.tolerance_class,
+        scale=choices.prior_scale,
     )
     return replace(draft, model=model).with_fit(GEOMETRY, fit_geometry(draft.arm, draft.train, draft.aligned, model))
 

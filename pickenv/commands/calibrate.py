@@ -80,8 +80,13 @@ def calibrate(
         ),
     ] = "auto",
     tolerances: Annotated[
-        str, typer.Option(help="Tolerance class that the arm's parts are made to, by name or file.")
-    ] = "cobot",
+        str | None,
+        typer.Option(
+            help="Tolerance class that the arm's parts are made to, by name or file; as the arm's file says, or a "
+            "cobot's, if left out.",
+            show_default=False,
+        ),
+    ] = None,
     prior_scale: Annotated[
         float | None,
         typer.Option(
