@@ -20,6 +20,7 @@ from pickenv.arm import Geometry, Pose
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array, move_pose
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
+from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations, hash_of, origins_of
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
@@ -254,6 +255,30 @@ class Stacked:
     def _with(self, unknowns: Array) -> Iterable[tuple[InstrumentStation, Array]]:
         ends = np.cumsum([0] + [len(station.unknowns()) for station in self.stations])
         return zip(self.stations, (unknowns[a:b] for a, b in pairwise(ends)), strict=True)
+
+
+def joinable(parts: Sequence[Measurements]) -> bool:
+    """Whether data sets can be one: poses or positions alike, of the same stated uncertainty."""
+    marks = {(part.kind, part.position_std, part.attitude_std, part.frames) for part in parts}
+    return len(marks) == 1
+
+
+def rows_together(parts: Sequence[Measurements]) -> Measurements:
+    """Rows of `joinable` data sets one after the other; conditions that all of them recorded."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    rows = Stacked(tuple(InstrumentStation(part) for part in parts))
+    turned = [part.rotation for part in parts if part.rotation is not None]
+    return replace(
+        first,
+        joints=rows.joints,
+        position=np.concatenate([part.position for part in parts]),
+        rotation=np.concatenate(turned) if turned else None,
+        source=rows.source,
+        conditions=rows.conditions,
+        origins=rows.origins,
+    )
 
 
 def frame_columns(geometry: Geometry, frame: str) -> Rows:

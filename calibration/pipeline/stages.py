@@ -159,7 +159,8 @@ def calibrate(
     arm = given_arm(arm, columns)
     if split not in SPLITS:
         raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
-    train, floor = given_rows(arm, data, columns, stations)
+    known = choices.frames == "known"
+    train, floor = given_rows(arm, data, columns, stations, known=known)
     rng = rng or np.random.default_rng(choices.seed)
     if isinstance(train, PixelObservations) and choices.lens is not None:
         train = with_lens(train, choices.lens)
@@ -174,7 +175,8 @@ def calibrate(
         rows = choose(train, test_rows, np.random.default_rng(choices.seed))
         train, held_out = (train.select(np.sort(part)) for part in rows)
     else:
-        held_out, _ = given_rows(arm, test, columns, stations)
+        like = None if choices.refit else train
+        held_out, _ = given_rows(arm, test, columns, stations, known=known or bool(choices.refit), like=like)
     if choices.refit:
         draft = _through(STAGES, Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
         return replace(_judged_elsewhere(draft, held_out), floor=floor, unit=unit)
