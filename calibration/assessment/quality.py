@@ -43,6 +43,9 @@ SAME = 1e-9
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
+MANY_NOISES = 20.0
+"""What remains may be so many times the stated noise before something else than noise must be at work."""
+
 ENOUGH = 3
 """Fewer held-out rows than this judge nothing."""
 
@@ -268,7 +271,9 @@ def grade_quality(
     test = completeness(found, noise)
     pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
     unlearnt = after if parametric is None else parametric
-    notes = [test.sentence()]
+    notes, beyond = [test.sentence()], []
+    if noise.startswith("stated noise") and test.reduced > MANY_NOISES**2:
+        notes, beyond = [], [f"{test.sentence()}; something else than noise is at work"]
     if pairs:
         notes.append(
             f"{len(pairs)} pair{'s' * (len(pairs) > 1)} of parameters correlate by more than {CORRELATED:g}, most "
@@ -277,7 +282,7 @@ def grade_quality(
         )
     texts: dict[Weight, list[str]] = {
         "fail": [*_failures(found, before, after, blocks, unit, count, called)],
-        "caution": [*_cautions(found, trained, unlearnt, seen, coverage, unit)],
+        "caution": [*beyond, *_cautions(found, trained, unlearnt, seen, coverage, unit)],
         "note": notes,
     }
     for weight, text in said:

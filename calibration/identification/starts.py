@@ -142,7 +142,8 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
     if not others:
         return whole[0]
     stations = [
-        _station(arm, part, number, each.own) for number, (part, each) in enumerate(zip(whole[1:], others, strict=True), 2)
+        _station(arm, part, number, each.own)
+        for number, (part, each) in enumerate(zip(whole[1:], others, strict=True), 2)
     ]
     return Stacked((InstrumentStation(whole[0]), *stations))
 
@@ -226,7 +227,10 @@ def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacke
         stations: Rows that tell the stations' frames.
         parts: The other files' rows.
     """
-    known = [replace(each, data=each.data.select(equally_spaced(len(each.data.joints), FILE_ROWS))) for each in stations.stations]
+    known = [
+        replace(each, data=each.data.select(equally_spaced(len(each.data.joints), FILE_ROWS)))
+        for each in stations.stations
+    ]
     data = Stacked(tuple(known))
     model = fitted_model(arm.name, arm.nominal, False)
     fit = identify(model, ArmModel.of(robust_frames(arm, known[0].data)), [data], max_iterations=60)

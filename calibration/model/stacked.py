@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from pickenv.arm import Geometry, Pose
+from pickenv.arm import Geometry, Pose, rotation_matrix
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array, move_pose
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
@@ -244,6 +244,41 @@ class Stacked:
         """The stations weighed by their scatter, relative to the first one's."""
         stations = zip(self.stations, scales, strict=True)
         return replace(self, stations=tuple(replace(each, scale=each.scale * s / scales[0]) for each, s in stations))
+
+    @property
+    def places(self) -> Rows:
+        """The place among the stations of each row ``(N,)``, from 0."""
+        return np.repeat(np.arange(len(self.stations)), [len(part.joints) for part in self.parts])
+
+    def from_the_first(self, model: ArmModel, unknowns: Array) -> Measurements | None:
+        """Poses or positions of all stations as the first one would have measured them; None with other kinds among them.
+
+        What a row differs by from the model is turned into the first one's axes, and of poses shifted to its tool.
+        Where any station saw positions alone, attitudes are left out.
+
+        Args:
+            model: The arm as the first station sees it.
+            unknowns: Values of `unknowns`.
+        """
+        parts = [part for part in self.parts if isinstance(part, Measurements)]
+        if len(parts) < len(self.parts):
+            return None
+        wide = all(part.rotation is not None for part in parts)
+        rows = rows_together([part if wide else part.positions_only() for part in parts])
+        base, tool, expected = model.geometry.base, model.geometry.tool, model.pose(rows.joints, rows.conditions)
+        errors, levers = [], []
+        for (station, own), part in zip(self._with(unknowns), parts, strict=True):
+            there = station.seen(model, station.parted(own)[1])
+            missed = part.difference(there)[:, : rows.rows_per_pose].reshape(len(part), -1, 3)
+            errors.append(missed @ (base.rotation @ there.geometry.base.rotation.T).T)
+            levers.append(np.tile(tool.position - there.geometry.tool.position, (len(part), 1)))
+        missed, flange = np.concatenate(errors), expected.rotation @ tool.rotation.T
+        position, rotation = expected.position + missed[:, 0], None
+        if wide:
+            lever = (flange @ np.concatenate(levers)[..., None])[..., 0]
+            position = position + np.cross(missed[:, 1], lever)
+            rotation = rotation_matrix(missed[:, 1]) @ expected.rotation
+        return replace(rows, position=position, rotation=rotation)
 
     def first_channels(self) -> list[int]:
         """The first channel of every station."""

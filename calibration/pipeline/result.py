@@ -32,6 +32,7 @@ from pickenv.calibration.assessment.screen import (
 from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from pickenv.calibration.assessment.stiffness_table import stiffness_block, stiffness_rows
 from pickenv.calibration.compensation.compensator import Compensator
+from pickenv.calibration.identification.alignment import apart
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.ladder import LadderChoice
 from pickenv.calibration.identification.least_squares import describe_absorption
@@ -39,7 +40,9 @@ from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import MISS_UNITS, Observations
+from pickenv.calibration.model.observations import MISS_UNITS, Observations, origins_of
+from pickenv.calibration.model.stacked import OWN as FRAMES
+from pickenv.calibration.model.stacked import InstrumentStation, Stacked
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.fitting import Fit
 from pickenv.calibration.pipeline.held_out import (
@@ -87,6 +90,7 @@ class Result:
         left_out: Rows far off that were left out.
         unit: Serial number of the robot, where it was named.
         pixels: Reprojection errors; None where no pictures were taken.
+        stations: What files were said to have of their own; None where the rows told it.
     """
 
     arm: Arm
@@ -105,6 +109,7 @@ class Result:
     left_out: tuple[LeftOut, ...] = ()
     unit: str | None = None
     pixels: PixelFigures | None = None
+    stations: str | None = None
 
     @property
     def known_frames(self) -> bool:
@@ -172,6 +177,8 @@ class Result:
         if isinstance(self.train, Measurements):
             repeat = None if self.floor is None else self.floor.repeat
             record[SCATTER] = vars(scatter_of(self.train, repeat))
+        if self.set_ups:
+            record["stations"] = self.set_ups
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
         return replace(self.fit.calibration, record=record)
 
@@ -222,6 +229,7 @@ class Result:
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
             what = self.held_out.rows.capitalize()
             found.append(Block(f"{what} far off, and kept" if kept else f"{what} left out", (), places, note))
+        found.insert(1, self._set_ups())
         if self.ladder is not None:
             tried = {name: figure(rms * MISS_UNITS[self.miss_unit]) for name, rms in self.ladder.blocked_rms.items()}
             asked = (("asked for", f"--fit {self.ladder.chosen}"),)
@@ -302,6 +310,37 @@ class Result:
             rows.append(cells + ((figure(self.attitude[name].mean),) if name in self.attitude else ()))
         note = f"{self.held_out.text(len(self.test.joints), len(self.train.joints))}; used: {self.best_model}"
         return Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note)
+
+    @cached_property
+    def set_ups(self) -> list[dict[str, Any]]:
+        """Each set-up of several files: its number, its files, and frames of its own with how far from the first's."""
+        train, found = self.train, self.geometric.identification
+        parts = train.stations if isinstance(train, Stacked) else (InstrumentStation(train),)
+        rows = []
+        for station in parts:
+            names = [name for name in station.unknowns() if name in found.unknowns]
+            unknowns = np.array([found.unknowns[name] for name in names])
+            there = station.seen(found.arm_model, station.parted(unknowns)[1]).geometry
+            moved = {name: apart(getattr(found.geometry, name), getattr(there, name)) for name in station.frames}
+            origins = origins_of(station.data)
+            rows.append(
+                {
+                    "number": station.number,
+                    "files": [origins.files[i] for i in np.unique(origins.file).tolist()],
+                    "rows": len(station.data.joints),
+                    "own": {name: {"mm": m * 1e3, "deg": float(np.degrees(a))} for name, (m, a) in moved.items()},
+                }
+            )
+        return rows if len(rows) > 1 or len(rows[0]["files"]) > 1 else []
+
+    def _set_ups(self) -> Block:
+        rows = []
+        for each in self.set_ups:
+            cells = [f"{m['mm']:.4g} mm, {m['deg']:.3g} deg" if (m := each["own"].get(name)) else "" for name in FRAMES]
+            rows.append((str(each["number"]), ", ".join(each["files"]), str(each["rows"]), *cells))
+        note = "as the rows tell" if self.stations is None else f"as asked: --stations {self.stations}"
+        heads = ("set-up", "files", "rows fitted", "base of its own, away by", "tool of its own, away by")
+        return Block("Set-ups", heads, tuple(rows), f"{note}; parameters such as base2_x are of set-up 2")
 
     def parameters(self) -> list[dict[str, Any]]:
         """Each identified parameter: name, change and standard deviation on screens' units, and what became of it."""
@@ -404,6 +443,7 @@ class Result:
             "frames": "known" if self.known_frames else "fitted",
             "within95": self.uncertainty.within95_record(),
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
+            "stations": self.set_ups,
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
             "left_out_rows": [vars(item) for item in self.left_out],
             "parameters": len(found.identifiability.names),
