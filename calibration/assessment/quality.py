@@ -324,6 +324,22 @@ def _failures(
 ) -> Iterator[str]:
     if not found.converged:
         yield "the identification did not converge, so its parameters mean nothing"
+    yield from no_gain(before, after, blocks, unit, count, called)
+
+
+def no_gain(
+    before: Array | None, after: Array, blocks: NDArray[np.int64] | None, unit: str, count: int, called: str
+) -> Iterator[str]:
+    """Why held-out rows do not show that the calibrated arm is better than the nominal one, if they do not.
+
+    Args:
+        before: Errors of the nominal arm ``(M, 3 or more)``, m or rad; None where there is none.
+        after: Errors of the calibrated arm.
+        blocks: The block, or row, of each error.
+        unit: What they are shown in.
+        count: How many rows were held out.
+        called: What they are called.
+    """
     if count < ENOUGH:
         few = f"1 {called[:-1]} was" if count == 1 else f"{count} {called} were"
         yield f"only {few} held out, which judges nothing; measure more, or give others with --test"

@@ -227,8 +227,8 @@ def said_of_stations(found: Identification, data: Observations) -> Iterator[tupl
             scale, unit = MISS_UNITS[part.miss_unit], part.miss_unit
             yield (
                 "caution",
-                f"{part.source}: its rows miss by {usual[number] * scale:.3g} {unit} (median) wherever base and tool may "
-                f"be, where the others miss by {others * scale:.2g} {unit}: it may be of another arm; calibrate it alone",
+                f"{part.source}: wherever base and tool may be, its rows miss by {usual[number] * scale:.3g} {unit} "
+                f"(median), the others by {others * scale:.2g} {unit}: it may be of another arm; calibrate it alone",
             )
 
 

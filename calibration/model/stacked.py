@@ -251,7 +251,7 @@ class Stacked:
         return np.repeat(np.arange(len(self.stations)), [len(part.joints) for part in self.parts])
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Measurements | None:
-        """Poses or positions of all stations as the first one would have measured them; None with other kinds among them.
+        """Poses or positions of all stations as the first one would have measured them; None of other kinds.
 
         What a row differs by from the model is turned into the first one's axes, and of poses shifted to its tool.
         Where any station saw positions alone, attitudes are left out.

@@ -66,5 +66,6 @@ def refuse_options(train: Observations, choices: Choices) -> None:
     for option, wanted in given.items():
         if wanted:
             raise InputError(
-                f"{option} is for poses and positions{one}, but {train.source} holds {train.kind}{several}; leave it out"
+                f"{option} is for poses and positions{one}, but {train.source} holds {train.kind}{several}; "
+                "leave it out"
             )

@@ -188,7 +188,7 @@ def without_residual(fit: Fit) -> Fit:
 
 
 def what_is_left(fit: Fit, data: Observations) -> Array:
-    """What a calibration leaves of data ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad; of stations in the first's axes."""
+    """A calibration's errors ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad, of stations in the first's axes."""
     tracked = tracked_rows(fit.identification, data)
     return missed_by(fit.identification, data) if tracked is None else fit.calibration.errors(tracked)
 

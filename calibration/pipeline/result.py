@@ -19,6 +19,7 @@ from pickenv.arm import Arm, Plant, draw_plants, load_tolerances
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.base_frame import BaseFrameError
 from pickenv.calibration.assessment.harmonic_table import OWN, harmonic_block, harmonic_rows
+from pickenv.calibration.assessment.instrument import set_up_block, set_ups_of
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import Quality
 from pickenv.calibration.assessment.screen import (
@@ -32,7 +33,6 @@ from pickenv.calibration.assessment.screen import (
 from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from pickenv.calibration.assessment.stiffness_table import stiffness_block, stiffness_rows
 from pickenv.calibration.compensation.compensator import Compensator
-from pickenv.calibration.identification.alignment import apart
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.ladder import LadderChoice
 from pickenv.calibration.identification.least_squares import describe_absorption
@@ -40,9 +40,7 @@ from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import MISS_UNITS, Observations, origins_of
-from pickenv.calibration.model.stacked import OWN as FRAMES
-from pickenv.calibration.model.stacked import InstrumentStation, Stacked
+from pickenv.calibration.model.observations import MISS_UNITS, Observations
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.fitting import Fit
 from pickenv.calibration.pipeline.held_out import (
@@ -53,7 +51,7 @@ from pickenv.calibration.pipeline.held_out import (
 )
 from pickenv.calibration.pipeline.pixel_figures import PixelFigures
 from pickenv.calibration.pipeline.twin import SCATTER, scatter_of, twin
-from pickenv.calibration.pipeline.uncertainty import PoseUncertainty
+from pickenv.calibration.pipeline.uncertainty import MEASURED_REGION, PoseUncertainty, region_of
 from pickenv.calibration.reading.read import NoiseFloor
 from pickenv.calibration.residuals.gate import GateReport
 from pickenv.extras import require
@@ -161,6 +159,8 @@ class Result:
         """The calibration with verdict, frames and uncertainty in its record: what is saved and applied."""
         record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
         record["uncertainty"] = self.uncertainty.as_record()
+        if np.isfinite(self.uncertainty.covariance).all():
+            record[MEASURED_REGION] = region_of(self.uncertainty, self.fit.calibration.model, self.train)
         if self.base_frame is not None:
             record["base_frame"] = self.base_frame.as_dict()
         if self.unit is not None:
@@ -229,7 +229,7 @@ class Result:
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
             what = self.held_out.rows.capitalize()
             found.append(Block(f"{what} far off, and kept" if kept else f"{what} left out", (), places, note))
-        found.insert(1, self._set_ups())
+        found.insert(1, set_up_block(self.set_ups, self.stations))
         if self.ladder is not None:
             tried = {name: figure(rms * MISS_UNITS[self.miss_unit]) for name, rms in self.ladder.blocked_rms.items()}
             asked = (("asked for", f"--fit {self.ladder.chosen}"),)
@@ -313,34 +313,8 @@ class Result:
 
     @cached_property
     def set_ups(self) -> list[dict[str, Any]]:
-        """Each set-up of several files: its number, its files, and frames of its own with how far from the first's."""
-        train, found = self.train, self.geometric.identification
-        parts = train.stations if isinstance(train, Stacked) else (InstrumentStation(train),)
-        rows = []
-        for station in parts:
-            names = [name for name in station.unknowns() if name in found.unknowns]
-            unknowns = np.array([found.unknowns[name] for name in names])
-            there = station.seen(found.arm_model, station.parted(unknowns)[1]).geometry
-            moved = {name: apart(getattr(found.geometry, name), getattr(there, name)) for name in station.frames}
-            origins = origins_of(station.data)
-            rows.append(
-                {
-                    "number": station.number,
-                    "files": [origins.files[i] for i in np.unique(origins.file).tolist()],
-                    "rows": len(station.data.joints),
-                    "own": {name: {"mm": m * 1e3, "deg": float(np.degrees(a))} for name, (m, a) in moved.items()},
-                }
-            )
-        return rows if len(rows) > 1 or len(rows[0]["files"]) > 1 else []
-
-    def _set_ups(self) -> Block:
-        rows = []
-        for each in self.set_ups:
-            cells = [f"{m['mm']:.4g} mm, {m['deg']:.3g} deg" if (m := each["own"].get(name)) else "" for name in FRAMES]
-            rows.append((str(each["number"]), ", ".join(each["files"]), str(each["rows"]), *cells))
-        note = "as the rows tell" if self.stations is None else f"as asked: --stations {self.stations}"
-        heads = ("set-up", "files", "rows fitted", "base of its own, away by", "tool of its own, away by")
-        return Block("Set-ups", heads, tuple(rows), f"{note}; parameters such as base2_x are of set-up 2")
+        """The set-ups of several files, in screens' units; empty where there is one file."""
+        return set_ups_of(self.geometric.identification, self.train)
 
     def parameters(self) -> list[dict[str, Any]]:
         """Each identified parameter: name, change and standard deviation on screens' units, and what became of it."""

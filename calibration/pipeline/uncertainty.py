@@ -19,8 +19,12 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.splits import Rows
 from pickenv.calibration.pipeline.local_scatter import LocalScatter, Within95, local_scatter, within95
+
+MEASURED_REGION = "measured_region"
+"""Entry of a calibration's record that holds `region_of`."""
 
 LOCAL, WITHIN = ("position_local", "attitude_local"), ("position_within95", "attitude_within95")
 """What differs from pose to pose, and what holds 95 of 100 errors: positions first."""
@@ -73,6 +77,12 @@ class PoseUncertainty:
         variance = np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1)
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
+
+    def from_parameters(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
+        """Standard uncertainty of position ``(...)``, m, by the parameters alone: large where nobody measured."""
+        columns = [model.parameter_names.index(name) for name in self.names]
+        found = model.pose_covariance(columns, self.covariance, joints, conditions)
+        return np.asarray(np.sqrt(np.trace(found[..., :3, :3], axis1=-2, axis2=-1)))
 
     def within95(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
@@ -163,6 +173,22 @@ def pose_uncertainty(
         parts[local] = local_scatter(joints, squares, slides)
         parts[within] = within95(joints, squares, variance[:, first : first + 3].sum(axis=1), slides, blocks)
     return replace(sure, **parts)
+
+
+def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dict[str, Any]:
+    """Where an arm was measured, for a calibration's record: ranges of the joints, and how well parameters told there.
+
+    Args:
+        sure: Uncertainty of the arm.
+        model: The arm.
+        data: The rows fitted.
+    """
+    told = sure.from_parameters(model, data.joints, data.conditions)
+    return {
+        "lower": data.joints.min(axis=0).tolist(),
+        "upper": data.joints.max(axis=0).tolist(),
+        "position_p95_m": float(np.percentile(told, 95)),
+    }
 
 
 def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
