@@ -120,7 +120,10 @@ def restationed(
         identify(model, start, [few, before], max_iterations=100, rank_tolerance=NO_RANK)
         for start in _starts(calibration.model, few, own)
     ]
-    there = min(fits, key=lambda fit: fit.chi_square).arm_model
+    near = min(fits, key=lambda fit: fit.chi_square).arm_model
+    # Expected where they were found, what rows tell is pulled by nothing, and what they do not tell still stays.
+    settled = [few, replace(before, reference=near)]
+    there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
     rest = np.setdiff1d(np.arange(len(data)), used)
     elsewhere = there.jacobian(data.joints[rest], data.conditions.select(rest))[:, :3][..., model.columns] * std
     told = few.jacobian(there, np.zeros(0))[0][:, model.columns] * std

@@ -19,7 +19,7 @@ from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.choices import Choices
 from pickenv.calibration.pipeline.given import given_rows
-from pickenv.calibration.pipeline.restation import _start, frames_and_rows, restationed
+from pickenv.calibration.pipeline.restation import _starts, frames_and_rows, restationed
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.calibration.pipeline.verification import Verification, verify
@@ -181,8 +181,8 @@ def test_the_search_for_new_frames_starts_near_them_wherever_the_old_ones_were(u
     new = replace(old, base=THERE, tool=TARGET if own == ("base",) else OTHER_TARGET)
     joints = random_joints(old, 12, np.random.default_rng(0))
     few = Measurements(joints, forward(new, joints).position, None, old.prismatic)
-    found = few.difference(_start(ArmModel.of(old), few, own))
-    assert np.abs(found).max() < (1e-9 if own == ("base",) else 5e-3)
+    misses = [float(np.abs(few.difference(start)).max()) for start in _starts(ArmModel.of(old), few, own)]
+    assert min(misses) < (1e-9 if own == ("base",) else 5e-3) and len(misses) == 1 + len(own)
 
 
 def test_the_calibration_of_another_arm_is_told(ur5: Arm, result: Result) -> None:
