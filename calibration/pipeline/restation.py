@@ -37,7 +37,7 @@ CHANGE_STD = (1.0, np.pi / 6)
 NO_RANK = 1e-12
 """Nothing is redundant where all is expected somewhere."""
 
-TOLD = 0.5
+TOLD = 0.1
 """A direction is told where its standard deviation is less than this share of `CHANGE_STD`."""
 
 CANDIDATES = 1000

@@ -54,7 +54,13 @@ BEYOND, VAGUE = 0.05, 2.0
 the pose so many times worse than at 95 of 100 rows fitted."""
 
 Status = Literal[
-    "still good", "worse than nominal", "drifted", "outside what was measured", "another station", "another arm"
+    "still good",
+    "worse than nominal",
+    "no better than nominal",
+    "drifted",
+    "outside what was measured",
+    "another station",
+    "another arm",
 ]
 
 
@@ -311,7 +317,7 @@ def _verdict(found: Verification, cause: Callable[[], Cause]) -> tuple[Status, s
     said = f"{figure(mine)} mm RMS where {figure(found.expected)} mm are expected"
     if found.ratio <= GROWN and since is None:
         if found.no_gain is not None:
-            return "worse than nominal", f"{said}, but {found.no_gain}"
+            return "worse than nominal" if mine >= theirs else "no better than nominal", f"{said}, but {found.no_gain}"
         where = "" if found.measured is None or found.measured >= 0.5 else "; it was not measured here before"
         return "still good", f"{said}, and {figure(theirs)} mm with the nominal arm{where}"
     why = "unknown" if since is not None else cause()

@@ -199,6 +199,7 @@ def constant(size: float) -> ErrorStatistics:
     [
         (3.0, 9.0, None, None, "joints", "still good", "3.000 mm RMS where 2.000 mm are expected"),
         (3.0, 2.0, None, "it is worse", "unknown", "worse than nominal", "are expected, but it is worse"),
+        (2.9, 3.0, None, "it is chance", "unknown", "no better than nominal", "are expected, but it is chance"),
         (3.1, 9.0, None, None, "joints", "drifted", "2.369 mm RMS have come since the calibration, the joints' zeros"),
         (2.0, 9.0, "from a, row 3, on", None, "frames", "drifted", "0.000 mm RMS have come from a, row 3, on"),
         (40.0, 90.0, None, None, "frames", "another station", "40.00 mm RMS where"),
@@ -213,7 +214,7 @@ def constant(size: float) -> ErrorStatistics:
 def test_verdicts_and_what_is_said_of_them(
     mine: float, theirs: float, since: str | None, gain: str | None, cause: Any, status: str, said: str
 ) -> None:
-    """Up to half as much again is as promised; what has come adds in squares; rows that moved midway have no one cause."""
+    """Up to half as much again is as promised; what has come adds in squares; a move midway has no other cause."""
     found = Verification(
         "still good", "", constant(mine), constant(theirs), 2.0, 30, 0, {}, since, (), no_gain=gain, measured=0.25
     )
