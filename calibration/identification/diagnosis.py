@@ -135,7 +135,9 @@ def checked_rows(
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
     sets = (train, test) if len(test.joints) else (train,)
-    sizes = [found.sizes_of(data) for data in sets]
+    sizes = [found.sizes_of(train)]
+    if len(sets) > 1:
+        sizes.append(_sizes_like(found, train, test))
     far = [np.flatnonzero(~(size.sigma <= OUTLIER_SIGMA)) for size in sizes]
     if 2 * len(far[0]) >= len(train.joints):
         return train, test, ()
@@ -152,6 +154,14 @@ def checked_rows(
         left = [data.select(rows) for data, rows in zip(sets, near, strict=True)]
         train, test = left[0], left[1] if len(sets) > 1 else test
     return train, test, tuple(sorted(listed, key=lambda item: -(item.sigma or 0.0)))
+
+
+def _sizes_like(found: RobustIdentification, train: Observations, test: Observations) -> Sizes:
+    """Sizes of held-out rows, of which some stations may have none."""
+    if not (isinstance(train, Stacked) and isinstance(test, Stacked)):
+        return found.sizes_of(test)
+    like = replace(found.sizes, scales=found.sizes.scales[train.channels_of(test)])
+    return sizes_of(found.identification.arm_model, unknowns_of(found.identification, test), test, like)
 
 
 def _far_rows(

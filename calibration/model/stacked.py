@@ -28,6 +28,9 @@ from pickenv.calibration.model.splits import Rows
 OWN = ("base", "tool")
 """Frames that a station can have of its own."""
 
+ALIKE = 0.1
+"""Data sets are of one instrument where their uncertainties differ by no more than this share."""
+
 WIDEST = 3
 """Components of a miss where kinds are mixed; lengths and pixels fill fewer, the rest is zero."""
 
@@ -282,7 +285,16 @@ class Stacked:
 
     def first_channels(self) -> list[int]:
         """The first channel of every station."""
-        return _starts([int(part.equations()[1].max(initial=-1)) + 1 for part in self.parts])
+        return _starts([len(channels) for channels in self._channels()])
+
+    def channels_of(self, other: Stacked) -> Rows:
+        """The channels of this data set that those of another are, some of whose stations may be missing."""
+        starts = zip(self.stations, self.first_channels(), self._channels(), strict=True)
+        own = {station.number: channels + first for station, first, channels in starts}
+        return np.concatenate([own[station.number] for station in other.stations])
+
+    def _channels(self) -> list[Rows]:
+        return [np.arange(int(part.equations()[1].max(initial=-1)) + 1) for part in self.parts]
 
     def _first_rows(self) -> list[int]:
         return _starts([len(part.joints) for part in self.parts])
@@ -293,9 +305,13 @@ class Stacked:
 
 
 def joinable(parts: Sequence[Measurements]) -> bool:
-    """Whether data sets can be one: poses or positions alike, of the same stated uncertainty."""
-    marks = {(part.kind, part.position_std, part.attitude_std, part.frames) for part in parts}
-    return len(marks) == 1
+    """Whether data sets can be one: poses or positions alike, of about the same uncertainty."""
+    first = parts[0]
+    return all(
+        (part.kind, part.frames) == (first.kind, first.frames)
+        and np.allclose((part.position_std, part.attitude_std), (first.position_std, first.attitude_std), ALIKE, 0.0)
+        for part in parts
+    )
 
 
 def rows_together(parts: Sequence[Measurements]) -> Measurements:
