@@ -100,13 +100,13 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
         found: The identification.
         data: What it was made from.
     """
-    rows = []
+    rows: list[dict[str, Any]] = []
     for station in data.stations if isinstance(data, Stacked) else (InstrumentStation(data),):
         unknowns = np.array([found.unknowns[name] for name in station.unknowns()])
         there = station.seen(found.arm_model, station.parted(unknowns)[1]).geometry
         moved = {name: apart(getattr(found.geometry, name), getattr(there, name)) for name in station.frames}
         origins = origins_of(station.data)
-        row = {
+        row: dict[str, Any] = {
             "number": station.number,
             "files": [origins.files[i] for i in np.unique(origins.file).tolist()],
             "rows": len(station.data.joints),

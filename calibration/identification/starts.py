@@ -207,14 +207,13 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], trie
     except InputError:
         return np.inf
     owners = np.concatenate([origins_of(part).file + 1000 * k for k, part in enumerate(whole)])
-    rows, _ = data.equations()
     squares = data.residual(fit.arm_model, unknowns_of(fit, data)) ** 2
     total, spare = 0.0, equations / max(fit.degrees_of_freedom, 1)
     counted = 0
     for owner in np.unique(owners):
         here = owners == owner
         count = 3 * min(int(here.sum()), COUNTED_ROWS)
-        total += count * float(np.log(np.mean(squares[here[rows]]) * spare))
+        total += count * float(np.log(np.mean(squares[here[data.equations()[0]]]) * spare))
         counted += count
     return total + float(np.log(counted)) * 6 * sum(len(each.own) for each in tried)
 

@@ -20,7 +20,7 @@ from pickenv.calibration.identification.robust import OUTLIER_SIGMA, sizes_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel, frames_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import origins_of
+from pickenv.calibration.model.observations import Equations, origins_of
 from pickenv.calibration.model.prior import Prior
 from pickenv.calibration.model.splits import Rows, equally_spaced
 from pickenv.calibration.model.stacked import OWN
@@ -122,7 +122,7 @@ def restationed(
     ]
     near = min(fits, key=lambda fit: fit.chi_square).arm_model
     # Expected where they were found, what rows tell is pulled by nothing, and what they do not tell still stays.
-    settled = [few, replace(before, reference=near)]
+    settled: list[Equations] = [few, replace(before, reference=near)]
     there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
     rest = np.setdiff1d(np.arange(len(data)), used)
     elsewhere = there.jacobian(data.joints[rest], data.conditions.select(rest))[:, :3][..., model.columns] * std
@@ -131,9 +131,8 @@ def restationed(
     covariance = np.linalg.inv(told.T @ told + np.eye(len(std)))
     expected = np.einsum("rip,pq,riq->r", elsewhere, covariance, elsewhere) + expected_square(data)
     parts = [covariance[first : first + 3, first : first + 3] for first in range(0, len(std), 3)]
-    count = [int(np.sum(np.linalg.eigvalsh(part) > TOLD**2)) for part in parts]
-    named = [name for name in OWN if name in own]
-    untold = {name: (count[2 * i], count[2 * i + 1]) for i, name in enumerate(named)}
+    lost = [int(np.sum(np.linalg.eigvalsh(part) > TOLD**2)) for part in parts]
+    untold = {name: (lost[2 * i], lost[2 * i + 1]) for i, name in enumerate(name for name in OWN if name in own)}
     geometry = calibration.identified
     moved = {name: apart(getattr(geometry, name), getattr(there.geometry, name)) for name in OWN if name in own}
     return Restationed(replace(calibration, model=there), used, rest, expected, moved, untold)
