@@ -13,15 +13,30 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.splits import Rows
-from pickenv.calibration.pipeline.local_scatter import LocalScatter, Within95, local_scatter, within95
+from pickenv.calibration.model.splits import Rows, equally_spaced
+from pickenv.calibration.pipeline.local_scatter import (
+    ANCHORS,
+    LocalScatter,
+    Within95,
+    joint_features,
+    local_scatter,
+    within95,
+)
+
+ALIKE, SPACING = 0.3, 1.5
+"""Poses whose joints lie so far apart, rad or m, are alike in what a model leaves out; or so many times farther than
+those measured lie from their neighbours."""
+
+VAGUE = 2.0
+"""Where parameters tell the pose so many times worse than at 95 of 100 rows fitted, nothing like it was measured."""
 
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `region_of`."""
@@ -176,7 +191,7 @@ def pose_uncertainty(
 
 
 def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dict[str, Any]:
-    """Where an arm was measured, for a calibration's record: ranges of the joints, and how well parameters told there.
+    """Where an arm was measured, for a calibration's record: some rows' joints, how far apart, how well told there.
 
     Args:
         sure: Uncertainty of the arm.
@@ -184,11 +199,33 @@ def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dic
         data: The rows fitted.
     """
     told = sure.from_parameters(model, data.joints, data.conditions)
+    joints = data.joints[equally_spaced(len(data.joints), ANCHORS)]
+    places = joint_features(joints, model.geometry.prismatic)
+    apart = np.asarray(KDTree(places).query(places, k=2)[0])[:, 1]
     return {
-        "lower": data.joints.min(axis=0).tolist(),
-        "upper": data.joints.max(axis=0).tolist(),
+        "joints": np.round(joints, 4).tolist(),
+        "near": max(ALIKE, SPACING * float(np.percentile(apart, 95))),
         "position_p95_m": float(np.percentile(told, 95)),
     }
+
+
+def measured_there(
+    record: Mapping[str, Any], sure: PoseUncertainty, model: ArmModel, joints: Array, conditions: Conditions
+) -> NDArray[np.bool_]:
+    """Which joints ``(N, n)`` lie where an arm was measured: rows were near, and the parameters tell the pose.
+
+    Args:
+        record: What `region_of` gave.
+        sure: Uncertainty of the arm.
+        model: The arm.
+        joints: Joints, rad or m.
+        conditions: Payload and temperature there.
+    """
+    slides = model.geometry.prismatic
+    known = KDTree(joint_features(np.array(record["joints"]), slides))
+    near = known.query(joint_features(joints, slides))[0] <= record["near"]
+    told = sure.from_parameters(model, joints, conditions) <= VAGUE * record["position_p95_m"]
+    return np.asarray(near & told)
 
 
 def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:

@@ -36,7 +36,7 @@ from pickenv.calibration.pipeline.restation import (
     restationed,
     weighed_by_reach,
 )
-from pickenv.calibration.pipeline.uncertainty import MEASURED_REGION, uncertainty_from
+from pickenv.calibration.pipeline.uncertainty import MEASURED_REGION, measured_there, uncertainty_from
 from pickenv.errors import InputError
 
 GROWN = 1.5
@@ -46,12 +46,11 @@ region of the workspace are up to 1.3 times worse on four sets of one robot."""
 ELSEWHERE = 20.0
 """Errors of more than so many times what is expected come from no region of the workspace."""
 
+MOSTLY = 5.0
+"""Frames elsewhere explain such errors where these are so many times smaller with them."""
+
 ALIKE = 0.75
 """With errors of more than this share of the nominal arm's, little of the calibration is this arm's."""
-
-BEYOND, VAGUE = 0.05, 2.0
-"""A row lies outside what was measured where a joint is this share of its range beyond it, or where the parameters tell
-the pose so many times worse than at 95 of 100 rows fitted."""
 
 Status = Literal[
     "still good",
@@ -242,11 +241,7 @@ def inside_what_was_measured(calibration: Calibration, data: Measurements) -> ND
     region, sure = calibration.record.get(MEASURED_REGION), uncertainty_from(calibration.record)
     if region is None or sure is None:
         return None
-    lower, upper = np.array(region["lower"]), np.array(region["upper"])
-    spare = BEYOND * (upper - lower)
-    inside = np.all((data.joints >= lower - spare) & (data.joints <= upper + spare), axis=1)
-    vague = sure.from_parameters(calibration.model, data.joints, data.conditions) > VAGUE * region["position_p95_m"]
-    return np.asarray(inside & ~vague)
+    return measured_there(region, sure, calibration.model, data.joints, data.conditions)
 
 
 def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> str | None:
@@ -275,33 +270,36 @@ def _cause(
     refit: Collection[str],
 ) -> Cause:
     """What explains that errors are larger than promised: frames that moved, a region not measured, joints' zeros."""
-    squares = np.sum(errors[:, :3] ** 2, axis=1)
-    ratio = float(np.sqrt(squares.mean() / expected.mean()))
-    if inside is not None and not inside.all() and ratio < ELSEWHERE:
+    squares, most = np.sum(errors[:, :3] ** 2, axis=1), GROWN * float(np.sqrt(expected.mean()))
+    size = float(np.sqrt(squares.mean()))
+    far = size > ELSEWHERE * most / GROWN
+    if far and not refit and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:
+        return "frames"
+    if inside is not None and not inside.all() and not far:
         kept = inside.any() and np.mean(squares[inside]) <= GROWN**2 * np.mean(expected[inside])
         if kept or inside.mean() < 0.5:
             return "elsewhere"
     zeros = joint_zeros_model(there.identified)
     inner = ErrorModel(zeros.columns[1:-1], zeros.names[1:-1], zeros.tolerance[1:-1])  # base and tool turn the others
-    if _explained(there, data, inner.joined(own_frames_model(there.identified, refit)), expected):
+    if _left(there, data, inner.joined(own_frames_model(there.identified, refit))) <= most:
         return "joints"
-    if not refit and _explained(there, data, own_frames_model(there.identified, OWN), expected):
+    if not refit and _left(there, data, own_frames_model(there.identified, OWN)) <= most:
         return "frames"
     return "unknown"
 
 
-def _explained(there: Calibration, data: Measurements, model: ErrorModel, expected: Array) -> bool:
-    """Whether errors are as promised once these parameters are fitted to these rows."""
+def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
+    """RMS position error once these parameters are fitted to these rows, m, as of rows that they were not fitted to."""
     if len(data) < len(model.names):
-        return False
+        return np.inf
     learnt = there.errors(data) - data.difference(there.model)
     try:
         found = identify(model, there.model, _less(data, learnt), max_iterations=60)
     except InputError:
-        return False
+        return np.inf
     left = data.difference(found.arm_model) + learnt
     spare = 1.0 - found.identifiability.rank / (len(data) * data.rows_per_pose)
-    return bool(np.mean(np.sum(left[:, :3] ** 2, axis=1)) <= GROWN**2 * expected.mean() * spare)
+    return float(np.sqrt(np.mean(np.sum(left[:, :3] ** 2, axis=1)) / spare))
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:
@@ -322,7 +320,7 @@ def _verdict(found: Verification, cause: Callable[[], Cause]) -> tuple[Status, s
         return "still good", f"{said}, and {figure(theirs)} mm with the nominal arm{where}"
     why = "unknown" if since is not None else cause()
     if why == "frames":
-        return "another station", f"{said}, and as they should be with base and tool elsewhere; give --refit base,tool"
+        return "another station", f"{said}, and base and tool elsewhere explain it; give --refit base,tool"
     if why == "elsewhere":
         worse = f", worse than the nominal arm's {figure(theirs)} mm" if found.no_gain is not None else ""
         return "outside what was measured", (

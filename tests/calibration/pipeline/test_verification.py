@@ -22,7 +22,9 @@ from pickenv.calibration.pipeline.given import given_rows
 from pickenv.calibration.pipeline.restation import _starts, frames_and_rows, restationed
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import calibrate
+from pickenv.calibration.pipeline.uncertainty import MEASURED_REGION
 from pickenv.calibration.pipeline.verification import Verification, verify
+from pickenv.calibration.reading.read import read_observations
 from pickenv.cli import app
 from pickenv.errors import InputError
 
@@ -405,3 +407,38 @@ def test_of_sixty_pairs_at_most_three_words_are_wrong(ur5: Arm) -> None:
     said = {seed: words_of_a_pair(ur5, seed) for seed in range(12)}
     wrong = [(s, name, word) for s, words in said.items() for name, word in words.items() if word not in RIGHT[name]]
     assert len(wrong) <= 3, wrong
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [("B", "D", "still good"), ("D", "B", "still good"), ("C", "D", "outside what was measured")],
+)
+def test_other_series_of_a_real_arm_are_never_taken_for_another_arm(
+    data_folder: Path, old: str, new: str, word: str
+) -> None:
+    """A UR10 measured at other poses, from other places; a calibration of C does not carry to D, and that is said."""
+    arm, series = load_arm("ur10"), {}
+    files = {"B": "joint_configurations", "C": "random_poses", "D": "iso_cubes"}
+    for name in (old, new):
+        file = data_folder / f"ur10_ipa_landgraf2021/Series_{name}/measurements_{files[name]}.csv"
+        whole = read_observations([file], arm.nominal, "ur10_landgraf2021_repeats").observations
+        series[name] = whole.select(np.linspace(0, len(whole.joints) - 1, 300).astype(int))
+    calibration = calibrate(arm, series[old], choices=PLAIN).calibration
+    assert verify(calibration, series[new]).status == "another station"
+    found = verify(calibration, series[new], FRAMES, 12)
+    assert found.status == word and found.measured is not None and found.measured < 0.5
+    assert ("it was not measured here before" in found.reason) == (word == "still good")
+    assert (found.no_gain is not None) == (old == "C") and ("worse than the nominal arm's" in found.reason) == (
+        old == "C"
+    )
+
+
+@pytest.mark.parametrize("far", [False, True], ids=["there", "elsewhere"])
+def test_a_region_was_measured_where_rows_were_near(ur5: Arm, true: Geometry, far: bool) -> None:
+    drives = np.zeros((2, 6))
+    calibration = calibrate(ur5, measured(true, drives, 1, 150), choices=PLAIN).calibration
+    share = verify(calibration, measured(true, drives, 2, far=far)).measured
+    assert share is not None and (share < 0.1 if far else share > 0.9)
+    unknown = replace(calibration, record={**calibration.record, MEASURED_REGION: None})
+    found = verify(unknown, measured(true, drives, 2, far=far))
+    assert found.measured is None and "not known" in found.text()
