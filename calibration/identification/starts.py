@@ -37,6 +37,9 @@ COUNTED_ROWS = 30
 LEAST_ROWS = 8
 """A file with fewer rows does not tell whether it is another set-up."""
 
+TRIES, PLAUSIBLE = 12, 10.0
+"""Iterations of a trial, twice what a right one takes; and how many times farther rows of one set-up may be missed."""
+
 SPARE = 3
 """The arm's geometry takes part where there are so many times as many equations as parameters; else frames alone."""
 
@@ -158,7 +161,8 @@ def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
     first, *others = near or [0]
     known: tuple[SetUp, ...] = (SetUp((first,)),)
     for i in others:
-        known = min(_with_file(known, parts, i), key=lambda tried: _criterion(arm, near, tried))
+        tried = [each for each in _with_file(known, parts, i) if _plausible(near, each, i)]
+        known = min(tried, key=lambda each: _criterion(arm, near, each))
     for i in set(range(len(parts))) - {first, *others}:
         known = next(_with_file(known, parts, i))
     return tuple(replace(each, parts=tuple(sorted(each.parts))) for each in known)
@@ -188,6 +192,24 @@ def _with_file(known: tuple[SetUp, ...], parts: Sequence[Measurements], i: int) 
         yield (*known, SetUp((i,), own))
 
 
+def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], tried: Sequence[SetUp], i: int) -> bool:
+    """Whether a file and the set-up that it joins see each other's rows about as their own, with the nominal arm.
+
+    Either way is enough: a file may tell little of its own frames.
+    """
+    others = [each.parts[0] for each in tried if i in each.parts and each.parts[0] != i]
+    for j in others:
+        ratio = [_missed(near[k][0], near[m][1]) / _missed(*near[k]) for k, m in ((i, j), (j, i))]
+        if min(ratio) > PLAUSIBLE:
+            return False
+    return True
+
+
+def _missed(rows: Measurements, by: Geometry) -> float:
+    """Median miss by an arm, m, and a micrometre."""
+    return 1e-6 + float(np.median(np.linalg.norm(rows.difference(by)[:, :3], axis=1)))
+
+
 def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], tried: Sequence[SetUp]) -> float:
     """Schwarz's criterion of an arm and these set-ups; each file has a scatter of its own."""
     whole, stations = [], []
@@ -203,7 +225,7 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], trie
     if equations < SPARE * (len(model.names) + len(data.unknowns())):
         model = frames_model(arm.nominal)
     try:
-        fit = identify(model, ArmModel.of(near[tried[0].parts[0]][1]), [data], max_iterations=60)
+        fit = identify(model, ArmModel.of(near[tried[0].parts[0]][1]), [data], max_iterations=TRIES)
     except InputError:
         return np.inf
     owners = np.concatenate([origins_of(part).file + 1000 * k for k, part in enumerate(whole)])
