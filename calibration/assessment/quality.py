@@ -51,6 +51,9 @@ ALIKE = 1.2
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
+MANY_NOISES = 20.0
+"""What remains may be so many times the stated noise before something else than noise must be at work."""
+
 ENOUGH = 3
 """Fewer held-out rows than this judge nothing."""
 
@@ -272,7 +275,9 @@ def grade_quality(
     test = completeness(found, noise)
     pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
     unlearnt = after if parametric is None else parametric
-    notes = [test.sentence()]
+    notes, beyond = [test.sentence()], []
+    if noise.startswith("stated noise") and test.reduced > MANY_NOISES**2:
+        notes, beyond = [], [f"{test.sentence()}; something else than noise is at work"]
     if pairs:
         notes.append(
             f"{len(pairs)} pair{'s' * (len(pairs) > 1)} of parameters correlate by more than {CORRELATED:g}, most "
@@ -282,6 +287,7 @@ def grade_quality(
     texts: dict[Weight, list[str]] = {
         "fail": [*_failures(found, before, after, unlearnt, workspace, blocks, unit, count, called)],
         "caution": [
+            *beyond,
             *contradictions(bare),
             *_hidden(before, after, workspace, blocks, unit, count, called),
             *_cautions(found, trained, unlearnt, workspace, unit),
@@ -328,17 +334,42 @@ def _failures(
 ) -> Iterator[str]:
     if not found.converged:
         yield "the identification did not converge, so its parameters mean nothing"
+    if before is None or count < ENOUGH or not _told(before, after, workspace, blocks):
+        because = "" if before is None else _cause(found, before, after, unlearnt, unit)
+        yield from no_gain(before, after, blocks, unit, count, called, because)
+
+
+def no_gain(
+    before: Array | None,
+    after: Array,
+    blocks: NDArray[np.int64] | None,
+    unit: str,
+    count: int,
+    called: str,
+    because: str = "",
+) -> Iterator[str]:
+    """Why held-out rows do not show that the calibrated arm is better than the nominal one, if they do not.
+
+    Args:
+        before: Errors of the nominal arm ``(M, 3 or more)``, m or rad; None where there is none.
+        after: Errors of the calibrated arm.
+        blocks: The block, or row, of each error.
+        unit: What they are shown in.
+        count: How many rows were held out.
+        called: What they are called.
+        because: The cause, as the sentence goes on.
+    """
     if count < ENOUGH:
         few = f"1 {called[:-1]} was" if count == 1 else f"{count} {called} were"
         yield f"only {few} held out, which judges nothing; measure more, or give others with --test"
     if before is None or count < ENOUGH:
         return
     was, now = _rms(before, unit), _rms(after, unit)
-    if _undecided(before, after, blocks) and not _told(before, after, workspace, blocks):
+    if _undecided(before, after, blocks):
         verb = "is no better than" if now >= was else "cannot be told from"
         yield (
             f"on {count} held-out {called} the calibrated arm ({now:#.4g} {unit} RMS) {verb} the nominal one "
-            f"({was:#.4g} {unit} RMS): {_cause(found, before, after, unlearnt, unit)}"
+            f"({was:#.4g} {unit} RMS)" + (f": {because}" if because else "")
         )
 
 

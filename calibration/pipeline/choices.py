@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.restation import REFIT_ROWS
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.errors import InputError
@@ -58,11 +59,15 @@ class Choices:
 def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
     given = {"--frames known": choices.frames == "known"}
-    given[f"--residual {choices.residual}"] = choices.residual not in ("auto", "none")
+    parts = train.parts if isinstance(train, Stacked) else (train,)
+    tracked = all(isinstance(part, Measurements) for part in parts)
+    given[f"--residual {choices.residual}"] = not tracked and choices.residual not in ("auto", "none")
     if choices.lens is not None and not isinstance(train, PixelObservations):
         raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
+    one, several = (" of one station", " of several") if tracked else ("", "")
     for option, wanted in given.items():
         if wanted:
             raise InputError(
-                f"{option} is for poses and positions, but {train.source} holds {train.kind}; leave it out"
+                f"{option} is for poses and positions{one}, but {train.source} holds {train.kind}{several}; "
+                "leave it out"
             )

@@ -43,7 +43,7 @@ def calibrate(
     stations: Annotated[
         Literal["none", "base", "tool", "base,tool"] | None,
         typer.Option(
-            help="Each file is a station with these frames of its own; both, if left out, where descriptions differ.",
+            help="Each file is a station with these frames of its own; if left out, poses and positions tell.",
             show_default=False,
         ),
     ] = None,
