@@ -28,7 +28,7 @@ from pickenv.calibration.model.error_model import (
 )
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import Prior, expected_sizes
-from pickenv.calibration.model.splits import contiguous_folds
+from pickenv.calibration.model.splits import contiguous_folds, same_poses
 from pickenv.errors import InputError
 
 NOTHING = "nominal"
@@ -152,7 +152,8 @@ def climb(arm: Arm, geometry: Geometry, data: Observations, known: bool) -> Ladd
     Raises:
         InputError: If none leaves less than the nominal arm, by `WORTH`.
     """
-    folds = [(data.select(rows), data.select(held)) for rows, held in contiguous_folds(data.groups, FOLDS)]
+    blocks = contiguous_folds(data.groups, same_poses(data.joints), FOLDS)
+    folds = [(data.select(rows), data.select(held)) for rows, held in blocks]
 
     def nominal(rows: Observations) -> Identification | None:
         return None if known else identify(frames_model(geometry), geometry, [rows], max_iterations=60)

@@ -7,7 +7,7 @@ import numpy as np
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.splits import Rows, random_split
+from pickenv.calibration.model.splits import Rows, home_groups, random_split, same_poses
 from pickenv.errors import InputError
 
 
@@ -29,6 +29,8 @@ def unknowns_of(found: Identification, observations: Observations) -> Array:
 def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
     """Training and held-out rows of one data set, drawn; sockets and stations are split one by one, to train on each.
 
+    Rows of one pose stay on one side, also where several stations measured it.
+
     Args:
         observations: The data.
         test_rows: Rows to hold out; a fifth when left out.
@@ -39,19 +41,20 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
     """
     count = len(observations.joints)
     wanted = max(1, count // 5) if test_rows is None else test_rows
-    groups = observations.groups
-    if not groups.any():
-        return random_split(count, wanted, rng)
+    poses = same_poses(observations.joints)
+    if not observations.groups.any():
+        return random_split(poses, wanted, rng)
+    home = home_groups(observations.groups, poses)
     train, test = [], []
-    for number in np.unique(groups):
-        rows = np.flatnonzero(groups == number)
+    for number in np.unique(home):
+        rows = np.flatnonzero(home == number)
         share = max(1, round(wanted * len(rows) / count))
         if len(rows) - share < 2:
             raise InputError(
                 f"{observations.source}: socket or station {number + 1} has {len(rows)} rows, too few to hold "
                 f"{share} of them out"
             )
-        here, there = random_split(len(rows), share, rng)
+        here, there = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
         train.append(rows[here])
         test.append(rows[there])
     return np.concatenate(train), np.concatenate(test)

@@ -24,6 +24,7 @@ from pickenv.calibration.model.error_model import frames_model, geometric_model,
 from pickenv.calibration.model.kinds.sockets import SocketObservations
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, Observations
+from pickenv.calibration.model.splits import pose_count
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
@@ -32,7 +33,7 @@ from pickenv.errors import InputError
 from pickenv.provenance import versions
 
 ENOUGH_FOR_LADDER = 20
-"""Fewer training rows than this choose no rung."""
+"""Fewer training poses than this choose no rung."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +183,7 @@ def fit_shown(arm: Arm, data: Observations, aligned: Identification | None, aske
     if isinstance(data, Measurements):
         coverage = pose_coverage(geometric_model(start, known), start, data)
     choice = None if asked == "auto" else LadderChoice(asked, {})
-    if choice is None and coverage is not None and coverage.little and len(data.joints) >= ENOUGH_FOR_LADDER:
+    if choice is None and coverage is not None and coverage.little and pose_count(data.joints) >= ENOUGH_FOR_LADDER:
         choice = climb(arm, start, data, known)
     rung = None if choice is None or choice.chosen == FULL else rung_of(choice.chosen, arm, start, data, known)
     found = fit_geometry(arm, data, aligned, rung=rung)

@@ -21,7 +21,7 @@ from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel, frames_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import origins_of
-from pickenv.calibration.model.splits import Rows, equally_spaced
+from pickenv.calibration.model.splits import Rows, equally_spaced, same_poses
 from pickenv.calibration.model.stacked import OWN
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.planning.exchange import exchange
@@ -41,7 +41,7 @@ class Restationed:
     Attributes:
         calibration: The calibration, with the base and tool of this station.
         used: Rows that these were found from.
-        rest: All others.
+        rest: All rows of other poses.
         expected: Mean square that the errors there should have ``(R,)``, m^2: what the calibration leaves elsewhere,
             and what the frames are uncertain by.
         moved: How far base and tool lie from where they were, by name: m and rad.
@@ -102,7 +102,8 @@ def restationed(
     used = _telling(calibration.model, data, model, count) if used is None else used
     few = data.select(used)
     found = identify(model, _start(calibration.model, few, own), few, max_iterations=100)
-    rest = np.setdiff1d(np.arange(len(data)), used)
+    poses = same_poses(data.joints)
+    rest = np.flatnonzero(~np.isin(poses, poses[used]))
     there = found.arm_model
     kept = found.identifiability.kept
     columns, scale = model.columns[kept], model.tolerance[kept]

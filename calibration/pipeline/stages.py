@@ -28,7 +28,7 @@ from pickenv.calibration.model.finished_poses import CARRIER
 from pickenv.calibration.model.measurements import FRAMES, Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
-from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
+from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced, pose_count, same_poses
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.choices import Choices, refuse_options
@@ -46,14 +46,14 @@ GATE_ROWS = 3000
 """Residual models are judged on so many training rows at most, taken evenly."""
 
 ENOUGH_FOR_BLOCKS = 40
-"""Fewer training rows than this are not enough to hold blocks out of."""
+"""Fewer training poses than this are not enough to hold blocks out of."""
 
 GEOMETRY = "geometry"
 
 SPLITS = ("random", "blocked")
 
 FEW_VIEWS = 60
-"""So many pictures are judged one by one, each by a fit to all others."""
+"""So many pictures are judged one by one, each by a fit to all those of other poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,10 +248,9 @@ def _judged_elsewhere(draft: Draft, test: Observations) -> Result:
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
     """Rows to fit and rows held out, block by block; of few pictures each is a block."""
-    count = len(train.joints)
-    if isinstance(train, PixelObservations) and count <= FEW_VIEWS:
-        return [(np.delete(np.arange(count), view), np.array([view])) for view in range(count)]
-    return contiguous_folds(train.groups, BLOCKS)
+    poses = same_poses(train.joints)
+    few = isinstance(train, PixelObservations) and len(poses) <= FEW_VIEWS
+    return contiguous_folds(train.groups, poses, int(poses.max()) + 1 if few else BLOCKS)
 
 
 def _chosen(checked: Draft, rows: Rows) -> str | None:
@@ -322,7 +321,7 @@ def _add_terms(draft: Draft) -> Draft:
     if draft.choices.terms != "auto":
         terms = terms_of(draft.choices.terms, draft.arm, bare, draft.train)
     else:
-        if len(draft.train.joints) >= ENOUGH_FOR_BLOCKS and draft.arm.name != CARRIER:
+        if pose_count(draft.train.joints) >= ENOUGH_FOR_BLOCKS and draft.arm.name != CARRIER:
             choice = choose_terms(draft.arm, bare, draft.train)
         terms = () if choice is None else choice.terms
     while terms:
@@ -349,7 +348,7 @@ def _learn(draft: Draft) -> Draft:
         raise InputError(f"unknown residual model '{choices.residual}'; give auto, none or one of {', '.join(FITTERS)}")
     train = poses[0]
     selected: str | None = None
-    if len(train) >= ENOUGH_FOR_BLOCKS:
+    if pose_count(train.joints) >= ENOUGH_FOR_BLOCKS:
         names = tuple(FITTERS) if choices.residual == "auto" else (choices.residual,)
         draft = replace(draft, gate=_verdicts(draft, train, names))
         selected = draft.gate.selected if draft.gate else None

@@ -16,7 +16,7 @@ from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, random_split
+from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, random_split, same_poses
 from pickenv.calibration.residuals.residual_models import FITTERS, PARTS, Fitter, fit_residual
 from pickenv.errors import InputError
 
@@ -154,8 +154,9 @@ def gate_residuals(
                 known[name, id(trial)] = model.predict(test.joints, test.conditions.inputs())
         return known[name, id(trial)]
 
-    blocked = _Trial.of(measurements, refit, *blocked_split(len(measurements), test_rows))
-    shuffled = _Trial.of(measurements, refit, *random_split(len(measurements), test_rows, rng))
+    poses = same_poses(measurements.joints)
+    blocked = _Trial.of(measurements, refit, *blocked_split(poses, test_rows))
+    shuffled = _Trial.of(measurements, refit, *random_split(poses, test_rows, rng))
     without = _verdict_without(blocked, shuffled)
     inner: list[_Trial] | None = None
     verdicts = []
@@ -171,7 +172,7 @@ def gate_residuals(
         inner_rms = geometric_inner = None
         if accepted:
             if inner is None:
-                folds = contiguous_folds(blocked.train.groups, FOLDS)
+                folds = contiguous_folds(blocked.train.groups, same_poses(blocked.train.joints), FOLDS)
                 inner = [_Trial.of(blocked.train, refit, *rows) for rows in folds]
             untouched = np.concatenate([trial.test_residual for trial in inner])
             remaining = np.concatenate([trial.test_residual - predicted(name, trial) for trial in inner])

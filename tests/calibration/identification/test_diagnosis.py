@@ -15,7 +15,7 @@ from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
 from pickenv.calibration.model.lens import Lens
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.splits import contiguous_folds
+from pickenv.calibration.model.splits import contiguous_folds, same_poses
 from pickenv.calibration.pipeline.choices import Choices
 from pickenv.calibration.pipeline.fitting import ENOUGH_FOR_LADDER
 from pickenv.calibration.pipeline.stages import calibrate
@@ -276,7 +276,7 @@ def test_an_automatic_choice_finds_the_weight_of_a_compliant_arm(dynamic):
     rng = np.random.default_rng(2)
     arm = load_arm("qiao2026")
     whole = simulated_tracker(dynamic, random_joints(arm.nominal, 250, rng), rng)
-    train, test = contiguous_folds(whole.groups, 5)[3]
+    train, test = contiguous_folds(whole.groups, same_poses(whole.joints), 5)[3]
     found = calibrate(arm, whole.select(train), test=whole.select(test), choices=Choices(residual="none"))
     assert "gravity" in found.terms.chosen and found.best_model == f"geometry+{found.terms.chosen}"
     assert found.position[found.best_model].rms < 0.6 * found.position["geometric"].rms

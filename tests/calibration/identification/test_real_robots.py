@@ -5,7 +5,7 @@ import pytest
 
 from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, complete_model, fit, identify, read_measurements
-from pickenv.calibration.model.splits import contiguous_folds
+from pickenv.calibration.model.splits import contiguous_folds, same_poses
 from pickenv.calibration.pipeline.choices import Choices
 from pickenv.calibration.pipeline.held_out import what_is_left
 from pickenv.calibration.pipeline.stages import calibrate
@@ -118,7 +118,7 @@ def test_the_interval_between_blocks_holds_what_other_cuts_of_the_file_give(data
         turned = data.select(np.roll(np.arange(count), -shift))
         left = [
             what_is_left(fit(arm, turned.select(rows)), turned.select(held))[:, :3]
-            for rows, held in contiguous_folds(turned.groups, folds)
+            for rows, held in contiguous_folds(turned.groups, same_poses(turned.joints), folds)
         ]
         rms = 1e3 * np.sqrt(np.mean(np.sum(np.concatenate(left) ** 2, axis=1)))
         print(f"{count} rows, {folds} blocks, shift {shift}: {rms:.4f} mm, interval {low:.4f} to {high:.4f}")

@@ -113,7 +113,7 @@ def test_winning_on_the_held_out_blocks_alone_is_no_gain(qiao: Arm, displaced: D
     rng = np.random.default_rng(3)
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (200, 6))
     error = np.full((200, 6), -1e-4)
-    error[blocked_split(200)[1]] = 1e-4
+    error[blocked_split(np.arange(200))[1]] = 1e-4
     lucky: dict[str, Fitter] = {"rbf": lambda *_: Constant(np.full(6, 1e-4))}
     gate = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf",), fitters=lucky)
     (verdict,) = gate.verdicts
@@ -239,7 +239,7 @@ def test_a_model_that_is_the_mean_of_others_is_judged_by_their_predictions(qiao:
     )
     assert fitted.count("gp") == fitted.count("trees") == 2 + 5  # both splits, and the blocks within
     assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
-    (_, held), left = blocked_split(60, 12), data.difference(qiao.nominal)
+    (_, held), left = blocked_split(np.arange(60), 12), data.difference(qiao.nominal)
     rms = {verdict.model: verdict.blocked_rms for verdict in gate.verdicts}
     for name, value in (("gp", 2e-4), ("trees", 5e-4), ("blend", 3.5e-4)):
         assert rms[name] == pytest.approx(np.sqrt(np.mean(np.sum((left[held, :3] - value) ** 2, axis=1))))
