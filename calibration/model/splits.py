@@ -41,8 +41,8 @@ def equally_spaced(rows: int, most: int) -> Rows:
 def same_poses(joints: Array) -> Rows:
     """The pose of each row ``(N,)``, numbered in the order in which they first come.
 
-    Rows whose joints all differ by `SAME_POSE` or less are of one pose, and so is what hangs together by such rows; what
-    hangs together over more than `PATH` is a slow path and no pose, and is cut into cells of `SAME_POSE`.
+    Rows whose joints all differ by `SAME_POSE` or less are of one pose, and so is what hangs together by such rows.
+    What hangs together over more than `PATH` is a slow path and no pose; it is cut into cells of `SAME_POSE`.
 
     Args:
         joints: Joints ``(N, n)``, rad or m.
@@ -136,7 +136,7 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
     count = int(poses.max(initial=-1)) + 1
     if not 2 <= folds <= count:
         raise InputError(
-            f"{len(poses)} rows of {count} poses cannot be cut into {folds} folds; measure at least {max(folds, 2)} poses"
+            f"{len(poses)} rows of {count} poses cannot be cut into {folds} folds; measure at least {max(folds, 2)}"
         )
     home, fold_of = home_groups(groups, poses), np.zeros(count, dtype=int)
     for number in np.unique(home):

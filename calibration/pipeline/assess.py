@@ -12,6 +12,7 @@ from pickenv.calibration.assessment.instrument import said_of_instruments
 from pickenv.calibration.assessment.quality import grade_quality
 from pickenv.calibration.identification.diagnosis import LeftOut, said_of_rows
 from pickenv.calibration.identification.ladder import LadderChoice, Rung
+from pickenv.calibration.identification.rows import said_of_repeats
 from pickenv.calibration.identification.starts import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.coverage import Coverage, pose_coverage
@@ -126,6 +127,7 @@ def assess(
             blocks=test.rows_of_misses if held_out.blocks is None else held_out.blocks,
             noise=noise,
             said=(
+                *said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
                 *said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
                 *said_of_instruments(model, bare.identification, train),
             ),

@@ -19,7 +19,7 @@ from pickenv.arm import Arm
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
 from pickenv.calibration.identification.ladder import FULL, MEANING, RUNGS, LadderChoice, Rung
 from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.identification.rows import choose
+from pickenv.calibration.identification.rows import choose, refuse_trained
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.coverage import Coverage
@@ -151,9 +151,9 @@ def calibrate(
 
     Raises:
         InputError: Names the file, row, column, unit or joint at fault: if a file cannot be read, rows are not numbers
-            or not of one kind, the data do not fit the arm, rows are far off, held out or not, or show too few
-            parameters, a name is unknown, an option does not apply to this kind of measurement, or the identification
-            does not converge.
+            or not of one kind, rows to judge by were trained on, the data do not fit the arm, rows are far off, held
+            out or not, or show too few parameters, a name is unknown, an option does not apply to this kind of
+            measurement, or the identification does not converge.
     """
     choices = choices or Choices()
     arm = given_arm(arm, columns)
@@ -175,6 +175,7 @@ def calibrate(
         train, held_out = (train.select(np.sort(part)) for part in rows)
     else:
         held_out, _ = given_rows(arm, test, columns, stations)
+        refuse_trained(train, held_out)
     if choices.refit:
         draft = _through(STAGES, Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
         return replace(_judged_elsewhere(draft, held_out), floor=floor, unit=unit)

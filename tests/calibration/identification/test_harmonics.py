@@ -121,7 +121,9 @@ def test_the_pursuit_takes_what_explains_most_each_time(seed, size):
 def equations(planted):
     data, bare = planted
     model = Linearised.of(bare, (PLANTED, every_order(ARM.nominal)))
-    return BlockEquations.of(model, [data.select(held) for _, held in contiguous_folds(data.groups, same_poses(data.joints), 5)])
+    return BlockEquations.of(
+        model, [data.select(held) for _, held in contiguous_folds(data.groups, same_poses(data.joints), 5)]
+    )
 
 
 def test_equations_without_a_block_are_those_of_the_other_rows_with_the_prior(planted, equations):
