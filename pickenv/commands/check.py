@@ -13,7 +13,7 @@ import typer
 
 from pickenv.container import read_container, refusing_damage
 from pickenv.errors import InputError
-from pickenv.files import write_json
+from pickenv.files import separate, write_json
 from pickenv.sealed import check_sealed_parquet
 
 REFUSED = 3
@@ -60,6 +60,7 @@ def check(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found to this file.")] = None,
 ) -> None:
     """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign."""
+    separate({}, {"--json": json_file})
     findings = []
     for path in paths:
         for finding in findings_of(path):

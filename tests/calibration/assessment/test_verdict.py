@@ -232,7 +232,7 @@ def test_a_foreign_option_is_refused(qiao, exact):
     wire = DistanceObservations(joints, np.ones(len(joints)), 1e-4)
     for choices in (Choices(residual="bpnn"), Choices(frames="known")):
         with pytest.raises(InputError, match="is for poses and positions"):
-            calibrate(qiao, wire, test=wire, choices=choices)
+            calibrate(qiao, wire.select(np.arange(40)), test=wire.select(np.arange(40, 60)), choices=choices)
 
 
 def test_the_result_is_saved_before_it_is_printed(dynamic, tmp_path, monkeypatch):

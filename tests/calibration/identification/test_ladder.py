@@ -168,7 +168,9 @@ def test_what_does_not_go_with_a_rung_is_refused_in_a_sentence(box):
         calibrate(ARM, train, test=fresh, choices=replace(PLAIN, fit="offsets", terms="gravity"))
     wire = DistanceObservations(train.joints, np.linalg.norm(train.position, axis=1), 1e-4)
     with pytest.raises(InputError, match="--fit offsets is for poses and positions"):
-        calibrate(ARM, wire, test=wire, choices=replace(PLAIN, fit="offsets"))
+        calibrate(
+            ARM, wire.select(np.arange(20)), test=wire.select(np.arange(20, 30)), choices=replace(PLAIN, fit="offsets")
+        )
     with pytest.raises(InputError, match=r"these poses show \d+ of the \d+ parameters"):
         calibrate(ARM, train.select(np.arange(19)), test=fresh, choices=PLAIN)
     with pytest.raises(InputError, match="nothing that can be fitted"):

@@ -181,11 +181,15 @@ def test_wam_yields_under_its_weight(data_folder):
 
 UR10 = {
     "A": ("ur10_landgraf2021", "Series_A/measurements_grid.csv", 0.846, 0.442),
-    "B": ("ur10_landgraf2021_repeats", "Series_B/measurements_joint_configurations.csv", 1.08, 0.455),
+    "B": ("ur10_landgraf2021_repeats", "Series_B/measurements_joint_configurations.csv", 1.08, 0.465),
     "C": ("ur10_landgraf2021_repeats", "Series_C/measurements_random_poses.csv", 0.987, 0.497),
     "D": ("ur10_landgraf2021_repeats", "Series_D/measurements_iso_cubes.csv", 0.773, 0.425),
 }
-"""Columns, file, nominal and geometric RMS in mm: means over random fifths held out (one fifth scatters by 5 %)."""
+"""Columns, file, nominal and geometric RMS in mm: means over random fifths held out (one fifth scatters by 5 %).
+
+Of series B 291 poses were measured twice, 0.01 deg apart: with both on one side 0.460 mm are left of rows held out, where
+0.455 mm was said with a repeat of every fourth row among those trained on.
+"""
 
 
 @pytest.mark.parametrize("series", UR10)
