@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from pickenv.calibration.identification.least_squares import Identification, identify
+from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.observations import Observations
@@ -89,3 +90,26 @@ def said_of_instruments(
             "no known length takes part, so the arm's size is that of its nominal longest link; add a known spacing, "
             "radius or length, or another instrument",
         )
+
+
+def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Iterator[tuple[Literal["note"], str]]:
+    """A note on payloads, temperatures and torques that were recorded and change nothing that the model predicts.
+
+    Args:
+        model: The calibrated arm.
+        learnt: Whether a learnt residual takes payload and temperature.
+        data: Rows that it was fitted to.
+    """
+    known = {name: values for name, values in vars(data.conditions).items() if values is not None and len(values)}
+    before = model.pose(data.joints, data.conditions) if known else None
+    unused = [
+        name
+        for name, values in known.items()
+        if not (learnt and name != "torque")
+        and before is not None
+        and np.array_equal(
+            model.pose(data.joints, replace(data.conditions, **{name: values + 1.0})).position, before.position
+        )
+    ]
+    if unused:
+        yield "note", f"nothing that was fitted depends on what was recorded of {' and '.join(unused)} (see --terms)"

@@ -8,7 +8,7 @@ import numpy as np
 
 from pickenv.arm import Arm
 from pickenv.calibration.assessment.base_frame import base_frame_error
-from pickenv.calibration.assessment.instrument import said_of_instruments
+from pickenv.calibration.assessment.instrument import said_of_conditions, said_of_instruments
 from pickenv.calibration.assessment.quality import grade_quality
 from pickenv.calibration.identification.diagnosis import LeftOut, said_of_rows
 from pickenv.calibration.identification.ladder import LadderChoice, Rung
@@ -130,6 +130,7 @@ def assess(
                 *said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
                 *said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
                 *said_of_instruments(model, bare.identification, train),
+                *said_of_conditions(fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train),
             ),
             unit=train.miss_unit,
             rows=(len(test.joints), held_out.rows),

@@ -150,6 +150,10 @@ def apply(
     from pickenv.calibration.reading.targets import read_targets
 
     separate({"CALIBRATION": calibration, "TARGETS": targets, "--arm": arm}, {"--out": out})
+    given = {"--payload-kg": (payload_kg, "payload_kg"), "--temperature-k": (temperature_k, "temperature_K")}
+    for option, (value, quantity) in given.items():
+        if value is not None:
+            check_limit(option, value, quantity)
     chosen = load_arm(arm)
     loaded = Calibration.load(calibration, chosen, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))

@@ -203,24 +203,24 @@ def test_rows_of_another_set_up_are_recognised(qiao, data, others):
 def test_poses_that_show_too_little_say_what_they_lose(qiao, table_1):
     """With rows to choose by a rung is fitted and the report says what is lost; with too few they are refused."""
     rng = np.random.default_rng(0)
-    joints = random_joints(qiao.nominal, 60, rng)
+    joints = random_joints(qiao.nominal, 120, rng)
     joints[:, [2, 3, 4, 5]] = (qiao.nominal.lower + qiao.nominal.upper)[[2, 3, 4, 5]] / 2
-    seen, again = (simulated_tracker(table_1, joints, rng) for _ in range(2))
-    found = calibrate(qiao, seen, test=again, choices=PLAIN)
+    seen, others = (simulated_tracker(table_1, half, rng) for half in np.split(joints, 2))
+    found = calibrate(qiao, seen, test=others, choices=PLAIN)
     assert found.ladder.chosen in RUNGS and found.quality.grade == "with care"
     assert "J4 end rotation (now over 0 % of its range)" in found.report()
     few = seen.select(np.arange(ENOUGH_FOR_LADDER - 1))
     with pytest.raises(InputError, match=r"show \d+ of the \d+ parameters .*J4 end rotation.* hardly move") as caught:
-        calibrate(qiao, few, test=again, choices=PLAIN)
+        calibrate(qiao, few, test=others, choices=PLAIN)
     assert "\n" not in str(caught.value)
 
 
 def test_poses_that_miss_a_little_are_reported(qiao, table_1):
     rng = np.random.default_rng(0)
-    joints = random_joints(qiao.nominal, 60, rng)
+    joints = random_joints(qiao.nominal, 120, rng)
     joints[:, 5] = 0.1
-    seen, again = (simulated_tracker(table_1, joints, rng) for _ in range(2))
-    found = calibrate(qiao, seen, test=again, choices=replace(PLAIN, frames="fitted"))
+    seen, others = (simulated_tracker(table_1, half, rng) for half in np.split(joints, 2))
+    found = calibrate(qiao, seen, test=others, choices=replace(PLAIN, frames="fitted"))
     assert 0 < len(found.as_dict()["lost_to_poses"]) <= 5
     assert found.quality.coverage.advice() in found.report() and found.quality.grade == "with care"
 

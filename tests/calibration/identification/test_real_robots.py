@@ -187,8 +187,8 @@ UR10 = {
 }
 """Columns, file, nominal and geometric RMS in mm: means over random fifths held out (one fifth scatters by 5 %).
 
-Of series B 291 poses were measured twice, 0.01 deg apart: with both on one side 0.460 mm are left of rows held out, where
-0.455 mm was said with a repeat of every fourth row among those trained on.
+Of series B 291 poses were measured twice, 0.01 deg apart: with both on one side 0.460 mm are left of rows held out,
+where 0.455 mm was said with a repeat of every third of them among those trained on.
 """
 
 
