@@ -13,7 +13,6 @@ from pickenv.bench.real_sets import RealSet
 from pickenv.bench.run_bench import BenchSettings, Part
 from pickenv.bench.spread_rows import cell
 from pickenv.calibration import Measurements
-from pickenv.calibration import Measurements
 
 
 def test_a_fold_is_of_the_rows_and_the_seeds_of_its_set_and_split(monkeypatch, tmp_path):
