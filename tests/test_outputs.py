@@ -173,6 +173,14 @@ def test_a_folder_in_place_of_a_file_is_refused_before_anything_is_computed(comm
     assert {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()} == here
 
 
+@pytest.mark.parametrize("place", ["/", ".", ".."])
+@pytest.mark.parametrize("kind", ["mjcf", "urdf", "table", "onnx"])
+def test_nothing_is_exported_in_place_of_a_folder(kind, place):
+    ended = CliRunner().invoke(app, ["export", "nothing.npz", "--as", kind, "--out", place])
+    assert isinstance(ended.exception, InputError)
+    assert str(ended.exception) == f"cannot write {place}: it is a folder; give the name of a file"
+
+
 def test_every_command_that_writes_files_is_asked():
     named = {option for _, option in writing_options()}
     assert named >= {"--json", "--out", "--report", "--lens-out", "--table"} and len(writing_options()) >= 25
