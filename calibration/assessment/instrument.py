@@ -15,6 +15,7 @@ import numpy as np
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.alignment import apart
 from pickenv.calibration.identification.least_squares import Identification, identify
+from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.observations import Observations, origins_of
@@ -131,3 +132,26 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
     note = "as the rows tell" if asked is None else f"as asked by --stations {asked}"
     heads = ("set-up", "files", "rows fitted", "its own base, away by", "its own tool, away by")
     return Block("Set-ups", heads, tuple(rows), f"{note}; base2_x and the like are parameters of set-up 2")
+
+
+def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Iterator[tuple[Literal["note"], str]]:
+    """A note on payloads, temperatures and torques that were recorded and change nothing that the model predicts.
+
+    Args:
+        model: The calibrated arm.
+        learnt: Whether a learnt residual takes payload and temperature.
+        data: Rows that it was fitted to.
+    """
+    known = {name: values for name, values in vars(data.conditions).items() if values is not None and len(values)}
+    before = model.pose(data.joints, data.conditions) if known else None
+    unused = [
+        name
+        for name, values in known.items()
+        if not (learnt and name != "torque")
+        and before is not None
+        and np.array_equal(
+            model.pose(data.joints, replace(data.conditions, **{name: values + 1.0})).position, before.position
+        )
+    ]
+    if unused:
+        yield "note", f"nothing that was fitted depends on what was recorded of {' and '.join(unused)} (see --terms)"

@@ -125,7 +125,7 @@ def checked_rows(
         robust: Whether rows far off are left out; else they are only listed.
 
     Returns:
-        Both sets, and the rows far off, the farthest first.
+        Both sets, and the rows far off, the farthest first. A few held-out rows that are all far off stay, and judge.
 
     Raises:
         InputError: If the held-out rows come from another set-up.
@@ -143,6 +143,8 @@ def checked_rows(
         return train, test, ()
     if len(test.joints) >= FEW and 2 * len(far[1]) > len(test.joints):
         raise InputError(_other_set_up(arm, found, train, test))
+    if len(sets) > 1 and len(far[1]) == len(test.joints):
+        far[1] = far[1][:0]  # not these rows are far off, but what so few told; and nothing else is there to judge by
     listed: list[LeftOut] = []
     for data, size, rows in zip(sets, sizes, far, strict=True):
         listed += _far_rows(arm, found, data, size, rows, held_out=data is test, kept=not robust)
@@ -150,7 +152,7 @@ def checked_rows(
         train = train.weighed(found.sizes.scales[train.first_channels()].tolist())
         sets = (train, *sets[1:])
     if robust:
-        near = [np.flatnonzero(size.sigma <= OUTLIER_SIGMA) for size in sizes]
+        near = [np.setdiff1d(np.arange(len(data.joints)), rows) for data, rows in zip(sets, far, strict=True)]
         left = [data.select(rows) for data, rows in zip(sets, near, strict=True)]
         train, test = left[0], left[1] if len(sets) > 1 else test
     return train, test, tuple(sorted(listed, key=lambda item: -(item.sigma or 0.0)))

@@ -9,10 +9,11 @@ import numpy as np
 from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.base_frame import base_frame_error
-from pickenv.calibration.assessment.instrument import said_of_instruments
+from pickenv.calibration.assessment.instrument import said_of_conditions, said_of_instruments
 from pickenv.calibration.assessment.quality import grade_quality
 from pickenv.calibration.assessment.workspace import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut, said_of_files, said_of_rows, said_of_stations
+from pickenv.calibration.identification.rows import said_of_repeats
 from pickenv.calibration.identification.starts import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.finished_poses import CARRIER
@@ -121,10 +122,12 @@ def assess(
             blocks=test.rows_of_misses if held_out.blocks is None else held_out.blocks,
             noise=noise,
             said=(
+                *said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
                 *said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
                 *said_of_files(left_out, (train, test)),
                 *said_of_stations(bare.identification, train),
                 *said_of_instruments(model, bare.identification, train),
+                *said_of_conditions(fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train),
             ),
             unit=train.miss_unit,
             rows=(len(test.joints), held_out.rows),

@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.splits import BLOCKS, Rows, equally_spaced
+from pickenv.calibration.model.splits import BLOCKS, Rows, equally_spaced, same_poses
 
 ANCHORS = 400
 """Poses that a calibration keeps at most; each stands for the held-out poses nearest to it."""
@@ -164,12 +164,17 @@ def within95(
         squares: Squared errors ``(R,)``.
         variance: What the parameters' uncertainty adds to each expected square ``(R,)``.
         slides: Which joints slide.
-        blocks: The block of each error; contiguous tenths where there are none.
+        blocks: The block of each error; contiguous tenths of the poses where there are none.
     """
     count = len(squares)
     if count < 2 * BLOCKS:
         return None
-    blocks = np.arange(count) * BLOCKS // count if blocks is None else np.unique(blocks, return_inverse=True)[1]
+    if blocks is None:
+        poses = same_poses(joints)
+        blocks = poses * BLOCKS // (int(poses.max()) + 1)
+    blocks = np.unique(blocks, return_inverse=True)[1]
+    if not blocks.any():
+        return None
     ratio, expected = np.zeros(count), np.zeros(count)
     for block in range(int(blocks.max()) + 1):
         here = blocks == block

@@ -22,7 +22,7 @@ from pickenv.calibration.model.error_model import ErrorModel, frames_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Equations, origins_of
 from pickenv.calibration.model.prior import Prior
-from pickenv.calibration.model.splits import Rows, equally_spaced
+from pickenv.calibration.model.splits import Rows, equally_spaced, same_poses
 from pickenv.calibration.model.stacked import OWN
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.planning.exchange import exchange
@@ -51,7 +51,7 @@ class Restationed:
     Attributes:
         calibration: The calibration, with the base and tool of this station.
         used: Rows that these were found from.
-        rest: All others.
+        rest: All rows of other poses.
         expected: Mean square that the errors there should have ``(R,)``, m^2: what the calibration leaves elsewhere,
             and what the frames are uncertain by.
         moved: How far base and tool lie from where they were, by name: m and rad.
@@ -124,7 +124,8 @@ def restationed(
     # Expected where they were found, what rows tell is pulled by nothing, and what they do not tell still stays.
     settled: list[Equations] = [few, replace(before, reference=near)]
     there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
-    rest = np.setdiff1d(np.arange(len(data)), used)
+    poses = same_poses(data.joints)
+    rest = np.flatnonzero(~np.isin(poses, poses[used]))
     elsewhere = there.jacobian(data.joints[rest], data.conditions.select(rest))[:, :3][..., model.columns] * std
     told = few.jacobian(there, np.zeros(0))[0][:, model.columns] * std
     # In shares of the standard deviations before, with rows in standard uncertainties.

@@ -19,7 +19,7 @@ from pickenv.arm import Arm
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.posterior import solve
-from pickenv.calibration.identification.rows import choose
+from pickenv.calibration.identification.rows import choose, refuse_trained
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.finished_poses import CARRIER
@@ -27,7 +27,7 @@ from pickenv.calibration.model.measurements import FRAMES, Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, PriorModel, prior_model
-from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
+from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced, pose_count, same_poses
 from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.assess import assess
@@ -53,14 +53,14 @@ GATE_ROWS = 3000
 """Residual models are judged on so many training rows at most, taken evenly."""
 
 ENOUGH_FOR_BLOCKS = 40
-"""Fewer training rows than this are not enough to hold blocks out of."""
+"""Fewer training poses than this are not enough to hold blocks out of."""
 
 GEOMETRY = "geometry"
 
 SPLITS = ("random", "blocked")
 
 FEW_VIEWS, FEW_ROWS = 60, 20
-"""So many pictures, or rows, are judged one by one, each by a fit to all others."""
+"""So many pictures, or poses, are judged one by one, each by a fit to those of all other poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +159,9 @@ def calibrate(
 
     Raises:
         InputError: Names the file, row, column, unit or joint at fault: if a file cannot be read, rows are not numbers
-            or not of one kind, the data do not fit the arm, rows are far off, held out or not, or show too few
-            parameters, a name is unknown, an option does not apply to this kind of measurement, or the identification
-            does not converge.
+            or not of one kind, rows to judge by were trained on, the data do not fit the arm, rows are far off, held
+            out or not, or show too few parameters, a name is unknown, an option does not apply to this kind of
+            measurement, or the identification does not converge.
     """
     choices = choices or Choices()
     arm = given_arm(arm, columns)
@@ -174,7 +174,7 @@ def calibrate(
         train = with_lens(train, choices.lens)
     if choices.refit and test is None:
         raise InputError("--refit is for rows of another station; give them with --test")
-    few = isinstance(train, Measurements) and len(train) < ENOUGH_FOR_BLOCKS and test_rows is None
+    few = isinstance(train, Measurements) and pose_count(train.joints) < ENOUGH_FOR_BLOCKS and test_rows is None
     if test is None and (split == "blocked" or few or isinstance(train, PixelObservations)):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
@@ -186,6 +186,7 @@ def calibrate(
     else:
         like = None if choices.refit else train
         held_out, _ = given_rows(arm, test, columns, stations, known=known or bool(choices.refit), like=like)
+        refuse_trained(train, held_out)
     if choices.refit:
         draft = _through(STAGES, Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
         return replace(_judged_elsewhere(draft, held_out), floor=floor, unit=unit, stations=stations)
@@ -261,11 +262,10 @@ def _judged_elsewhere(draft: Draft, test: Observations) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """Rows to fit and rows held out, block by block; of few pictures, or very few rows, each is a block."""
-    count = len(train.joints)
-    if count <= (FEW_VIEWS if isinstance(train, PixelObservations) else FEW_ROWS):
-        return [(np.delete(np.arange(count), view), np.array([view])) for view in range(count)]
-    return contiguous_folds(train.groups, BLOCKS)
+    """Rows to fit and rows held out, block by block; of few pictures, or very few poses, each is a block."""
+    poses, count = same_poses(train.joints), pose_count(train.joints)
+    few = count <= (FEW_VIEWS if isinstance(train, PixelObservations) else FEW_ROWS)
+    return contiguous_folds(train.groups, poses, count if few else BLOCKS)
 
 
 def _chosen(checked: Draft, rows: Rows) -> str | None:
@@ -339,7 +339,7 @@ def _add_terms(draft: Draft) -> Draft:
     if draft.choices.terms != "auto":
         terms = terms_of(draft.choices.terms, draft.arm, bare, draft.train)
     else:
-        if len(draft.train.joints) >= ENOUGH_FOR_BLOCKS and draft.arm.name != CARRIER:
+        if pose_count(draft.train.joints) >= ENOUGH_FOR_BLOCKS and draft.arm.name != CARRIER:
             choice = choose_terms(draft.arm, bare, draft.train)
         terms = () if choice is None else choice.terms
     while terms:
@@ -364,7 +364,7 @@ def _learn(draft: Draft) -> Draft:
     if train is None or choices.residual == "none":
         return draft
     selected: str | None = None
-    if len(train) >= ENOUGH_FOR_BLOCKS:
+    if pose_count(train.joints) >= ENOUGH_FOR_BLOCKS:
         names = tuple(FITTERS) if choices.residual == "auto" else (choices.residual,)
         draft = replace(draft, gate=_verdicts(draft, train, names))
         selected = draft.gate.selected if draft.gate else None

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pickenv.calibration.assessment.states import HELD, LOST, MEASURED, States, parameter_states
 from scipy import stats
 
 from pickenv.arm import forward, parameter_jacobian
@@ -16,7 +17,6 @@ from pickenv.calibration.assessment.quality import (
     grade_quality,
 )
 from pickenv.calibration.assessment.screen import Block, figure, is_number, main_parts, unit_of
-from pickenv.calibration.assessment.states import HELD, LOST, MEASURED, States, parameter_states
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import frames_model, with_terms
 from pickenv.calibration.model.identifiability import Dropped, Identifiability

@@ -132,7 +132,7 @@ def test_other_kinds_of_measurement_are_judged_in_blocks_too(qiao):
 def test_what_cannot_be_blocked_is_refused(dynamic, data):
     with pytest.raises(InputError, match="--test-rows is for the random split"):
         calibrate(dynamic.arm, data, split="blocked", test_rows=20, choices=PLAIN)
-    with pytest.raises(InputError, match="9 rows cannot be cut into 10 folds"):
+    with pytest.raises(InputError, match="9 rows of 9 poses cannot be cut into 10 folds; measure at least 10"):
         calibrate(dynamic.arm, data.select(np.arange(9)), split="blocked", choices=PLAIN)
 
 
