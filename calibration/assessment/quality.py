@@ -17,12 +17,10 @@ from scipy import stats
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.workspace import SURE, Workspace
-from pickenv.calibration.identification.alignment import apart
 from pickenv.calibration.identification.least_squares import Identification, is_angle
 from pickenv.calibration.model.identifiability import Identifiability
 from pickenv.calibration.model.observability import Observability, observability_of
 from pickenv.calibration.model.observations import MISS_UNITS
-from pickenv.calibration.model.prior import ANGLES, LENGTHS
 
 CORRELATED = 0.9
 """Parameters whose estimates correlate more than this are hard to tell apart."""
@@ -38,13 +36,6 @@ SIGNIFICANCE = 0.05
 
 SAME = 1e-9
 """Gains are all equal where they vary by no more than this part of the largest: by roundings."""
-
-PART_OFF, FRAME_OFF = 8.0, 4.0
-"""A link, or a frame said to be known, farther from its drawing than so many standard deviations of its class is none
-of that class. Eight measured series of six arms keep below 6.1; a UR5e's rows given as a UR5's have 20."""
-
-SURE_BY = 2.0
-"""It is surely so far where that many of its own standard deviations are taken off."""
 
 ALIKE = 1.2
 """Errors that differ by less than this factor are alike."""
@@ -288,7 +279,6 @@ def grade_quality(
         "fail": [*_failures(found, before, after, unlearnt, workspace, blocks, unit, count, called)],
         "caution": [
             *beyond,
-            *contradictions(bare),
             *_hidden(before, after, workspace, blocks, unit, count, called),
             *_cautions(found, trained, unlearnt, workspace, unit),
         ],
@@ -417,35 +407,6 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
     if now < ALIKE * was:
         return "the arm is as good as this instrument can tell; keep the drawing, or measure with less noise"
     return "the rows held out are of another arm or set-up than those fitted; check which rows belong together"
-
-
-def contradictions(found: Identification) -> Iterator[str]:
-    """What stands against what was expected: parts farther from the drawing than those of their class can be."""
-    prior = found.prior
-    if prior is None or not prior.proper:
-        return
-    names, change = prior.parameters.names, prior.start.difference(found.arm_model)[prior.parameters.columns]
-    known = dict(zip(found.identifiability.names, np.nan_to_num(found.standard_deviation), strict=True))
-    least = np.abs(change) - SURE_BY * np.array([known[name] for name in names])
-    sizes = np.where(np.isin(prior.group, (LENGTHS, ANGLES)), least / prior.std, 0.0)
-    frame = np.array([name.startswith(("base_", "tool_")) for name in names])
-    for which in ("base", "tool"):
-        here = np.array([name.startswith(which) for name in names])
-        if sizes[here].max(initial=0.0) > FRAME_OFF:
-            metres, angle = apart(getattr(found.geometry, which), getattr(prior.start.geometry, which))
-            yield (
-                f"the {which} is said to be known, but by these rows it is off by {metres * 1e3:.3g} mm and "
-                f"{np.degrees(angle):.2g} deg, as far as links do not take part of that; give --frames fitted, or "
-                "correct it in the arm's file"
-            )
-    worst = int(np.argmax(np.where(frame, 0.0, sizes)))
-    if not frame[worst] and sizes[worst] > PART_OFF and not sizes[frame].max(initial=0.0) > FRAME_OFF:
-        name = names[worst]
-        shown = f"{np.degrees(change[worst]):.3g} deg" if is_angle(name) else f"{change[worst] * 1e3:.3g} mm"
-        yield (
-            f"{name} lies {shown} from its drawing, {sizes[worst]:.0f} times what parts of {prior.source} differ by: "
-            "these rows may be of another arm than the one named; check the arm, or name its class with --tolerances"
-        )
 
 
 def _chance(before: Array, after: Array, blocks: NDArray[np.int64] | None) -> float:

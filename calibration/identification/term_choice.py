@@ -64,7 +64,7 @@ def identify_terms(
         known: Whether base and tool are known, where ``bare`` was identified without priors.
     """
     model = bare.prior or prior_model("", bare.geometry, known=known, fit="full")
-    return solve(model.with_terms(terms), observations)
+    return solve(model.with_terms(terms), observations, near=bare)
 
 
 def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> TermChoice:

@@ -9,6 +9,7 @@ import numpy as np
 from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.base_frame import base_frame_error
+from pickenv.calibration.assessment.contradictions import said_against
 from pickenv.calibration.assessment.instrument import said_of_conditions, said_of_instruments
 from pickenv.calibration.assessment.quality import grade_quality
 from pickenv.calibration.assessment.workspace import workspace_error
@@ -122,6 +123,7 @@ def assess(
             blocks=test.rows_of_misses if held_out.blocks is None else held_out.blocks,
             noise=noise,
             said=(
+                *said_against(bare.identification, train),
                 *said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
                 *said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
                 *said_of_files(left_out, (train, test)),
