@@ -208,7 +208,7 @@ def _of_pictures(
         remains = square - 2.0 * np.sum(mean * right, axis=1) + np.einsum("nij,nji->n", gram, second)
         for each in np.unique(channel):
             here = channel == each
-            sizes[each] = max(float(np.sqrt(remains[here].sum() / count[here].sum())), 1e-9)
+            sizes[each] = np.sqrt((STATED + remains[here].sum()) / (STATED + count[here].sum()))
         white = sizes[channel] ** 2
     shared = []
     for at, each in zip(places, channel, strict=True):
