@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import gymnasium as gym
 import numpy as np
 import pytest
+from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from typer.testing import CliRunner
 
 import pickenv  # noqa: F401 - registers the environments
@@ -16,7 +17,6 @@ from pickenv.arm import forward, load_arm
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.calibration import Calibration, Measurements, fit, random_joints, read_measurements, simulated_tracker
-from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.choices import Choices
