@@ -41,7 +41,6 @@ FURTHER = (
     "How far errors go",
     "Rows left out",
     "Rows far off, and kept",
-    "Fitted",
     "Views left out",
     "Views far off, and kept",
     "Further terms",
@@ -78,16 +77,11 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     train, test = result.train, result.test
     blocks = {block.title: block for block in result.blocks()}
     further = [Section(block.title, [_table(block)]) for title in FURTHER if (block := blocks.get(title))]
-    lost = blocks.get("Lost in others")
     sections = (
         _errors(result, blocks),
         _reprojection(result),
         *further,
         _parameters(result),
-        Section(
-            "Parameters lost in others",
-            [Folded(f"{len(lost.rows)} parameters, and what absorbs them", [_table(lost, "code")]) if lost else None],
-        ),
         _poses(result, train),
         Section("Evidence", [{row[0]: row[1] for row in blocks["Evidence"].rows}]),
     )
