@@ -206,7 +206,7 @@ def _reprojection(r: Result) -> Section:
 def _parameters(r: Result) -> Section:
     joints, links = r.arm.nominal.joint_names, r.arm.nominal.link_names
     combinations = base_combinations(r.fit.identification.identifiability)
-    every, own = r.parameters(), r.fit.identification.unknowns
+    every, own = r.plain_parameters(), r.fit.identification.unknowns
     limits: dict[str, float] = {}
     for row in every:
         if not row["name"].startswith("base_") and row["name"] not in own:
@@ -233,7 +233,7 @@ def _parameters(r: Result) -> Section:
         "What moved",
         (
             _sentence(r.prior_text),
-            table(f"{len(moved)} parameters moved by more than {SIGMAS:g} sigma", moved) if moved else "",
+            table(f"{len(moved)} of {len(every)} parameters moved by more than {SIGMAS:g} sigma", moved) if moved else "",
             *([Folded(folded, [table(folded, stayed)])] if stayed else []),
         ),
         "Calibrated minus nominal, with one standard uncertainty (±); bars show the change and a whisker of two "
