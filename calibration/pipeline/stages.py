@@ -207,6 +207,8 @@ def _judged_by_blocks(draft: Draft) -> Result:
     """
     checked = _check(draft)
     whole = _through(STAGES[1:], checked)
+    if len(checked.train.joints) < 2:
+        raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give --test")
     folds = _folds(checked.train)
     chosen = [_chosen(checked, np.sort(np.concatenate([held for _, held in folds[1 - i :: 2]]))) for i in range(2)]
     seeds = np.random.SeedSequence(draft.choices.seed).spawn(len(folds))

@@ -233,7 +233,9 @@ def _parameters(r: Result) -> Section:
         "What moved",
         (
             _sentence(r.prior_text),
-            table(f"{len(moved)} of {len(every)} parameters moved by more than {SIGMAS:g} sigma", moved) if moved else "",
+            table(f"{len(moved)} of {len(every)} parameters moved by more than {SIGMAS:g} sigma", moved)
+            if moved
+            else "",
             *([Folded(folded, [table(folded, stayed)])] if stayed else []),
         ),
         "Calibrated minus nominal, with one standard uncertainty (±); bars show the change and a whisker of two "
