@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.assessment.workspace import SURE, Workspace
+from pickenv.calibration.assessment.expected_errors import SURE, Workspace
 from pickenv.calibration.identification.least_squares import Identification, is_angle
 from pickenv.calibration.model.identifiability import Identifiability
 from pickenv.calibration.model.observability import Observability, observability_of
@@ -45,8 +45,8 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 MANY_NOISES = 20.0
 """What remains may be so many times the stated noise before something else than noise must be at work."""
 
-ENOUGH = 3
-"""Fewer held-out rows than this judge nothing."""
+ENOUGH, SEVERAL = 3, 10
+"""Fewer held-out rows than the first judge nothing, and fewer than the second contradict nothing."""
 
 Grade = Literal["good", "with care", "do not use"]
 Weight = Literal["fail", "caution", "note"]
@@ -324,7 +324,7 @@ def _failures(
 ) -> Iterator[str]:
     if not found.converged:
         yield "the identification did not converge, so its parameters mean nothing"
-    if before is None or count < ENOUGH or not _told(before, after, workspace, blocks):
+    if before is None or not _told(before, after, workspace, blocks, count):
         because = "" if before is None else _cause(found, before, after, unlearnt, unit)
         yield from no_gain(before, after, blocks, unit, count, called, because)
 
@@ -368,9 +368,11 @@ def _undecided(before: Array, after: Array, blocks: NDArray[np.int64] | None) ->
     return _rms(after, "mm") >= _rms(before, "mm") or _chance(before, after, blocks) > SIGNIFICANCE
 
 
-def _told(before: Array, after: Array, workspace: Workspace | None, blocks: NDArray[np.int64] | None) -> bool:
-    """Whether all rows together say so at the poses measured, and those held out do not contradict it."""
-    sure = workspace is not None and workspace.measured.better >= SURE
+def _told(
+    before: Array, after: Array, workspace: Workspace | None, blocks: NDArray[np.int64] | None, count: int
+) -> bool:
+    """Whether all rows together say so at the poses measured, and several held out do not contradict it."""
+    sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
     return sure and _chance(after, before, blocks) > SIGNIFICANCE
 
 
@@ -384,9 +386,9 @@ def _hidden(
     called: str,
 ) -> Iterator[str]:
     """A gain that the scatter of single rows hides."""
-    if before is None or count < ENOUGH or workspace is None:
+    if before is None or workspace is None:
         return
-    if _undecided(before, after, blocks) and _told(before, after, workspace, blocks):
+    if _undecided(before, after, blocks) and _told(before, after, workspace, blocks, count):
         here = workspace.measured
         yield (
             f"on {count} held-out {called} scatter ({_rms(after, unit):#.4g} {unit} RMS) hides what all rows together "

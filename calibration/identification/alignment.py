@@ -24,6 +24,9 @@ from pickenv.threads import single_threaded
 MISFIT = 0.2
 """Errors above this share of the positions' spread, or this many rad, are no arm's: the data mean something else."""
 
+SPAN = 0.1
+"""Positions that spread less than this, m, are judged as if they did: few and close ones are still of the arm."""
+
 GOOD = 0.05
 """A fit that misses by less than this share of the spread needs no further starts."""
 
@@ -156,13 +159,14 @@ def refuse_another_arm(
         nominal: The arm with its own tool, where ``geometry`` has a fitted one.
 
     Raises:
-        InputError: If positions miss by more than `MISFIT` of their spread, or attitudes by more than `MISFIT` rad.
+        InputError: If positions miss by more than `MISFIT` of their spread, which counts as `SPAN` at least, or
+            attitudes by more than `MISFIT` rad.
     """
     if len(measurements) < 3:
         return  # no spread to speak of; `identify` says how many poses are needed
     position, turn = misfit(geometry, measurements)
-    if position > MISFIT:
-        spread = float(np.linalg.norm(measurements.position.std(axis=0)))
+    spread = float(np.linalg.norm(measurements.position.std(axis=0)))
+    if position * spread > MISFIT * max(spread, SPAN):
         own = float(np.linalg.norm(forward(nominal or geometry, measurements.joints).position.std(axis=0)))
         ratio = spread / max(own, 1e-12)
         if not 0.05 < ratio < 20:

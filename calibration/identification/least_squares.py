@@ -21,7 +21,7 @@ from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.gauge import identifiable_parameters
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability, identifiability
 from pickenv.calibration.model.measurements import Measurements, random_joints
-from pickenv.calibration.model.noise import Noise
+from pickenv.calibration.model.noise import RowNoise
 from pickenv.calibration.model.observations import Equations, Imaginable
 from pickenv.calibration.model.prior import PriorModel
 from pickenv.errors import InputError
@@ -77,7 +77,7 @@ class Identification:
     poses: int
     kind: str
     prior: PriorModel | None = None
-    noise: Noise | None = None
+    noise: RowNoise | None = None
 
     @property
     def geometry(self) -> Geometry:
@@ -169,7 +169,7 @@ def identify(
         data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
         max_iterations: Steps at most, until the rank is judged once more and after it; three or four are usual.
         whiten: Weighs stated rows ``(rows, ...)``, in the order of the data, anew: robust weights, or noise that was
-            found (`pickenv.calibration.model.noise.Noise.whiten`).
+            found (`pickenv.calibration.model.noise.RowNoise.whiten`).
         rank_tolerance: What counts as redundant, see `pickenv.calibration.model.identifiability.REDUNDANCY_TOLERANCE`.
         every: Whether every parameter has a prior among the data: then all are kept, and the covariance is that of the
             posterior, for rows whitened to unit variance.

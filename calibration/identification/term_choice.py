@@ -15,7 +15,7 @@ from pickenv.arm import Arm
 from pickenv.calibration.identification.block_equations import BlockEquations, Linearised, Places, solved
 from pickenv.calibration.identification.harmonics import chosen_orders, every_order, nearby, refined
 from pickenv.calibration.identification.least_squares import Identification
-from pickenv.calibration.identification.posterior import solve
+from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import Term
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import prior_model

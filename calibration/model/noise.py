@@ -67,7 +67,7 @@ class SharedPose(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class RowNoise:
     """What equations scatter by, in stated standard uncertainties.
 
     Attributes:
@@ -98,13 +98,13 @@ class Noise:
         return white
 
 
-def stated_noise(data: Observations) -> Noise:
+def stated_noise(data: Observations) -> RowNoise:
     """The noise as stated, nothing shared."""
     rows, channels = data.equations()
-    return Noise(np.ones(len(rows)), np.ones(int(channels.max(initial=0)) + 1))
+    return RowNoise(np.ones(len(rows)), np.ones(int(channels.max(initial=0)) + 1))
 
 
-def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Array) -> Noise:
+def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Array) -> RowNoise:
     """The noise of rows about a model fitted to them.
 
     Args:
@@ -128,14 +128,14 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
         return _of_pictures(data, model, unknowns, residual, rows, many, leverage, scatter, sizes)
     share, length = _alike(data.joints, residual / scatter, rows)
     if not share:
-        return Noise(scatter, sizes)
+        return RowNoise(scatter, sizes)
     like = neighbours(data.joints, length)
     order = np.argsort(like)
     facts = np.cumsum(1.0 / like[order])
     usual = like[order][np.searchsorted(facts, USUAL * facts[-1])]
     common = 1.0 - share + share * usual
     closer = np.maximum((1.0 - share + share * like) / common, 1.0)
-    return Noise(np.where(own, scatter * np.sqrt(closer)[rows], 1.0), sizes, share, length, common)
+    return RowNoise(np.where(own, scatter * np.sqrt(closer)[rows], 1.0), sizes, share, length, common)
 
 
 def neighbours(joints: Array, length: float) -> Array:
@@ -184,7 +184,7 @@ def _of_pictures(
     leverage: Array,
     scatter: Array,
     sizes: Array,
-) -> Noise:
+) -> RowNoise:
     """Where rows have many equations: each channel's own scatter, and the pose's error that they share."""
     tool = tool_columns(data, model, unknowns)
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
@@ -216,7 +216,7 @@ def _of_pictures(
         basis, strength, _ = np.linalg.svd(tool[at] * np.sqrt(pose) / sizes[each], full_matrices=False)
         shared.append(SharedPose(at, basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)))
     std = float(np.sqrt(pose[0])), float(np.sqrt(pose[3]))
-    return Noise(scatter, sizes, shared=tuple(shared), pose_std=std)
+    return RowNoise(scatter, sizes, shared=tuple(shared), pose_std=std)
 
 
 def tool_columns(data: Observations, model: ArmModel, unknowns: Array) -> Array:

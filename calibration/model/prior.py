@@ -187,8 +187,7 @@ def prior_model(
     angle = geometry.parameter_is_angle[parameters.columns]
     std = np.where(group == FRAMES, np.where(angle, FRAME_STD[1], FRAME_STD[0]), std)
     scales = {} if scale is None else dict.fromkeys(MADE, scale)
-    said = f"tolerance class {made.name}" + ("" if scale is None else f", times {scale:g}")
-    return PriorModel(parameters, start, std, group, said, scales)
+    return PriorModel(parameters, start, std, group, f"tolerance class {made.name}", scales)
 
 
 def expected_sizes(model: ArmModel) -> Array:

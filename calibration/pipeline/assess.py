@@ -10,9 +10,9 @@ from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.base_frame import base_frame_error
 from pickenv.calibration.assessment.contradictions import said_against
+from pickenv.calibration.assessment.expected_errors import workspace_error
 from pickenv.calibration.assessment.instrument import said_of_conditions, said_of_instruments
 from pickenv.calibration.assessment.quality import grade_quality
-from pickenv.calibration.assessment.workspace import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut, said_of_files, said_of_rows, said_of_stations
 from pickenv.calibration.identification.rows import said_of_repeats
 from pickenv.calibration.identification.starts import fitted_model

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, forward
-from pickenv.calibration.identification.alignment import MISFIT, align, refuse_another_arm
+from pickenv.calibration.identification.alignment import MISFIT, SPAN, align, refuse_another_arm
 from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.identification.posterior import solve
 from pickenv.calibration.identification.rows import unknowns_of
+from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.starts import rough_start
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.error_model import frames_model
@@ -194,7 +194,7 @@ def _refuse_misfit(found: Identification, data: Observations) -> None:
         span = float(np.linalg.norm(tool - tool.mean(axis=0), axis=1).max())
     if data.miss_unit == "deg":
         span = 1.0
-    if rms > MISFIT * max(span, 0.1):
+    if rms > MISFIT * max(span, SPAN):
         missed = f"{rms * MISS_UNITS[data.miss_unit]:.0f} {data.miss_unit}"
         raise InputError(
             f"{data.source}: after fitting the frames the arm still misses by {missed} RMS; check the arm, the units, "

@@ -335,9 +335,12 @@ class Result:
             )
         return rows
 
+    def plain_parameters(self) -> list[dict[str, Any]]:
+        """Those of `parameters` without a table of their own, as harmonics and stiffnesses have."""
+        return [row for row in self.parameters() if not row["name"].startswith(("periodic", "compliance"))]
+
     def _parameters(self) -> Block:
-        every = [row for row in self.parameters() if not row["name"].startswith(("periodic", "compliance"))]
-        rows = []
+        every, rows = self.plain_parameters(), []
         for row in every:
             told = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
             if has_moved(row):

@@ -18,8 +18,8 @@ import numpy as np
 from pickenv.arm import Arm
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification
-from pickenv.calibration.identification.posterior import solve
 from pickenv.calibration.identification.rows import choose, refuse_trained
+from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.finished_poses import CARRIER
@@ -225,6 +225,8 @@ def _judged_by_blocks(draft: Draft) -> Result:
     """
     checked = _check(draft)
     whole = _through(STAGES[1:], checked)
+    if len(checked.train.joints) < 2:
+        raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give --test")
     folds = _folds(checked.train)
     chosen = [_chosen(checked, np.sort(np.concatenate([held for _, held in folds[1 - i :: 2]]))) for i in range(2)]
     seeds = np.random.SeedSequence(draft.choices.seed).spawn(len(folds))

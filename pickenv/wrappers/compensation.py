@@ -152,7 +152,7 @@ def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:
 def _install(seams: Sequence[Any], compensator: Compensate, allow: Collection[str]) -> None:
     obey(getattr(compensator, "reservations", {}), allow)
     if (caution := getattr(compensator, "caution", None)) is not None:
-        gym.logger.warn(caution)
+        gym.logger.warn("%s", caution)  # a "%" in it is no format
     for seam in seams:
         if not hasattr(seam, "compensator"):
             raise InputError(f"{type(seam).__name__} has no compensation seam; wrap a pickenv environment")

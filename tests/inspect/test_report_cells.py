@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pickenv.calibration.assessment.states import HELD, MEASURED
 
 from pickenv.arm import load_plant, noncompensable_error
-from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.calibration import Choices, calibrate, fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.assess import assess
@@ -220,7 +219,12 @@ def results() -> dict[str, Result]:
     train, test, more = (simulated_tracker(plant, random_joints(plant.arm.nominal, n, rng), rng) for n in (60, 40, 150))
     bare, held = train.positions_only(), test.positions_only()
     return {
-        "poses": assess(plant.arm, fit(plant.arm, train), replace(train, source="folder/data.csv"), test),
+        "poses": calibrate(
+            plant.arm,
+            replace(train, source="folder/data.csv"),
+            test=test,
+            choices=Choices(terms="none", residual="none", frames="fitted"),
+        ),
         "positions": assess(plant.arm, fit(plant.arm, bare), bare, held),
         "residual": assess(plant.arm, fit(plant.arm, train, more, residual="rbf", rng=rng), train, test),
     }
@@ -251,12 +255,12 @@ def test_a_calibrations_page_cell_by_cell(kind: str, results: dict[str, Result])
     first, middle, frames = page.verdict.text.split("\n")
     assert middle == sentence and frames[:1].isupper() and frames.endswith(".")
     assert first.endswith(matters(f"an arm with these errors ({r.arm.name})", pick_changes(mm[NOMINAL], last)))
-    states = list(r.quality.states.geometry.values())
+    seen = r.geometric.identification
     noise = r.quality.completeness
     assert list(page.tiles.items())[:3] == [
         ("mean position error, nominal → calibrated", f"{figure(mm[NOMINAL].mean())} → {figure(last.mean())} mm"),
         ("95 of 100 poses are better than this", f"{figure(np.percentile(last, 95))} mm"),
-        ("parameters of the geometry measured", f"{states.count('measured')} of {len(states)}"),
+        ("parameters that the rows tell", f"{seen.spent:.1f} of {len(seen.identifiability.names)}"),
     ]
     assert list(page.tiles.values())[3] == f"{np.sqrt(noise.reduced):.2g} ×"
     _, drawing, axes = parts_of(page, "Errors on held-out rows")
@@ -278,30 +282,27 @@ def test_a_calibrations_page_cell_by_cell(kind: str, results: dict[str, Result])
 
 def test_what_moved_is_told_with_its_bar(results: dict[str, Result]) -> None:
     r = results["poses"]
-    states, *rest = parts_of(built(lambda: calibration_report.calibration_page(r)), "What moved")
+    expected, *rest = parts_of(built(lambda: calibration_report.calibration_page(r)), "What moved")
     tables = [part.parts[0] if isinstance(part, Folded) else part for part in rest]
     rows = {row["name"]: row for row in r.parameters()}
-    measured = {name: row for name, row in rows.items() if row["state"] == MEASURED}
     limits: dict[str, float] = {}
-    for name, row in measured.items():
+    for name, row in rows.items():
         if not name.startswith("base_"):
             limits[row["unit"]] = max(limits.get(row["unit"], 0.0), abs(row["change"]) + 2 * row["std"])
-    told = [name for name, row in measured.items() if abs(row["change"]) > 2 * row["std"]]
-    stayed = [name for name in measured if name not in told]
-    groups = [(f"{len(told)} parameters moved by more than 2 sigma", told)]
-    groups += [(f"{len(stayed)} measured, and within 2 sigma of the nominal value", stayed)]
-    held = [name for name, row in rows.items() if row["state"] == HELD]
-    groups += [(f"{len(held)} held by their prior: the data tell little of them", held)]
+    moved = [name for name, row in rows.items() if abs(row["change"]) > 2 * row["std"]]
+    stayed = [name for name in rows if name not in moved]
+    groups = [(f"{len(moved)} of {len(rows)} parameters moved by more than 2 sigma", moved)]
+    groups += [(f"{len(stayed)} within 2 sigma of the nominal value", stayed)]
     groups = [(caption, names) for caption, names in groups if names]
     assert [(table.caption, [row[0] for row in table.rows]) for table in tables] == groups
     for table in tables:
-        assert table.heads == ("parameter", "meaning", "change ± uncertainty", "drawn", "stands for")
-        for name, _, said, bar, absorbed in table.rows:
+        assert table.heads == ("parameter", "meaning", "change ± uncertainty", "drawn", "told by the rows")
+        for name, _, said, bar, told in table.rows:
             row = rows[name]
             assert said == f"{figure(row['change'])} ± {figure(row['std'])} {row['unit']}"
             assert bar == Bar(row["change"], row["std"], pytest.approx(limits[row["unit"]]))
-            assert absorbed != name
-    assert any("+" in row[4] for table in tables for row in table.rows) and states.endswith(".")
+            assert told == f"{100 * row['narrowed']:.0f} %"
+    assert expected == f"{r.prior_text[:1].upper()}{r.prior_text[1:]}."
 
 
 def test_bars_have_a_scale_of_their_unit_or_of_their_own(
@@ -309,21 +310,23 @@ def test_bars_have_a_scale_of_their_unit_or_of_their_own(
 ) -> None:
     r = results["poses"]
     told = [
-        ("base_x", "mm", 0.0, 0.25, MEASURED),
-        ("base_y", "mm", -3.0, 0.25, MEASURED),
-        ("d2", "deg", 0.0, 0.0, HELD),
-        ("a1", "SI", 0.5, np.nan, MEASURED),
-        ("a2", "SI", -0.25, 0.5, MEASURED),
+        ("base_x", "mm", 0.0, 0.25, 0.9),
+        ("base_y", "mm", -3.0, 0.25, 0.9),
+        ("d2", "deg", 0.0, 0.5, 0.0),
+        ("a1", "SI", 0.5, np.nan, None),
+        ("a2", "SI", -0.25, 0.5, 0.996),
     ]
-    rows = [dict(zip(("name", "unit", "change", "std", "state"), row, strict=True)) for row in told]
+    rows = [dict(zip(("name", "unit", "change", "std", "narrowed"), row, strict=True)) for row in told]
     monkeypatch.setattr(Result, "parameters", lambda self: rows)
     _, *parts = parts_of(built(lambda: calibration_report.calibration_page(r)), "What moved")
     tables = [part.parts[0] if isinstance(part, Folded) else part for part in parts]
     assert {row[0]: row[3] for table in tables for row in table.rows} == {
-        "base_x": Bar(0.0, 0.25, 1.0), "base_y": Bar(-3.0, 0.25, 3.0), "d2": Bar(0.0, 0.0, 1.0),
+        "base_x": Bar(0.0, 0.25, 1.0), "base_y": Bar(-3.0, 0.25, 3.0), "d2": Bar(0.0, 0.5, 1.0),
         "a1": Bar(0.5, 0.0, 1.25), "a2": Bar(-0.25, 0.5, 1.25),
     }  # fmt: skip
-    assert [len(table.rows) for table in tables] == [1, 3, 1]
+    assert [len(table.rows) for table in tables] == [1, 4]
+    cells = {row[0]: row[4] for table in tables for row in table.rows}
+    assert cells == {"base_x": "90 %", "base_y": "90 %", "d2": "0 %", "a1": "", "a2": "100 %"}
 
 
 def test_other_rows_blocks_and_arms_are_named_as_what_they_are(results: dict[str, Result]) -> None:
@@ -343,8 +346,8 @@ def test_other_rows_blocks_and_arms_are_named_as_what_they_are(results: dict[str
 
 def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: pytest.MonkeyPatch) -> None:
     r = results["poses"]
-    advice, ranges, tables = parts_of(built(lambda: calibration_report.calibration_page(r)), "Were the poses good?")
-    assert advice.startswith("The poses tell all 24 parameters")
+    regions, ranges, tables = parts_of(built(lambda: calibration_report.calibration_page(r)), "Were the poses good?")
+    assert regions.rows == r.quality.workspace.block().rows and len(regions.rows) == 2
     seen = r.quality.observability
     told = [seen.condition, seen.o1, seen.o2, seen.o3, seen.o4, seen.o5]
     indices, _ = tables.parts
@@ -353,7 +356,7 @@ def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: py
     many = replace(r, quality=replace(r.quality, pairs=pairs))
     *_, tables = parts_of(built(lambda: calibration_report.calibration_page(many)), "Were the poses good?")
     assert tables.parts[1].rows == [("a1, d2", f"{0.987 - 0.01 * i:+.3f}") for i in range(8)]
-    none = replace(r, quality=replace(r.quality, pairs=[], coverage=None))
+    none = replace(r, quality=replace(r.quality, pairs=[], workspace=None))
     first, tables = parts_of(built(lambda: calibration_report.calibration_page(none)), "Were the poses good?")
     assert isinstance(first, Pair) and tables.parts[1] is None
     assert ranges.parts[0].name == "joint_ranges" and "Where the 60 fitted poses lie" in ranges.parts[0].caption

@@ -107,7 +107,7 @@ class _Recorder:
                 self._stream.flush(timeout_sec=PATIENCE)
                 self._stream.disconnect()
             except RuntimeError as error:
-                gym.logger.warn(f"a live viewer did not take the last steps: {error}")
+                gym.logger.warn("a live viewer did not take the last steps: %s", error)
             self._stream = None
 
     @property

@@ -41,7 +41,6 @@ FURTHER = (
     "How far errors go",
     "Rows left out",
     "Rows far off, and kept",
-    "Fitted",
     "Views left out",
     "Views far off, and kept",
     "Further terms",
@@ -78,16 +77,11 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     train, test = result.train, result.test
     blocks = {block.title: block for block in result.blocks()}
     further = [Section(block.title, [_table(block)]) for title in FURTHER if (block := blocks.get(title))]
-    lost = blocks.get("Lost in others")
     sections = (
         _errors(result, blocks),
         _reprojection(result),
         *further,
         _parameters(result),
-        Section(
-            "Parameters lost in others",
-            [Folded(f"{len(lost.rows)} parameters, and what absorbs them", [_table(lost, "code")]) if lost else None],
-        ),
         _poses(result, train),
         Section("Evidence", [{row[0]: row[1] for row in blocks["Evidence"].rows}]),
     )
@@ -212,7 +206,7 @@ def _reprojection(r: Result) -> Section:
 def _parameters(r: Result) -> Section:
     joints, links = r.arm.nominal.joint_names, r.arm.nominal.link_names
     combinations = base_combinations(r.fit.identification.identifiability)
-    every, own = r.parameters(), r.fit.identification.unknowns
+    every, own = r.plain_parameters(), r.fit.identification.unknowns
     limits: dict[str, float] = {}
     for row in every:
         if not row["name"].startswith("base_") and row["name"] not in own:
@@ -239,7 +233,9 @@ def _parameters(r: Result) -> Section:
         "What moved",
         (
             _sentence(r.prior_text),
-            table(f"{len(moved)} parameters moved by more than {SIGMAS:g} sigma", moved) if moved else "",
+            table(f"{len(moved)} of {len(every)} parameters moved by more than {SIGMAS:g} sigma", moved)
+            if moved
+            else "",
             *([Folded(folded, [table(folded, stayed)])] if stayed else []),
         ),
         "Calibrated minus nominal, with one standard uncertainty (±); bars show the change and a whisker of two "

@@ -1,16 +1,14 @@
-"""The verdict on a calibration, and what it rests on: chi^2, correlations, combinations, coverage, uncertainty."""
+"""The verdict on a calibration, and what it rests on: chi^2, correlations, combinations, uncertainty."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from pickenv.calibration.model.coverage import pose_coverage
 from scipy import stats
 
 from pickenv.arm import displace_pose, forward, parameter_jacobian, pose_error
 from pickenv.calibration import (
     Measurements,
-    complete_model,
     fit,
     identify,
     link_model,
@@ -122,25 +120,6 @@ def test_statistics_per_degree_of_freedom():
     assert len(axis_errors(errors[:, :3])) == 3
 
 
-@pytest.mark.parametrize(
-    ("still", "named"),
-    [((0,), ("J1",)), ((2, 3), ("J3", "J4")), ((5,), ("J6",))],
-    ids=["pitch held", "boom and end held", "twist held"],
-)
-def test_poses_that_hide_parameters_are_named_with_the_joints_to_move(qiao, exact, still, named):
-    data = exact(qiao.nominal, 60)
-    joints = data.joints.copy()
-    joints[:, list(still)] = (qiao.nominal.lower + qiao.nominal.upper)[list(still)] / 2
-    found = pose_coverage(complete_model(qiao.nominal), qiao.nominal, replace(data, joints=joints))
-    assert found.full_rank == 24 and found.rank == 24 - len(found.lost) < 24
-    assert {qiao.nominal.joint_names[i][:2] for i in found.move} == set(named)
-    assert found.lost[0] in found.advice() and "0 % of its range" in found.advice()
-    moved = joints.copy()
-    moved[:, list(found.move)] = exact(qiao.nominal, 60, seed=9).joints[:, list(found.move)]
-    again = pose_coverage(complete_model(qiao.nominal), qiao.nominal, replace(data, joints=moved))
-    assert again.lost == () and "all 24" in again.advice()
-
-
 def test_verdicts(calibrated):
     found, train, test = calibrated
     trained = train.difference(found.calibration.identified)
@@ -160,12 +139,6 @@ def test_verdicts(calibrated):
     assert unsettled.grade == "do not use"
     flattered = grade_quality(found.identification, trained / 3, before, after)
     assert flattered.grade == "with care" and "held-out errors" in flattered.findings[0].text
-    held = train.joints.copy()
-    held[:, 5] = 0.0
-    hidden = pose_coverage(
-        complete_model(found.calibration.nominal), found.calibration.nominal, replace(train, joints=held)
-    )
-    assert grade_quality(found.identification, trained, before, after, hidden).grade == "with care"
 
 
 def test_predicted_uncertainty_is_what_repeated_calibration_shows(qiao, noisy, table_1):

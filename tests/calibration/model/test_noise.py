@@ -9,7 +9,7 @@ import pytest
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.noise import Noise, neighbours, noise_of, stated_noise
+from pickenv.calibration.model.noise import RowNoise, neighbours, noise_of, stated_noise
 
 UR5 = load_arm("ur5").nominal
 ARM = ArmModel.of(UR5)
@@ -118,4 +118,4 @@ def test_whitened_pictures_scatter_alike_in_every_direction(pictures):
 def test_a_prior_behind_the_rows_is_not_weighed():
     noise = replace(stated_noise(measured(np.zeros((2, 6)), np.zeros((2, 3)))), scatter=np.full(12, 2.0))
     assert noise.whiten(np.ones(14)).tolist() == [0.5] * 12 + [1.0] * 2
-    assert isinstance(noise, Noise)
+    assert isinstance(noise, RowNoise)

@@ -189,7 +189,7 @@ def test_the_tiles_and_the_verdict_of_a_calibration_are_of_the_calibrated_arm(ju
     tile = re.search(r"([\d.]+) mm 95 of 100 poses are better|95 of 100 poses are better than this ([\d.]+) mm", text)
     assert tile and p95 in tile.groups()
     assert f"{figure(nominal.mean())} → {figure(left.mean())} mm" in text
-    states = list(judged.quality.states.geometry.values())
-    assert f"{states.count('measured')} of {len(states)}" in text
+    found = judged.geometric.identification
+    assert f"{found.spent:.1f} of {len(found.identifiability.names)}" in text
     ratio = np.sqrt(judged.fit.identification.chi_square / judged.fit.identification.degrees_of_freedom)
     assert f"{ratio:.2g} ×" in text

@@ -1,7 +1,7 @@
 """The one solve: maximum a posteriori of all parameters, with noise and prior widths found from the rows.
 
-Gauss-Newton on rows and priors together; between passes the rows say what they scatter by (`Noise`), and how wide the
-priors of joint zeros and of parts are: the scales that maximise the marginal likelihood of the linearised model
+Gauss-Newton on rows and priors together; between passes the rows say what they scatter by (`RowNoise`), and how wide
+the priors of joint zeros and of parts are: the scales that maximise the marginal likelihood of the linearised model
 (empirical Bayes; MacKay 1992). Priors of no information make it the rank-aware least squares of the papers. SI units.
 """
 
@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.model.error_model import ErrorModel
-from pickenv.calibration.model.noise import Noise, noise_of, stated_noise
+from pickenv.calibration.model.noise import RowNoise, noise_of, stated_noise
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import MADE, PriorModel
 from pickenv.threads import single_threaded
@@ -38,7 +38,7 @@ UNKNOWN_STD = 10.0
 
 @single_threaded()
 def solve(
-    model: PriorModel, data: Observations, noise: Noise | None = None, *, near: Identification | None = None
+    model: PriorModel, data: Observations, noise: RowNoise | None = None, *, near: Identification | None = None
 ) -> Identification:
     """Fit a model to rows.
 
@@ -94,7 +94,7 @@ def _widened(solution: Identification, common: float) -> Array:
     return np.asarray(common * covariance - (common - 1.0) * (covariance * inverse) @ covariance)
 
 
-def _settled(before: tuple[Noise, dict[str, float]], after: tuple[Noise, dict[str, float]]) -> bool:
+def _settled(before: tuple[RowNoise, dict[str, float]], after: tuple[RowNoise, dict[str, float]]) -> bool:
     """Whether neither noise nor scales have changed by more than `SETTLED`."""
     (old, old_scales), (new, new_scales) = before, after
     values = [np.log(new.scatter / old.scatter), np.log(new.channels / old.channels)]
