@@ -201,7 +201,7 @@ def test_a_calibrations_run_folder_keeps_its_report_and_its_figures(tmp_path: Pa
     call("calibrate", tmp_path / "tracker.csv", "--arm", "qiao2026", *options, "--run", folder)
     run = read_run(folder)
     assert run.kind == "calibration"
-    assert run.command.endswith("--split random --seed 0 --fit auto --tolerances cobot --terms none --residual none")
+    assert run.command.endswith("--split random --seed 0 --fit auto --terms none --residual none")
     assert {d.name for d in drawings_of(run)} >= {"error_per_test_pose", "parameter_spectrum"}
     call("report", folder, "--out", tmp_path / "copy.html")
     assert (tmp_path / "copy.html").read_text() == (folder / "report.html").read_text()

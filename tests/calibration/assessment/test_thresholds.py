@@ -227,9 +227,9 @@ def test_a_link_farther_off_than_eight_deviations_of_its_class_is_of_another_arm
 def test_a_known_frame_that_parts_of_the_class_do_not_reach_is_not_known(expected, frame):
     """It is named before the links, which take part of it; a frame that is fitted may lie anywhere."""
     assert against(expected(**{f"{frame}_x": 3.0})) == []
-    (said,) = against(expected(**{f"{frame}_x": 300.0, "a1": 20.0}))
-    assert said.startswith(f"the {frame} is said to be known, but by these rows it is off by ")
-    assert "--frames fitted" in said
+    said = against(expected(**{f"{frame}_x": 300.0, "a1": 20.0}))
+    assert any(text.startswith(f"the {frame} is said to be known, but by these rows it is off by ") for text in said)
+    assert all("--frames fitted" in text for text in said)
     assert against(expected(known=False, **{f"{frame}_x": 50.0})) == []
 
 

@@ -50,8 +50,13 @@ def test_few_rows_end_in_a_verdict_or_in_a_sentence(
 
 
 @pytest.mark.parametrize("rows", [5, 6, 7])
-def test_five_to_seven_rows_are_not_to_be_used(rows: int, qiao: Arm, dynamic: Plant, tmp_path: Path) -> None:
+def test_five_to_seven_rows_end_in_a_verdict_that_is_not_good(
+    rows: int, qiao: Arm, dynamic: Plant, tmp_path: Path
+) -> None:
+    """Each is judged by a fit to the others; by seven the priors and the rows together tell a gain."""
     path = tracked(dynamic, rows, 0).write_csv(tmp_path / "few.csv")
     ended = CliRunner().invoke(app, ["calibrate", str(path), "--arm", qiao.name, "--frames", "known"])
-    assert ended.exit_code == 3, ended.output
-    assert ended.output.startswith("verdict: DO NOT USE: only 1 row was held out, which judges nothing")
+    assert ended.exit_code == (3 if ended.output.startswith("verdict: DO NOT USE") else 0), ended.output
+    assert (
+        not ended.output.startswith("verdict: GOOD") and f"{rows} rows, each judged without its block" in ended.output
+    )
