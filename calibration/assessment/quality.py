@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.assessment.workspace import Workspace
+from pickenv.calibration.assessment.workspace import SURE, Workspace
 from pickenv.calibration.identification.alignment import apart
 from pickenv.calibration.identification.least_squares import Identification, is_angle
 from pickenv.calibration.model.identifiability import Identifiability
 from pickenv.calibration.model.observability import Observability, observability_of
 from pickenv.calibration.model.observations import MISS_UNITS
-from pickenv.calibration.model.prior import PARTS
+from pickenv.calibration.model.prior import ANGLES, LENGTHS
 
 CORRELATED = 0.9
 """Parameters whose estimates correlate more than this are hard to tell apart."""
@@ -280,8 +280,12 @@ def grade_quality(
             "affected"
         )
     texts: dict[Weight, list[str]] = {
-        "fail": [*_failures(found, before, after, unlearnt, blocks, unit, count, called)],
-        "caution": [*contradictions(bare), *_cautions(found, trained, unlearnt, workspace, unit)],
+        "fail": [*_failures(found, before, after, unlearnt, workspace, blocks, unit, count, called)],
+        "caution": [
+            *contradictions(bare),
+            *_hidden(before, after, workspace, blocks, unit, count, called),
+            *_cautions(found, trained, unlearnt, workspace, unit),
+        ],
         "note": notes,
     }
     for weight, text in said:
@@ -316,6 +320,7 @@ def _failures(
     before: Array | None,
     after: Array,
     unlearnt: Array,
+    workspace: Workspace | None,
     blocks: NDArray[np.int64] | None,
     unit: str,
     count: int,
@@ -329,11 +334,43 @@ def _failures(
     if before is None or count < ENOUGH:
         return
     was, now = _rms(before, unit), _rms(after, unit)
-    if now >= was or _chance(before, after, blocks) > SIGNIFICANCE:
+    if _undecided(before, after, blocks) and not _told(before, after, workspace, blocks):
         verb = "is no better than" if now >= was else "cannot be told from"
         yield (
             f"on {count} held-out {called} the calibrated arm ({now:#.4g} {unit} RMS) {verb} the nominal one "
             f"({was:#.4g} {unit} RMS): {_cause(found, before, after, unlearnt, unit)}"
+        )
+
+
+def _undecided(before: Array, after: Array, blocks: NDArray[np.int64] | None) -> bool:
+    """Whether held-out rows do not show that the calibrated arm is the better one."""
+    return _rms(after, "mm") >= _rms(before, "mm") or _chance(before, after, blocks) > SIGNIFICANCE
+
+
+def _told(before: Array, after: Array, workspace: Workspace | None, blocks: NDArray[np.int64] | None) -> bool:
+    """Whether all rows together say so at the poses measured, and those held out do not contradict it."""
+    sure = workspace is not None and workspace.measured.better >= SURE
+    return sure and _chance(after, before, blocks) > SIGNIFICANCE
+
+
+def _hidden(
+    before: Array | None,
+    after: Array,
+    workspace: Workspace | None,
+    blocks: NDArray[np.int64] | None,
+    unit: str,
+    count: int,
+    called: str,
+) -> Iterator[str]:
+    """A gain that the scatter of single rows hides."""
+    if before is None or count < ENOUGH or workspace is None:
+        return
+    if _undecided(before, after, blocks) and _told(before, after, workspace, blocks):
+        here = workspace.measured
+        yield (
+            f"on {count} held-out {called} scatter ({_rms(after, unit):#.4g} {unit} RMS) hides what all rows together "
+            f"say: geometry errs by {here.calibrated * 1e3:#.3g} mm there, and by {here.nominal * 1e3:#.3g} mm as "
+            "drawn; measure more, or with less noise, to see it"
         )
 
 
@@ -359,7 +396,7 @@ def contradictions(found: Identification) -> Iterator[str]:
     names, change = prior.parameters.names, prior.start.difference(found.arm_model)[prior.parameters.columns]
     known = dict(zip(found.identifiability.names, np.nan_to_num(found.standard_deviation), strict=True))
     least = np.abs(change) - SURE_BY * np.array([known[name] for name in names])
-    sizes = np.where(prior.group == PARTS, least / prior.std, 0.0)
+    sizes = np.where(np.isin(prior.group, (LENGTHS, ANGLES)), least / prior.std, 0.0)
     frame = np.array([name.startswith(("base_", "tool_")) for name in names])
     for which in ("base", "tool"):
         here = np.array([name.startswith(which) for name in names])

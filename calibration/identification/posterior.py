@@ -17,7 +17,7 @@ from pickenv.calibration.identification.least_squares import Identification, ide
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.noise import Noise, noise_of, stated_noise
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.prior import PARTS, ZEROS, PriorModel
+from pickenv.calibration.model.prior import MADE, PriorModel
 from pickenv.threads import single_threaded
 
 PASSES = 4
@@ -55,7 +55,7 @@ def solve(model: PriorModel, data: Observations, noise: Noise | None = None) -> 
         return _without_priors(model, data)
     weights = stated_noise(data) if noise is None else noise
     scales = dict(model.scales)
-    wanted = [name for name in (ZEROS, PARTS) if name not in scales and name in model.group]
+    wanted = [name for name in MADE if name not in scales and name in model.group]
     start = model.start
     for _ in range(PASSES):
         weighed = replace(model, scales=scales)

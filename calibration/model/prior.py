@@ -46,8 +46,11 @@ COEFFICIENT = 1.0
 ANY_STIFFNESS = 100.0
 """The same for compliances, one per joint of known torque: stiffnesses from 100 N*m/rad or 1 kN/m are as good."""
 
-FRAMES, ZEROS, PARTS, TERMS = "frames", "zeros", "parts", "terms"
-"""Groups of parameters; the data scale the widths of zeros and of parts."""
+FRAMES, ZEROS, LENGTHS, ANGLES, TERMS = "frames", "zeros", "lengths", "angles", "terms"
+"""Groups of parameters: frames that stand anywhere, joints' zeros, lengths and angles of parts, coefficients."""
+
+MADE = (ZEROS, LENGTHS, ANGLES)
+"""What a tolerance class speaks of; the rows scale the widths of each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +107,7 @@ class PriorModel:
         parameters: The parameters ``(P,)``.
         start: Their expected values, where a fit starts too.
         std: Their standard deviations ``(P,)``, m, rad or a coefficient's unit; infinite where nothing is expected.
-        group: The group of each, of `FRAMES`, `ZEROS`, `PARTS` and `TERMS`.
+        group: The group of each, of `FRAMES`, `MADE` and `TERMS`.
         source: Where the widths of zeros and parts come from.
         scales: Factors on the widths by group, as far as they are known; what is missing is found from the rows.
     """
@@ -183,7 +186,7 @@ def prior_model(
     std = standard_deviations(made, geometry)[parameters.columns]
     angle = geometry.parameter_is_angle[parameters.columns]
     std = np.where(group == FRAMES, np.where(angle, FRAME_STD[1], FRAME_STD[0]), std)
-    scales = {} if scale is None else {ZEROS: scale, PARTS: scale}
+    scales = {} if scale is None else dict.fromkeys(MADE, scale)
     said = f"tolerance class {made.name}" + ("" if scale is None else f", times {scale:g}")
     return PriorModel(parameters, start, std, group, said, scales)
 
@@ -199,4 +202,5 @@ def _groups(parameters: ErrorModel, geometry: Geometry, known: bool) -> NDArray[
     """The group of each parameter; frames that are known to the instrument are parts of the arm."""
     frame = np.array([name.startswith(("base_", "tool_")) for name in parameters.names])
     zero = np.isin(parameters.columns, joint_zeros_model(geometry).columns)
-    return np.where(frame & (not known), FRAMES, np.where(zero, ZEROS, PARTS))
+    part = np.where(geometry.parameter_is_angle[parameters.columns], ANGLES, LENGTHS)
+    return np.where(frame & (not known), FRAMES, np.where(zero, ZEROS, part))

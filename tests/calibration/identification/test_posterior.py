@@ -10,7 +10,7 @@ from pickenv.calibration import identify, random_joints, simulated_tracker
 from pickenv.calibration.identification.posterior import solve
 from pickenv.calibration.model.error_model import complete_model
 from pickenv.calibration.model.noise import stated_noise
-from pickenv.calibration.model.prior import PARTS, ZEROS, prior_model
+from pickenv.calibration.model.prior import ANGLES, LENGTHS, ZEROS, prior_model
 
 ARM = load_arm("ur5")
 UR5 = ARM.nominal
@@ -93,9 +93,9 @@ def test_the_rows_say_how_well_parts_are_made():
     scales = {}
     for kind in ("fine", "printed"):
         found = [solve(prior_model("ur5", UR5, known=True), rows_of(p, 60, 7)).prior for p in arms_of(kind, 4, 6)]
-        scales[kind] = {name: np.mean([prior.scales[name] for prior in found]) for name in (ZEROS, PARTS)}
+        scales[kind] = {name: np.mean([prior.scales[name] for prior in found]) for name in (ZEROS, LENGTHS, ANGLES)}
     assert scales["fine"][ZEROS] < 0.3 < 2.0 < scales["printed"][ZEROS]
-    assert scales["fine"][PARTS] < 0.7 < 1.5 < scales["printed"][PARTS]
+    assert scales["fine"][ANGLES] < 0.3 < 2.0 < scales["printed"][ANGLES] and scales["fine"][LENGTHS] < 0.5
 
 
 def test_rows_that_state_no_noise_get_theirs():

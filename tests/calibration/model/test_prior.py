@@ -5,7 +5,7 @@ import pytest
 
 from pickenv.arm import draw_plants, load_arm, load_plant, load_tolerances
 from pickenv.arm.plant.tolerances import standard_deviations
-from pickenv.calibration.model.prior import FRAMES, PARTS, ZEROS, prior_model
+from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, ZEROS, prior_model
 from pickenv.errors import InputError
 
 UR5 = load_arm("ur5").nominal
@@ -24,7 +24,7 @@ def test_arms_of_a_class_differ_as_their_prior_says():
 def test_words_are_widths():
     full, auto, offsets = (prior_model("ur5", UR5, known=False, fit=fit) for fit in ("full", "auto", "offsets"))
     assert np.isinf(full.std).all() and auto.proper and offsets.proper
-    assert set(offsets.group) == {FRAMES, ZEROS} and set(auto.group) == {FRAMES, ZEROS, PARTS}
+    assert set(offsets.group) == {FRAMES, ZEROS} and set(auto.group) == {FRAMES, ZEROS, LENGTHS, ANGLES}
     assert (auto.std[auto.group == FRAMES] >= 10.0).all()  # anywhere
     assert (auto.std[auto.group != FRAMES] < 0.01).all()  # millimetres, milliradians
 
@@ -33,13 +33,13 @@ def test_known_frames_say_nothing_of_how_joint_1_and_the_flange_are_made():
     known = prior_model("ur5", UR5, known=True)
     assert FRAMES not in known.group and known.proper
     seats = np.array([name.startswith(("base_", "tool_")) for name in known.parameters.names])
-    assert seats.sum() == 12 and (known.std[seats] < 0.01).all() and set(known.group[seats]) == {PARTS}
+    assert seats.sum() == 12 and (known.std[seats] < 0.01).all() and set(known.group[seats]) == {LENGTHS, ANGLES}
 
 
 def test_a_scale_that_is_given_is_not_sought():
     twice = prior_model("ur5", UR5, known=True, tolerances="medium", scale=2.0)
     once = prior_model("ur5", UR5, known=True, tolerances="medium")
-    assert np.allclose(twice.width, 2.0 * once.width) and twice.scales == {ZEROS: 2.0, PARTS: 2.0}
+    assert np.allclose(twice.width, 2.0 * once.width) and twice.scales == dict.fromkeys((ZEROS, LENGTHS, ANGLES), 2.0)
     assert once.scales == {} and "medium" in once.source
 
 
