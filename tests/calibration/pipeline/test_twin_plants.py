@@ -183,7 +183,9 @@ def test_with_priors_what_rows_do_not_tell_is_drawn_as_wide_as_was_expected():
     found = result.fit.identification
     assert not result.calibration.record["dropped"]
     arms = draw_plants(result.plant().without(["residual"]), MEDIUM, 400, np.random.default_rng(1))
-    known = dict(zip(found.identifiability.names, zip(found.standard_deviation, found.narrowed, strict=True), strict=True))
+    known = dict(
+        zip(found.identifiability.names, zip(found.standard_deviation, found.narrowed, strict=True), strict=True)
+    )
     links = [re.fullmatch(r"(alpha|a|d|theta)(\d+)", name) for name in known]
     for parameter, place in (link.groups() for link in links if link is not None):
         std, _ = known[parameter + place]
