@@ -73,8 +73,8 @@ def solve(
         by_arm, by_own = data.jacobian(solution.arm_model, unknowns)
         stated = np.hstack([by_own, by_arm[:, model.parameters.columns]])
         if noise is None:
-            columns = weights.whiten(stated[:, solution.identifiability.kept])
-            leverage = np.sum((columns @ solution.covariance) * columns, axis=1)
+            width = np.r_[np.full(len(unknowns), UNKNOWN_STD), weighed.width]
+            leverage = leverages(weights.whiten(stated) * width)
             weights = noise_of(data, solution.arm_model, unknowns, leverage)
         if wanted:
             left = weights.whiten(data.residual(solution.arm_model, unknowns))
@@ -92,6 +92,12 @@ def _widened(solution: Identification, common: float) -> Array:
     inverse = solution.prior_std[solution.identifiability.kept] ** -2.0
     covariance = solution.covariance
     return np.asarray(common * covariance - (common - 1.0) * (covariance * inverse) @ covariance)
+
+
+def leverages(columns: Array) -> Array:
+    """How much of each row a fit uses up, where every parameter is a standard normal number beforehand ``(E,)``."""
+    both = np.vstack([columns, np.eye(columns.shape[1])])
+    return np.asarray(np.sum(np.linalg.qr(both)[0][: len(columns)] ** 2, axis=1))
 
 
 def _settled(before: tuple[RowNoise, dict[str, float]], after: tuple[RowNoise, dict[str, float]]) -> bool:

@@ -157,7 +157,10 @@ rise_K = [0.0, 1.0]
 
 def test_names_that_mean_nothing_get_one_sentence() -> None:
     cases = [
-        ("corse:ur5e", "unknown tolerance class 'corse'; give one of ideal, coarse, fine, medium, printed, or a path"),
+        (
+            "corse:ur5e",
+            "unknown tolerance class 'corse'; give one of ideal, coarse, cobot, fine, medium, printed, or a path",
+        ),
         ("coarse:ur55", "unknown arm 'ur55'"),
         ("ideal:ur55", "unknown arm 'ur55'"),
         ("nothing.toml:ur5e", "tolerance class file nothing.toml does not exist"),

@@ -203,7 +203,7 @@ def test_impossible_draws_are_refused():
 
 
 def test_shipped_classes_load_under_their_own_names():
-    assert shipped_tolerances() == ["coarse", "fine", "medium", "printed"]
+    assert shipped_tolerances() == ["coarse", "cobot", "fine", "medium", "printed"]
     assert [load_tolerances(name).name for name in shipped_tolerances()] == shipped_tolerances()
 
 

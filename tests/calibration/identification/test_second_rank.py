@@ -1,4 +1,4 @@
-"""Data with unknowns of their own: their rank is judged again where the unknowns end; rows that share errors."""
+"""Data with unknowns of their own: their rank is judged again where the unknowns end."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from pickenv.calibration import complete_model, identify, link_model, random_joi
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import Progress
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.identifiability import identifiability
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 
 
@@ -75,21 +74,3 @@ def test_until_it_is_judged_again_and_after_it_there_are_as_many_steps(wire, qia
     assert len(found.iterates) == 1 + 2 * most and not found.converged
     found = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.true, 20), max_iterations=most)
     assert len(found.iterates) == 1 + most and not found.converged
-
-
-def test_where_rows_share_errors_the_covariance_is_the_scatter_of_fits_that_leave_one_out():
-    """And where they are too few, it is that of independent equations."""
-    rng = np.random.default_rng(0)
-    rows, tolerance = np.repeat(np.arange(12), 9), np.array([1.0, 2.0, 0.5])
-    matrix, values = rng.normal(size=(108, 3)), rng.normal(size=108) + rng.normal(size=12)[rows]
-    best = np.linalg.lstsq(matrix, values, rcond=None)[0]
-    left = values - matrix @ best
-    found = identifiability(matrix, ("a", "b", "c"), tolerance, 12)
-    off = np.array([np.linalg.lstsq(matrix[rows != i], values[rows != i], rcond=None)[0] - best for i in range(12)])
-    expected = 11 / 12 * (off.T @ off) * np.outer(tolerance, tolerance)
-    shared = least_squares._covariance(matrix, left, found, tolerance, rows)
-    np.testing.assert_allclose(shared, expected, rtol=1e-8)
-    alone = least_squares._covariance(matrix, left, found, tolerance)
-    scaled = matrix / tolerance
-    np.testing.assert_allclose(alone, left @ left / 105 * np.linalg.inv(scaled.T @ scaled), rtol=1e-8)
-    np.testing.assert_allclose(least_squares._covariance(matrix, left, found, tolerance, rows // 6), alone)

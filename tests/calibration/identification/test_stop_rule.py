@@ -113,7 +113,7 @@ def test_a_row_with_a_factor_of_root_two_is_that_row_twice(qiao, exact):
     twice = np.arange(40) < 15
     factors = np.repeat(np.where(twice, np.sqrt(2.0), 1.0), data.rows_per_pose)
     model = link_model(qiao.nominal)
-    found = identify(model, qiao.nominal, data, row_factors=factors)
+    found = identify(model, qiao.nominal, data, whiten=lambda rows: (rows.T * factors).T)
     repeated = identify(model, qiao.nominal, (data, data.select(twice)))
     plain = identify(model, qiao.nominal, data)
     scale = model.tolerance

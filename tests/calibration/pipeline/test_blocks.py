@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pickenv.calibration.identification.posterior import solve
 
 from pickenv.arm import forward
-from pickenv.calibration import Choices, DistanceObservations, calibrate, fit, random_joints, simulated_tracker
+from pickenv.calibration import Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.identification.term_choice import TermChoice
+from pickenv.calibration.model.prior import prior_model
 from pickenv.calibration.model.splits import BLOCKS
 from pickenv.calibration.model.terms import GravityTerm
 from pickenv.calibration.pipeline import stages
@@ -35,9 +37,9 @@ def test_each_row_is_judged_once_by_a_fit_to_the_rows_of_the_other_blocks(dynami
     left = np.full((123, 6), np.nan)
     for block in np.array_split(np.arange(123), BLOCKS):
         others = np.setdiff1d(np.arange(123), block)
-        found = fit(dynamic.arm, data.select(others), known_frames=data.frames == "known").calibration
+        found = solve(prior_model(dynamic.arm.name, dynamic.arm.nominal, known=True), data.select(others))
         assert np.isnan(left[block]).all()
-        left[block] = data.select(block).difference(found.model)
+        left[block] = data.select(block).difference(found.arm_model)
     np.testing.assert_allclose(plain.errors["geometric"], left, atol=1e-12)
     np.testing.assert_array_equal(plain.test.joints, data.joints)
     np.testing.assert_array_equal(np.bincount(plain.held_out.blocks), [13] * 3 + [12] * 7)
@@ -91,8 +93,8 @@ def test_what_a_block_is_judged_with_is_chosen_on_rows_of_other_blocks(dynamic, 
 
 
 def test_the_calibration_itself_is_fitted_to_all_rows(dynamic, data, plain):
-    found = fit(dynamic.arm, data, known_frames=data.frames == "known").calibration
-    np.testing.assert_array_equal(plain.calibration.identified.theta, found.identified.theta)
+    found = solve(prior_model(dynamic.arm.name, dynamic.arm.nominal, known=True), data)
+    np.testing.assert_array_equal(plain.calibration.identified.theta, found.geometry.theta)
     assert len(plain.train.joints) == len(plain.test.joints) == 123
 
 
@@ -132,8 +134,14 @@ def test_other_kinds_of_measurement_are_judged_in_blocks_too(qiao):
 def test_what_cannot_be_blocked_is_refused(dynamic, data):
     with pytest.raises(InputError, match="--test-rows is for the random split"):
         calibrate(dynamic.arm, data, split="blocked", test_rows=20, choices=PLAIN)
-    with pytest.raises(InputError, match="9 rows of 9 poses cannot be cut into 10 folds; measure at least 10"):
-        calibrate(dynamic.arm, data.select(np.arange(9)), split="blocked", choices=PLAIN)
+
+
+@pytest.mark.parametrize(("count", "blocks"), [(9, 9), (20, 20), (21, 10), (39, 10)])
+def test_few_rows_are_judged_in_blocks_unasked_and_up_to_twenty_one_by_one(dynamic, data, count, blocks):
+    """And the calibration is fitted to all of them."""
+    found = calibrate(dynamic.arm, data.select(np.arange(count)), choices=PLAIN)
+    assert len(np.unique(found.held_out.blocks)) == blocks
+    assert len(found.train.joints) == len(found.test.joints) == len(found.errors["geometric"]) == count
 
 
 def part(value, *added):

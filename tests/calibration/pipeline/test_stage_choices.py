@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pickenv.calibration.assessment.workspace import workspace_error
 
 from pickenv.calibration import Choices, random_joints, simulated_tracker
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm
 from pickenv.calibration.pipeline import stages
+from pickenv.calibration.pipeline.given import workspace_joints
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict
 from pickenv.calibration.residuals.residual_models import FITTERS
 from pickenv.errors import InputError
@@ -156,7 +158,7 @@ def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monke
 
 
 def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
-    """Fits step by step, the choice of terms, the gate's verdicts, rows left out, and what the poses hide."""
+    """Fits step by step, the choice of terms, the gate's verdicts, rows left out, and what is expected elsewhere."""
     choice = TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3}, (gravity(dynamic),))
     gate = GateReport((verdict("rbf"),), "rbf", 1e-3)
     monkeypatch.setattr(stages, "choose_terms", lambda *_: choice)
@@ -170,7 +172,9 @@ def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
     (draft,) = seen
     assert list(found.errors) == ["nominal", "geometric", "geometry+gravity", "geometry+gravity+rbf"]
     assert found.terms is choice and found.gate is gate and found.left_out is left and found.unit == "17"
-    assert found.quality.coverage is draft.coverage is not None
+    nominal, limits = draft.fits["geometry"].calibration.nominal, workspace_joints(None, dynamic.arm.nominal)
+    over = workspace_error(draft.best[1].identification, nominal, draft.train.joints, limits[1])
+    assert found.quality.workspace == over is not None
     assert found.fit is draft.best[1] and found.geometric is draft.fits["geometry"]
     assert found.best_model == "geometry+gravity+rbf"
     assert found.calibration.record["left_out"] == ["tracker.csv:7"]

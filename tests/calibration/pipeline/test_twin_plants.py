@@ -157,7 +157,7 @@ def test_drawn_geometries_have_the_covariance_that_was_found():
 
 def test_what_was_not_identified_is_drawn_without_moving_what_was_measured():
     data = simulated_tracker(load_plant("geometry_only"), draw(QIAO, 40), np.random.default_rng(0))
-    result = calibrate(QIAO, data, choices=Choices(terms="none", residual="none"))
+    result = calibrate(QIAO, data, choices=Choices(terms="none", residual="none", fit="full"))
     lost = set(result.calibration.record["dropped"])
     assert lost
     plant = result.plant().without(["residual"])
@@ -174,6 +174,26 @@ def test_what_was_not_identified_is_drawn_without_moving_what_was_measured():
         assert 0.9 * half < far.max() <= half
     seen = spread(arms, data.joints, 20)
     assert np.abs(seen - plant.tool_pose(data.joints).position).max() < 3e-6
+
+
+def test_with_priors_what_rows_do_not_tell_is_drawn_as_wide_as_was_expected():
+    """Nothing is dropped then: the posterior is as wide as the prior there, and moves nothing that was measured."""
+    data = simulated_tracker(load_plant("geometry_only"), draw(QIAO, 40), np.random.default_rng(0))
+    result = calibrate(QIAO, data, choices=Choices(terms="none", residual="none"))
+    found = result.fit.identification
+    assert not result.calibration.record["dropped"]
+    arms = draw_plants(result.plant().without(["residual"]), MEDIUM, 400, np.random.default_rng(1))
+    known = dict(
+        zip(found.identifiability.names, zip(found.standard_deviation, found.narrowed, strict=True), strict=True)
+    )
+    links = [re.fullmatch(r"(alpha|a|d|theta)(\d+)", name) for name in known]
+    for parameter, place in (link.groups() for link in links if link is not None):
+        std, _ = known[parameter + place]
+        values = getattr(arms.geometry, parameter)[:, int(place) - (parameter in ("theta", "d"))]
+        assert values.std() == pytest.approx(std, rel=0.15)
+    assert all(known[name][1] < 0.02 for name in ("theta2", "theta5")) and known["d2"][0] > 4e-4
+    seen = spread(arms, data.joints, 20)
+    assert np.abs(seen - result.plant().without(["residual"]).tool_pose(data.joints).position).max() < 4e-5
 
 
 def test_arm_i_does_not_depend_on_how_many_are_drawn_nor_on_what_is_off():
