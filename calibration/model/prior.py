@@ -144,10 +144,6 @@ class PriorModel:
         group = np.r_[self.group, np.full(len(std) - len(self.std), TERMS)]
         return replace(self, parameters=parameters, start=start, std=std, group=group)
 
-    def from_geometry(self, geometry: Geometry) -> PriorModel:
-        """The same about another geometry, whose base and tool were aligned to other rows."""
-        return replace(self, start=replace(self.start, geometry=geometry))
-
 
 def prior_model(
     arm: str,
