@@ -105,9 +105,9 @@ def part_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArra
 
 
 def npz_path(path: str | Path) -> Path:
-    """The path, with ``.npz`` appended if it is missing."""
+    """The path, with ``.npz`` appended if it is missing; a folder without a name, such as "/" or "..", as it is."""
     path = Path(path)
-    return path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
+    return path if path.suffix == ".npz" or path.name in ("", "..") else path.with_name(path.name + ".npz")
 
 
 def write_container(

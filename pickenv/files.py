@@ -49,6 +49,8 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
             _write_into(path, write)
             return path
         target = Path(os.path.realpath(path))
+        if target.is_dir():
+            raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
         if target.is_symlink():
             raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -189,7 +191,7 @@ def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
 
     Raises:
         InputError: If an output is an input or another option's output; the message names both options. If an output's
-            name is too long for a file.
+            name is too long for a file, or a folder's.
     """
     taken = [(f"{name} reads", path) for name, named in inputs.items() for path in _paths(named) if path.exists()]
     for output, named in outputs.items():
@@ -211,11 +213,13 @@ def _paths(named: Named) -> Iterator[Path]:
 
 
 def _check_name(path: Path) -> None:
-    """Refuse a name that no file can have: after hours of computing it would be too late."""
+    """Refuse a name that no file can have, or that a folder has: after hours of computing it would be too late."""
     try:
-        path.exists()
+        folder = path.exists() and path.is_dir()
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror}; give another name") from error
+    if folder:
+        raise InputError(f"cannot write {path}: it is a folder; give the name of a file")
 
 
 def _same(one: Path, other: Path) -> bool:

@@ -16,6 +16,9 @@ MEMORY = "more does not fit into a computer's memory"
 
 LIMITS: Mapping[str, tuple[float, float, str]] = {
     "payload_kg": (0.0, 300.0, PAYLOAD),
+    "temperature_K": (-200.0, 200.0, "no arm works that much cooler or warmer than it was calibrated"),
+    "torque_Nm": (-1e5, 1e5, "no joint of an arm bears more"),
+    "scatter_mm": (1e-6, 100.0, "no instrument scatters less, and one that scatters more measures no arm"),
     "position_mm": (0.0, 100.0, "an instrument that scatters more measures no arm"),
     "attitude_deg": (0.0, 10.0, "an instrument that scatters more measures no arm"),
     "radius_mm": (0.0, 1000.0, "who calls a metre near enough needs no study"),

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -267,3 +268,29 @@ def test_calibrations_that_changed_places_in_a_cache_are_refused(tmp_path: Path)
     code, lines = checked(tmp_path)
     assert code == 3
     assert all("is the calibration of another arm or protocol than its name says" in line for line in lines[:2])
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "removed": Path.unlink,
+    "emptied": lambda path: path.write_bytes(b""),
+    "one byte more": lambda path: path.write_bytes(path.read_bytes() + b" "),
+    "one byte changed": lambda path: flip(path, np.random.default_rng(0)),
+    "made a folder": lambda path: (path.unlink(), path.mkdir()),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("name", [*NAMES, "run.json"])
+def test_damage_in_a_folder_of_runs_is_noticed(damage: str, name: str, folder: Path) -> None:
+    """`pickenv bench policies` leaves such a folder: runs, calibrations beside them, and a table."""
+    board = folder.parent / "board"
+    shutil.copytree(folder, board / "first" / "run")
+    shutil.copytree(folder, board / "second")
+    write_text(board / "leaderboard.md", "kept")
+    shutil.copy(folder / "calibration.npz", board / "calibration.npz")
+    code, lines = checked(board)
+    assert code == 0 and len(lines) == 2 * (1 + len(NAMES)) + 2
+    DAMAGES[damage](board / "second" / name)
+    code, lines = checked(board)
+    assert code == 3 and any(line.startswith("REFUSED") and "second" in line for line in lines), lines
+    assert sum(line.startswith("sound") and "first" in line for line in lines) == 1 + len(NAMES)

@@ -34,6 +34,8 @@ COMMANDS = {
     "effects --reaches 1000000000": "--reaches is 1000000000; give 2 to 100 000",
     "iso9283 --dwell inf": "--dwell is inf; give 0 to 86 400",
     "iso9283 --cycles 1000000000": "--cycles is 1000000000; give 2 to 10 000",
+    "plan-poses --arm ur5 --noise-mm 5e-324": "--noise-mm is 5e-324; give 1e-06 to 100",
+    "plan-poses --arm ur5 --noise-mm inf": "--noise-mm is inf; give 1e-06 to 100",
     "plan-poses --arm ur5 --candidates 100000000": "candidates is 100000000; give 10 to 100 000",
     "evaluate --arms 1000000000": "arms is 1000000000; give 1 to 10 000",
     "evaluate --episodes 1000000000": "episodes is 1000000000; give 1 to 100 000",

@@ -15,6 +15,7 @@ from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.cli import app
 from pickenv.commands import plants, reports
 from pickenv.commands.handing_over import deliver
+from pickenv.container import write_container
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect.runs.run_folder import read_run, recorded_run
@@ -125,3 +126,69 @@ def test_the_command_in_a_run_can_be_typed_as_it_stands(tmp_path, monkeypatch):
     words = shlex.split(read_run("run").command)
     assert words[:4] == ["pickenv", "iso9283", "--plant", name]
     assert read_run("run").made_by == "pickenv iso9283 --out run"
+
+
+def writing_options() -> list[tuple[str, str]]:
+    """Every command with an option that names a file to write, as its help says: the command's words and the option."""
+    from typer.main import get_command
+
+    commands = dict(get_command(app).commands)
+    commands |= {f"bench {name}": command for name, command in commands.pop("bench").commands.items()}
+    return [
+        (name, option.opts[0])
+        for name, command in commands.items()
+        for option in command.params
+        if re.match("Write the (?!column)|File to write|Write (a|the|what)", getattr(option, "help", None) or "")
+    ]
+
+
+NEEDED = {
+    "calibrate": "nothing.csv",
+    "board": "charuco_a4",
+    "verify": "nothing.npz nothing.csv",
+    "plan-poses": "--arm ur5",
+    "apply": "nothing.npz nothing.csv --arm ur5",
+    "export": "nothing.npz --out new.toml",
+    "check": "nothing.npz",
+    "twin": "nothing.npz",
+    "conditions": "orchard",
+    "compare": "scripted oracle",
+    "study": "study.toml",
+    "film": "run",
+    "report": "run",
+}
+"""What commands want besides; none of it is read before it is known where results go."""
+
+
+@pytest.mark.parametrize(("command", "option"), writing_options())
+@pytest.mark.parametrize("place", ["/", ".", "..", "run", "/dev", "link"])
+def test_a_folder_in_place_of_a_file_is_refused_before_anything_is_computed(command, option, place, here, tmp_path):
+    Path("link").symlink_to("run")
+    if (command, option) in {("calibrate", "--out"), ("twin", "--out")} and place not in ("/", ".", ".."):
+        Path(place).with_name(f"{place}.npz").mkdir() if place != "/dev" else pytest.skip("/dev.npz is no folder")
+    words = [*command.split(), *NEEDED.get(command, "").split(), option, place]
+    ended = CliRunner().invoke(app, words)
+    assert isinstance(ended.exception, InputError), (ended.exception, ended.output)
+    assert re.fullmatch(r"cannot write \S+: it is a folder; give the name of a file", str(ended.exception))
+    assert {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()} == here
+
+
+@pytest.mark.parametrize("place", ["/", ".", ".."])
+@pytest.mark.parametrize("kind", ["mjcf", "urdf", "table", "onnx"])
+def test_nothing_is_exported_in_place_of_a_folder(kind, place):
+    ended = CliRunner().invoke(app, ["export", "nothing.npz", "--as", kind, "--out", place])
+    assert isinstance(ended.exception, InputError)
+    assert str(ended.exception) == f"cannot write {place}: it is a folder; give the name of a file"
+
+
+def test_every_command_that_writes_files_is_asked():
+    named = {option for _, option in writing_options()}
+    assert named >= {"--json", "--out", "--report", "--lens-out", "--table"} and len(writing_options()) >= 25
+
+
+@pytest.mark.parametrize("place", ["/", ".", "run"])
+@pytest.mark.parametrize("write", [lambda path: write_text(path, "a"), lambda path: write_container(path, "a", {}, {})])
+def test_no_writer_puts_a_file_in_place_of_a_folder(write, place, here, tmp_path):
+    with pytest.raises(InputError, match=r"cannot write \S+: Is a directory; choose a folder that can be written"):
+        write(place)
+    assert {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()} == here

@@ -6,18 +6,21 @@ then wrong where nobody looks. So what is said to be known is tried as an unknow
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from pickenv.calibration.assessment.screen import Block, figure
+from pickenv.calibration.identification.alignment import apart
 from pickenv.calibration.identification.least_squares import Identification, identify
+from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.kinds.distances import DistanceObservations
-from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
-from pickenv.calibration.model.stacked import Stacked
+from pickenv.calibration.model.stacked import OWN, InstrumentStation, Stacked
 
 CONTRADICTED = 5.0
 """A number that lies so many standard deviations from what is said of it is wrong, or something else is."""
@@ -89,3 +92,66 @@ def said_of_instruments(
             "no known length takes part, so the arm's size is that of its nominal longest link; add a known spacing, "
             "radius or length, or another instrument",
         )
+
+
+def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]]:
+    """Each set-up of several files: number, files, rows, and its own frames with how far from the first's, mm and deg.
+
+    Args:
+        found: The identification.
+        data: What it was made from.
+    """
+    rows: list[dict[str, Any]] = []
+    for station in data.stations if isinstance(data, Stacked) else (InstrumentStation(data),):
+        unknowns = np.array([found.unknowns[name] for name in station.unknowns()])
+        there = station.seen(found.arm_model, station.parted(unknowns)[1]).geometry
+        moved = {name: apart(getattr(found.geometry, name), getattr(there, name)) for name in station.frames}
+        origins = origins_of(station.data)
+        row: dict[str, Any] = {
+            "number": station.number,
+            "files": [origins.files[i] for i in np.unique(origins.file).tolist()],
+            "rows": len(station.data.joints),
+            "own": {name: {"mm": m * 1e3, "deg": float(np.degrees(angle))} for name, (m, angle) in moved.items()},
+        }
+        rows.append(row)
+    return rows if sum(len(row["files"]) for row in rows) > 1 else []
+
+
+def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Block:
+    """The set-ups for screens.
+
+    Args:
+        set_ups: What `set_ups_of` says.
+        asked: What each file was said to have of its own; None where the rows told it.
+    """
+    rows = []
+    for each in set_ups:
+        own = {name: f"{figure(moved['mm'])} mm, {figure(moved['deg'])} deg" for name, moved in each["own"].items()}
+        cells = [own.get(name, "") for name in OWN]
+        rows.append((str(each["number"]), ", ".join(each["files"]), str(each["rows"]), *cells))
+    note = "as the rows tell" if asked is None else f"as asked by --stations {asked}"
+    heads = ("set-up", "files", "rows fitted", "its own base, away by", "its own tool, away by")
+    return Block("Set-ups", heads, tuple(rows), f"{note}; base2_x and the like are parameters of set-up 2")
+
+
+def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Iterator[tuple[Literal["note"], str]]:
+    """A note on payloads, temperatures and torques that were recorded and change nothing that the model predicts.
+
+    Args:
+        model: The calibrated arm.
+        learnt: Whether a learnt residual takes payload and temperature.
+        data: Rows that it was fitted to.
+    """
+    known = {name: values for name, values in vars(data.conditions).items() if values is not None and len(values)}
+    before = model.pose(data.joints, data.conditions) if known else None
+    unused = [
+        name
+        for name, values in known.items()
+        if not (learnt and name != "torque")
+        and before is not None
+        and np.array_equal(
+            model.pose(data.joints, replace(data.conditions, **{name: values + 1.0})).position, before.position
+        )
+    ]
+    if unused:
+        yield "note", f"nothing that was fitted depends on what was recorded of {' and '.join(unused)} (see --terms)"

@@ -40,7 +40,9 @@ def export_mjcf(
 
 
 def mjcf_files(path: str | Path, sample: int) -> list[Path]:
-    """The files that `export_mjcf` writes."""
+    """The files that `export_mjcf` writes; "/" or "..", which name none, as they are."""
     path = Path(path)
+    if path.name in ("", ".."):
+        return [path]
     endings = ["", "_nominal", *(f"_{i + 1}" for i in range(sample))]
     return [path.with_name(f"{path.stem}{ending}{path.suffix or '.xml'}") for ending in endings]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Arm, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.alignment import align, apart
+from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.robust import (
     OUTLIER_SIGMA,
     RobustIdentification,
@@ -23,6 +24,7 @@ from pickenv.calibration.identification.robust import (
     robust_identify,
     sizes_of,
 )
+from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.identification.starts import fitted_model, robust_frames
 from pickenv.calibration.model.error_model import frames_model
 from pickenv.calibration.model.measurements import Measurements
@@ -40,6 +42,9 @@ ROBUST_ROWS = 2000
 
 MANY_FAR = 0.05
 """More rows far off than this share are a caution."""
+
+ANOTHER_ARM = 5.0
+"""A station that is missed by so many times what the others are is probably of another arm."""
 
 FEW = 4
 """Fewer held-out rows than this are named one by one, and never taken for another set-up."""
@@ -120,7 +125,7 @@ def checked_rows(
         robust: Whether rows far off are left out; else they are only listed.
 
     Returns:
-        Both sets, and the rows far off, the farthest first.
+        Both sets, and the rows far off, the farthest first. A few held-out rows that are all far off stay, and judge.
 
     Raises:
         InputError: If the held-out rows come from another set-up.
@@ -130,12 +135,16 @@ def checked_rows(
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
     sets = (train, test) if len(test.joints) else (train,)
-    sizes = [found.sizes_of(data) for data in sets]
+    sizes = [found.sizes_of(train)]
+    if len(sets) > 1:
+        sizes.append(_sizes_like(found, train, test))
     far = [np.flatnonzero(~(size.sigma <= OUTLIER_SIGMA)) for size in sizes]
     if 2 * len(far[0]) >= len(train.joints):
         return train, test, ()
     if len(test.joints) >= FEW and 2 * len(far[1]) > len(test.joints):
         raise InputError(_other_set_up(arm, found, train, test))
+    if len(sets) > 1 and len(far[1]) == len(test.joints):
+        far[1] = far[1][:0]  # not these rows are far off, but what so few told; and nothing else is there to judge by
     listed: list[LeftOut] = []
     for data, size, rows in zip(sets, sizes, far, strict=True):
         listed += _far_rows(arm, found, data, size, rows, held_out=data is test, kept=not robust)
@@ -143,10 +152,18 @@ def checked_rows(
         train = train.weighed(found.sizes.scales[train.first_channels()].tolist())
         sets = (train, *sets[1:])
     if robust:
-        near = [np.flatnonzero(size.sigma <= OUTLIER_SIGMA) for size in sizes]
+        near = [np.setdiff1d(np.arange(len(data.joints)), rows) for data, rows in zip(sets, far, strict=True)]
         left = [data.select(rows) for data, rows in zip(sets, near, strict=True)]
         train, test = left[0], left[1] if len(sets) > 1 else test
     return train, test, tuple(sorted(listed, key=lambda item: -(item.sigma or 0.0)))
+
+
+def _sizes_like(found: RobustIdentification, train: Observations, test: Observations) -> Sizes:
+    """Sizes of held-out rows, of which some stations may have none."""
+    if not (isinstance(train, Stacked) and isinstance(test, Stacked)):
+        return found.sizes_of(test)
+    like = replace(found.sizes, scales=found.sizes.scales[train.channels_of(test)])
+    return sizes_of(found.identification.arm_model, unknowns_of(found.identification, test), test, like)
 
 
 def _far_rows(
@@ -195,6 +212,36 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal
         yield "caution", f"{them}, and left out: they fit only if {'; '.join(causes)}; write all rows in one unit"
     else:
         yield "caution" if many else "note", f"{them}, and {'was' if one else 'were'} left out"
+
+
+def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Iterator[tuple[Literal["caution"], str]]:
+    """A caution for each file of which no row is left."""
+    used = {origins.files[i] for origins in map(origins_of, kept) for i in np.unique(origins.file).tolist()}
+    for file in dict.fromkeys(item.file for item in listed if not item.kept and item.file not in used):
+        count = sum(item.file == file for item in listed)
+        yield (
+            "caution",
+            f"{file}: all {count} rows are far off from the other files', and left out: check that they are of this "
+            "arm, with the same units, joint signs and order of rows, or leave the file out",
+        )
+
+
+def said_of_stations(found: Identification, data: Observations) -> Iterator[tuple[Literal["caution"], str]]:
+    """A caution for each station that is missed by far more than the others, wherever its base and tool may be."""
+    if not isinstance(data, Stacked) or len({part.miss_unit for part in data.parts}) > 1:
+        return
+    left = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
+    owners = data.places[data.rows_of_misses]
+    usual = [float(np.median(left[owners == i])) for i in range(len(data.stations))]
+    for number, part in enumerate(data.parts):
+        others = float(np.median(usual[:number] + usual[number + 1 :])) if len(usual) > 1 else usual[number]
+        if usual[number] > ANOTHER_ARM * others:
+            scale, unit = MISS_UNITS[part.miss_unit], part.miss_unit
+            yield (
+                "caution",
+                f"{part.source}: wherever base and tool may be, its rows miss by {usual[number] * scale:.3g} {unit} "
+                f"(median), the others by {others * scale:.2g} {unit}: it may be of another arm; calibrate it alone",
+            )
 
 
 def _size(item: LeftOut) -> float:

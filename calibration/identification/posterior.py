@@ -37,13 +37,16 @@ UNKNOWN_STD = 10.0
 
 
 @single_threaded()
-def solve(model: PriorModel, data: Observations, noise: Noise | None = None) -> Identification:
+def solve(
+    model: PriorModel, data: Observations, noise: Noise | None = None, *, near: Identification | None = None
+) -> Identification:
     """Fit a model to rows.
 
     Args:
         model: The parameters with their priors; scales that it does not state are found from the rows.
         data: The rows.
         noise: What they scatter by; found from them when left out.
+        near: A solution of the same rows with fewer parameters, to start from.
 
     Returns:
         The identification. Where every parameter has a prior all are kept, and the covariance is the posterior's.
@@ -53,10 +56,11 @@ def solve(model: PriorModel, data: Observations, noise: Noise | None = None) -> 
     """
     if not model.proper:
         return _without_priors(model, data)
-    weights = stated_noise(data) if noise is None else noise
+    weights, start = noise or stated_noise(data), model.start
+    if near is not None and near.noise is not None and near.noise.scatter.shape == weights.scatter.shape:
+        weights, start = noise or near.noise, replace(start, geometry=near.geometry)
     scales = dict(model.scales)
     wanted = [name for name in MADE if name not in scales and name in model.group]
-    start = model.start
     for _ in range(PASSES):
         weighed = replace(model, scales=scales)
         solution = identify(

@@ -19,7 +19,7 @@ from pickenv.calibration.identification.posterior import solve
 from pickenv.calibration.model.arm_model import Term
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import prior_model
-from pickenv.calibration.model.splits import contiguous_folds, equally_spaced
+from pickenv.calibration.model.splits import contiguous_folds, equally_spaced, same_poses
 from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, ThermalTerm, weighed
 from pickenv.errors import InputError
 
@@ -64,7 +64,7 @@ def identify_terms(
         known: Whether base and tool are known, where ``bare`` was identified without priors.
     """
     model = bare.prior or prior_model("", bare.geometry, known=known, fit="full")
-    return solve(model.with_terms(terms), observations)
+    return solve(model.with_terms(terms), observations, near=bare)
 
 
 def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> TermChoice:
@@ -167,7 +167,7 @@ class _Trial:
             missing = {"compliance": data.conditions.torque is None, "thermal": data.conditions.temperature is None}
             names = tuple(name for name in NAMES if not missing.get(name))
         model = Linearised.of(bare, tuple(plain_term(name, arm, data) for name in names))
-        blocks = [data.select(held) for _, held in contiguous_folds(data.groups, FOLDS)]
+        blocks = [data.select(held) for _, held in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
         return _Trial(bare, data, names, BlockEquations.of(model, blocks))
 
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:

@@ -92,7 +92,7 @@ class Noise:
         """Stated equations ``(E + k, ...)`` with unit covariance; the last k, of no instrument, stay as they are."""
         count = len(self.scatter)
         white = np.array(rows, dtype=float)
-        white[:count] = (white[:count].T / self.scatter).T
+        white[:count] /= self.scatter if white.ndim == 1 else self.scatter[:, None]
         for at, basis, shrink in self.shared:
             white[at] -= basis @ ((basis.T @ white[at]).T * shrink).T
         return white

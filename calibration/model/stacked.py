@@ -16,16 +16,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from pickenv.arm import Geometry, Pose
+from pickenv.arm import Geometry, Pose, rotation_matrix
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array, move_pose
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
+from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations, hash_of, origins_of
 from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.model.splits import Rows
 
 OWN = ("base", "tool")
 """Frames that a station can have of its own."""
+
+ALIKE = 0.1
+"""Data sets are of one instrument where their uncertainties differ by no more than this share."""
 
 WIDEST = 3
 """Components of a miss where kinds are mixed; lengths and pixels fill fewer, the rest is zero."""
@@ -252,9 +256,53 @@ class Stacked:
         stations = zip(self.stations, scales, strict=True)
         return replace(self, stations=tuple(replace(each, scale=each.scale * s / scales[0]) for each, s in stations))
 
+    @property
+    def places(self) -> Rows:
+        """The place among the stations of each row ``(N,)``, from 0."""
+        return np.repeat(np.arange(len(self.stations)), [len(part.joints) for part in self.parts])
+
+    def from_the_first(self, model: ArmModel, unknowns: Array) -> Measurements | None:
+        """Poses or positions of all stations as the first one would have measured them; None of other kinds.
+
+        What a row differs by from the model is turned into the first one's axes, and of poses shifted to its tool.
+        Where any station saw positions alone, attitudes are left out.
+
+        Args:
+            model: The arm as the first station sees it.
+            unknowns: Values of `unknowns`.
+        """
+        parts = [part for part in self.parts if isinstance(part, Measurements)]
+        if len(parts) < len(self.parts):
+            return None
+        wide = all(part.rotation is not None for part in parts)
+        rows = rows_together([part if wide else part.positions_only() for part in parts])
+        base, tool, expected = model.geometry.base, model.geometry.tool, model.pose(rows.joints, rows.conditions)
+        errors, levers = [], []
+        for (station, own), part in zip(self._with(unknowns), parts, strict=True):
+            there = station.seen(model, station.parted(own)[1])
+            missed = part.difference(there)[:, : rows.rows_per_pose].reshape(len(part), -1, 3)
+            errors.append(missed @ (base.rotation @ there.geometry.base.rotation.T).T)
+            levers.append(np.tile(tool.position - there.geometry.tool.position, (len(part), 1)))
+        missed, flange = np.concatenate(errors), expected.rotation @ tool.rotation.T
+        position, rotation = expected.position + missed[:, 0], None
+        if wide:
+            lever = (flange @ np.concatenate(levers)[..., None])[..., 0]
+            position = position + np.cross(missed[:, 1], lever)
+            rotation = rotation_matrix(missed[:, 1]) @ expected.rotation
+        return replace(rows, position=position, rotation=rotation)
+
     def first_channels(self) -> list[int]:
         """The first channel of every station."""
-        return _starts([int(part.equations()[1].max(initial=-1)) + 1 for part in self.parts])
+        return _starts([len(channels) for channels in self._channels()])
+
+    def channels_of(self, other: Stacked) -> Rows:
+        """The channels of this data set that those of another are, some of whose stations may be missing."""
+        starts = zip(self.stations, self.first_channels(), self._channels(), strict=True)
+        own = {station.number: channels + first for station, first, channels in starts}
+        return np.concatenate([own[station.number] for station in other.stations])
+
+    def _channels(self) -> list[Rows]:
+        return [np.arange(int(part.equations()[1].max(initial=-1)) + 1) for part in self.parts]
 
     def _first_rows(self) -> list[int]:
         return _starts([len(part.joints) for part in self.parts])
@@ -262,6 +310,34 @@ class Stacked:
     def _with(self, unknowns: Array) -> Iterable[tuple[InstrumentStation, Array]]:
         ends = np.cumsum([0] + [len(station.unknowns()) for station in self.stations])
         return zip(self.stations, (unknowns[a:b] for a, b in pairwise(ends)), strict=True)
+
+
+def joinable(parts: Sequence[Measurements]) -> bool:
+    """Whether data sets can be one: poses or positions alike, of about the same uncertainty."""
+    first = parts[0]
+    return all(
+        (part.kind, part.frames) == (first.kind, first.frames)
+        and np.allclose((part.position_std, part.attitude_std), (first.position_std, first.attitude_std), ALIKE, 0.0)
+        for part in parts
+    )
+
+
+def rows_together(parts: Sequence[Measurements]) -> Measurements:
+    """Rows of `joinable` data sets one after the other; conditions that all of them recorded."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    rows = Stacked(tuple(InstrumentStation(part) for part in parts))
+    turned = [part.rotation for part in parts if part.rotation is not None]
+    return replace(
+        first,
+        joints=rows.joints,
+        position=np.concatenate([part.position for part in parts]),
+        rotation=np.concatenate(turned) if turned else None,
+        source=rows.source,
+        conditions=rows.conditions,
+        origins=rows.origins,
+    )
 
 
 def frame_columns(geometry: Geometry, frame: str) -> Rows:

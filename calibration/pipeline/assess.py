@@ -9,10 +9,12 @@ import numpy as np
 from pickenv.arm import Arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.base_frame import base_frame_error
-from pickenv.calibration.assessment.instrument import said_of_instruments
+from pickenv.calibration.assessment.contradictions import said_against
+from pickenv.calibration.assessment.instrument import said_of_conditions, said_of_instruments
 from pickenv.calibration.assessment.quality import grade_quality
 from pickenv.calibration.assessment.workspace import workspace_error
-from pickenv.calibration.identification.diagnosis import LeftOut, said_of_rows
+from pickenv.calibration.identification.diagnosis import LeftOut, said_of_files, said_of_rows, said_of_stations
+from pickenv.calibration.identification.rows import said_of_repeats
 from pickenv.calibration.identification.starts import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.finished_poses import CARRIER
@@ -27,6 +29,7 @@ from pickenv.calibration.pipeline.held_out import (
     NOMINAL,
     HeldOut,
     held_out_of,
+    tracked_rows,
     what_is_left,
     without_residual,
 )
@@ -84,16 +87,15 @@ def assess(
         said = "stated noise" if train.std_stated else "noise assumed, since none is stated,"
         noise = f"{said} of {train.position_std * 1e3:.4g} mm"
     else:
-        noise = "noise stated or assumed"
-    joints, conditions = None, None
-    if not isinstance(test, Stacked):  # whose rows stand by station, and errors by block
-        rows_of = test.rows_of_misses
-        joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
+        stated = isinstance(train, Stacked) and all(getattr(part, "std_stated", False) for part in train.parts)
+        noise = "stated noise" if stated else "noise stated or assumed"
+    rows_of = test.rows_of_misses
+    joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
     uncertainty = pose_uncertainty(fit.identification, after, joints, held_out.blocks, conditions, train.miss_unit)
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None:
-        left, tracked = after, isinstance(test, Measurements)
+        left, tracked = after, tracked_rows(fit.identification, test) is not None
         if not tracked:  # then the misses are not one per row: any may go with any pose
             drawn = np.random.default_rng(0).integers(0, len(after), len(test.joints))
             left = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[drawn]
@@ -121,8 +123,13 @@ def assess(
             blocks=test.rows_of_misses if held_out.blocks is None else held_out.blocks,
             noise=noise,
             said=(
+                *said_against(bare.identification, train),
+                *said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
                 *said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
+                *said_of_files(left_out, (train, test)),
+                *said_of_stations(bare.identification, train),
                 *said_of_instruments(model, bare.identification, train),
+                *said_of_conditions(fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train),
             ),
             unit=train.miss_unit,
             rows=(len(test.joints), held_out.rows),

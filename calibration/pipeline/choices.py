@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pickenv.calibration.model.measurements import Frames, Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.prior import TOLERANCE_CLASS
+from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.restation import REFIT_ROWS
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.errors import InputError
@@ -32,7 +32,8 @@ class Choices:
         refit_rows: So many of them are used to find those.
         fit: One of `pickenv.calibration.model.prior.FIT_WORDS`: "auto", all parameters by their priors; "offsets", the
             joints' zeros alone; "full", all of them without priors, as the papers do.
-        tolerances: The tolerance class that parts are expected to be made to, by name or path.
+        tolerances: The tolerance class that parts are expected to be made to, by name or path; the arm's own, or that
+            of a cobot, when None.
         prior_scale: Factor on its widths; found from the rows when None.
         workspace: Where the verdict speaks (`pickenv.calibration.pipeline.given.workspace_joints`); the joint limits
             when None.
@@ -50,7 +51,7 @@ class Choices:
     refit: tuple[str, ...] = ()
     refit_rows: int = REFIT_ROWS
     fit: str = "auto"
-    tolerances: str = TOLERANCE_CLASS
+    tolerances: str | None = None
     prior_scale: float | None = None
     workspace: str | None = None
 
@@ -58,11 +59,15 @@ class Choices:
 def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
     given = {"--frames known": choices.frames == "known"}
-    given[f"--residual {choices.residual}"] = choices.residual not in ("auto", "none")
+    parts = train.parts if isinstance(train, Stacked) else (train,)
+    tracked = all(isinstance(part, Measurements) for part in parts)
+    given[f"--residual {choices.residual}"] = not tracked and choices.residual not in ("auto", "none")
     if choices.lens is not None and not isinstance(train, PixelObservations):
         raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
+    one, several = (" of one station", " of several") if tracked else ("", "")
     for option, wanted in given.items():
         if wanted:
             raise InputError(
-                f"{option} is for poses and positions, but {train.source} holds {train.kind}; leave it out"
+                f"{option} is for poses and positions{one}, but {train.source} holds {train.kind}{several}; "
+                "leave it out"
             )

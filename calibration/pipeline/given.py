@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Arm, Geometry, forward, load_arm
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.starts import stations_of
+from pickenv.calibration.identification.starts import by_set_up, placed, stations_of
 from pickenv.calibration.model.finished_poses import pose_carrier
-from pickenv.calibration.model.measurements import joint_columns, random_joints
+from pickenv.calibration.model.measurements import Measurements, joint_columns, random_joints
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.origins import named
 from pickenv.calibration.model.splits import equally_spaced
-from pickenv.calibration.model.stacked import OWN
+from pickenv.calibration.model.stacked import OWN, Stacked
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, read_observations
 from pickenv.calibration.reading.targets import joints_of, read_targets
@@ -46,7 +47,13 @@ def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:
 
 
 def given_rows(
-    arm: Arm, data: Data, columns: Columns = None, stations: str | None = None
+    arm: Arm,
+    data: Data,
+    columns: Columns = None,
+    stations: str | None = None,
+    *,
+    known: bool = False,
+    like: Observations | None = None,
 ) -> tuple[Observations, NoiseFloor | None]:
     """Rows, and what their files say about noise (of several stations, the first one's).
 
@@ -54,8 +61,10 @@ def given_rows(
         arm: The arm.
         data: The rows, or their files.
         columns: How the files are laid out; of several descriptions each is for one file.
-        stations: What each file, or data set, has of its own, of `STATIONS`. When left out, files of one layout are one
-            set-up, and those of several layouts have both frames of their own.
+        stations: What each file, or data set, has of its own, of `STATIONS`. When left out, the rows tell which files
+            of poses or positions are of one set-up, and other kinds have both frames of their own.
+        known: Whether base and tool are known; then all files are of one set-up.
+        like: Rows whose set-ups these are of, where they judge those.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
@@ -68,7 +77,7 @@ def given_rows(
             raise InputError("columns describe files, but rows are given; leave them out")
         for item in items:
             _refuse_no_numbers(arm, item)
-        return _joined(arm, items, stations), None
+        return _joined(arm, items, stations, known, like), None
     given = _each(columns)
     if len(given) > 1 and len(given) != len(items):
         raise InputError(
@@ -81,7 +90,8 @@ def given_rows(
         layout = given[0] if given else None
         sets = [(items, layout)] if stations is None else [([file], layout) for file in items]
     readings = [read_observations(files, arm.nominal, layout) for files, layout in sets]
-    return _joined(arm, [reading.observations for reading in readings], stations), readings[0].floor
+    rows = [reading.observations for reading in readings]
+    return _joined(arm, rows, stations, known, like), readings[0].floor
 
 
 def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> tuple[Array, NDArray[np.int64]]:
@@ -166,9 +176,26 @@ def _each(columns: Columns) -> list[str | Path]:
     return [columns] if isinstance(columns, str | Path) else list(columns)
 
 
-def _joined(arm: Arm, sets: list[Observations], stations: str | None) -> Observations:
-    """One data set as it is; several as stations of one arm."""
+def _joined(
+    arm: Arm, sets: list[Observations], stations: str | None, known: bool, like: Observations | None
+) -> Observations:
+    """One data set as it is; several as stations of one arm, as asked or as poses and positions tell."""
+    if stations is None:
+        tracked = [file for part in sets if isinstance(part, Measurements) for file in _files(part)]
+        if isinstance(like, Stacked) and tracked:
+            return placed(arm, like, tracked)
+        free = not known and like is None and all(part.frames == "fitted" for part in tracked)
+        if len(tracked) > 1 and free and all(isinstance(part, Measurements) for part in sets):
+            several = by_set_up(arm, tracked)
+            return sets[0] if len(sets) == 1 and isinstance(several, Measurements) else several
     return sets[0] if len(sets) == 1 else stations_of(arm, sets, STATIONS[stations or "base,tool"])
+
+
+def _files(data: Measurements) -> list[Measurements]:
+    """The rows of each file."""
+    origins = origins_of(data)
+    numbers = np.unique(origins.file)
+    return [replace(data.select(origins.file == i), source=origins.files[i]) for i in numbers.tolist()]
 
 
 def _refuse_no_numbers(arm: Arm, data: Observations) -> None:

@@ -14,12 +14,14 @@ import numpy as np
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.metrics import LEAST_ROWS
+from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.splits import Rows
+from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.fitting import Fit
 from pickenv.calibration.pipeline.restation import errors_there, restationed
@@ -101,7 +103,7 @@ def held_out_of(fits: Mapping[str, Fit], train: Observations, test: Observations
         before = test.difference(ArmModel.of(bare.calibration.nominal))
     else:
         assert bare.aligned is not None
-        before = test.misses(bare.aligned.arm_model, unknowns_of(bare.aligned, train))
+        before = missed_by(bare.aligned, test)
     names = (GEOMETRIC, *list(fits)[1:])
     errors = {name: what_is_left(fit, test) for name, fit in zip(names, fits.values(), strict=True)}
     pixels: tuple[Array, ...] = ()
@@ -142,6 +144,21 @@ def held_out_elsewhere(
     return HeldOut({NOMINAL: left(nominal), **errors}, parametric, (used,), refit=refit), at.rest
 
 
+def by_station(held_out: HeldOut, train: Stacked, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:
+    """Errors of all blocks of several stations in the order of the stations' rows, as the rows stand.
+
+    Args:
+        held_out: Errors block by block.
+        train: The rows.
+        folds: For each block the rows fitted, and those held out.
+    """
+    rows = np.concatenate([held[train.select(held).rows_of_misses] for _, held in folds])
+    order = np.argsort(train.places[rows], kind="stable")
+    errors = {name: values[order] for name, values in held_out.errors.items()}
+    blocks = None if held_out.blocks is None else held_out.blocks[order]
+    return replace(held_out, errors=errors, parametric=held_out.parametric[order], blocks=blocks)
+
+
 def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
     """Errors of all blocks, one after the other.
 
@@ -171,7 +188,23 @@ def without_residual(fit: Fit) -> Fit:
 
 
 def what_is_left(fit: Fit, data: Observations) -> Array:
-    """What a calibration leaves of data ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad."""
-    if isinstance(data, Measurements):
-        return fit.calibration.errors(data)
-    return data.misses(fit.identification.arm_model, unknowns_of(fit.identification, data))
+    """A calibration's errors ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad, of stations in the first's axes."""
+    tracked = tracked_rows(fit.identification, data)
+    return missed_by(fit.identification, data) if tracked is None else fit.calibration.errors(tracked)
+
+
+def missed_by(found: Identification, data: Observations) -> Array:
+    """What an identified arm leaves of data, likewise."""
+    tracked = tracked_rows(found, data)
+    return (
+        data.misses(found.arm_model, unknowns_of(found, data))
+        if tracked is None
+        else tracked.difference(found.arm_model)
+    )
+
+
+def tracked_rows(found: Identification, data: Observations) -> Measurements | None:
+    """Poses or positions as they are, of stations as the first one would have measured them; None of other kinds."""
+    if isinstance(data, Stacked):
+        return data.from_the_first(found.arm_model, unknowns_of(found, data))
+    return data if isinstance(data, Measurements) else None

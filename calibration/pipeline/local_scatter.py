@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.splits import BLOCKS, Rows, equally_spaced
+from pickenv.calibration.model.splits import BLOCKS, Rows, equally_spaced, same_poses
 
 ANCHORS = 400
 """Poses that a calibration keeps at most; each stands for the held-out poses nearest to it."""
@@ -58,7 +58,7 @@ class LocalScatter:
     def at(self, joints: ArrayLike) -> Array:
         """Mean square expected at joints ``(..., n)``."""
         joints = np.asarray(joints, dtype=float)
-        found = self._shape(_features(joints.reshape(-1, joints.shape[-1]), self.slides))
+        found = self._shape(joint_features(joints.reshape(-1, joints.shape[-1]), self.slides))
         return np.asarray((self._level * found).reshape(joints.shape[:-1]))
 
     @cached_property
@@ -69,7 +69,7 @@ class LocalScatter:
 
     @cached_property
     def _features(self) -> Array:
-        return _features(self.joints, self.slides)
+        return joint_features(self.joints, self.slides)
 
     @cached_property
     def _scale(self) -> tuple[Array, Array]:
@@ -144,7 +144,7 @@ def local_scatter(joints: Array, squares: Array, slides: Sequence[bool]) -> Loca
     """The expected size of errors, from squared ones ``(R,)`` at joints ``(R, n)``; None where they are few."""
     if len(squares) < LEAST_LOCAL:
         return None
-    features = _features(joints, tuple(slides))
+    features = joint_features(joints, tuple(slides))
     scaled = features / (features.std(axis=0) + 1e-9)
     chosen = equally_spaced(len(joints), ANCHORS)
     _, nearest = KDTree(scaled[chosen]).query(scaled)
@@ -164,12 +164,17 @@ def within95(
         squares: Squared errors ``(R,)``.
         variance: What the parameters' uncertainty adds to each expected square ``(R,)``.
         slides: Which joints slide.
-        blocks: The block of each error; contiguous tenths where there are none.
+        blocks: The block of each error; contiguous tenths of the poses where there are none.
     """
     count = len(squares)
     if count < 2 * BLOCKS:
         return None
-    blocks = np.arange(count) * BLOCKS // count if blocks is None else np.unique(blocks, return_inverse=True)[1]
+    if blocks is None:
+        poses = same_poses(joints)
+        blocks = poses * BLOCKS // (int(poses.max()) + 1)
+    blocks = np.unique(blocks, return_inverse=True)[1]
+    if not blocks.any():
+        return None
     ratio, expected = np.zeros(count), np.zeros(count)
     for block in range(int(blocks.max()) + 1):
         here = blocks == block
@@ -188,7 +193,7 @@ def _quantile(ratio: Array) -> float:
     return float(np.sort(ratio)[min(rank, len(ratio)) - 1])
 
 
-def _features(joints: Array, slides: tuple[bool, ...]) -> Array:
+def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
     """Sines and cosines of joints that turn, and joints that slide as they are."""
     straight = np.array(slides)
     turning = joints[:, ~straight]

@@ -6,12 +6,12 @@ the frames take six numbers each, and a few rows that tell them well. SI units.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pickenv.arm import forward
+from pickenv.arm import Geometry, forward
 from pickenv.arm.kinematics.geometry import Array, identity_pose
 from pickenv.calibration.identification.alignment import align, apart, registered
 from pickenv.calibration.identification.diagnosis import MANY_FAR, LeftOut
@@ -20,8 +20,9 @@ from pickenv.calibration.identification.robust import OUTLIER_SIGMA, sizes_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel, frames_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import origins_of
-from pickenv.calibration.model.splits import Rows, equally_spaced
+from pickenv.calibration.model.observations import Equations, origins_of
+from pickenv.calibration.model.prior import Prior
+from pickenv.calibration.model.splits import Rows, equally_spaced, same_poses
 from pickenv.calibration.model.stacked import OWN
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.planning.exchange import exchange
@@ -29,6 +30,15 @@ from pickenv.errors import InputError
 
 REFIT_ROWS = 6
 """Rows that base and tool are found from when nobody says how many."""
+
+CHANGE_STD = (1.0, np.pi / 6)
+"""Standard deviations of a frame's change before rows are seen, m and rad: what rows do not tell stays as it was."""
+
+NO_RANK = 1e-12
+"""Nothing is redundant where all is expected somewhere."""
+
+TOLD = 0.1
+"""A direction is told where its standard deviation is less than this share of `CHANGE_STD`."""
 
 CANDIDATES = 1000
 """Rows are chosen among so many at most, taken evenly."""
@@ -41,10 +51,11 @@ class Restationed:
     Attributes:
         calibration: The calibration, with the base and tool of this station.
         used: Rows that these were found from.
-        rest: All others.
+        rest: All rows of other poses.
         expected: Mean square that the errors there should have ``(R,)``, m^2: what the calibration leaves elsewhere,
             and what the frames are uncertain by.
         moved: How far base and tool lie from where they were, by name: m and rad.
+        untold: How many of a frame's three directions of shift, and of turn, these rows do not tell, by name.
     """
 
     calibration: Calibration
@@ -52,6 +63,7 @@ class Restationed:
     rest: Rows
     expected: Array
     moved: dict[str, tuple[float, float]]
+    untold: dict[str, tuple[int, int]]
 
 
 def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...], int]:
@@ -79,6 +91,9 @@ def restationed(
 ) -> Restationed:
     """Find base, tool or both of a calibrated arm anew from a few rows, chosen by their joints alone.
 
+    The frames are expected where they were, within `CHANGE_STD`, which is as good as nothing where the rows tell them;
+    where they do not, they stay.
+
     Args:
         calibration: The calibration.
         data: Poses or positions at the other station.
@@ -96,23 +111,39 @@ def restationed(
             "or more, and measure at least 3 others to judge by"
         )
     data = weighed_by_reach(calibration, data)
-    frames = frames_model(calibration.identified)
-    chosen = [i for i, name in enumerate(frames.names) if name.startswith(tuple(own))]
-    model = ErrorModel(frames.columns[chosen], tuple(frames.names[i] for i in chosen), frames.tolerance[chosen])
+    model = own_frames_model(calibration.identified, own)
     used = _telling(calibration.model, data, model, count) if used is None else used
     few = data.select(used)
-    found = identify(model, _start(calibration.model, few, own), few, max_iterations=100)
-    rest = np.setdiff1d(np.arange(len(data)), used)
-    there = found.arm_model
-    kept = found.identifiability.kept
-    columns, scale = model.columns[kept], model.tolerance[kept]
-    elsewhere = there.jacobian(data.joints[rest], data.conditions.select(rest))[:, :3][..., columns] * scale
-    told = few.jacobian(there, np.zeros(0))[0][:, columns] * scale
-    # With rows in standard uncertainties the covariance of the frames is pinv(told) pinv(told)^T.
-    expected = np.sum((elsewhere @ np.linalg.pinv(told)) ** 2, axis=(1, 2)) + expected_square(data)
+    std = np.tile(np.repeat(CHANGE_STD, 3), len(model.names) // 6)
+    before = Prior(calibration.model, model.columns, std)
+    fits = [
+        identify(model, start, [few, before], max_iterations=100, rank_tolerance=NO_RANK)
+        for start in _starts(calibration.model, few, own)
+    ]
+    near = min(fits, key=lambda fit: fit.chi_square).arm_model
+    # Expected where they were found, what rows tell is pulled by nothing, and what they do not tell still stays.
+    settled: list[Equations] = [few, replace(before, reference=near)]
+    there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
+    poses = same_poses(data.joints)
+    rest = np.flatnonzero(~np.isin(poses, poses[used]))
+    elsewhere = there.jacobian(data.joints[rest], data.conditions.select(rest))[:, :3][..., model.columns] * std
+    told = few.jacobian(there, np.zeros(0))[0][:, model.columns] * std
+    # In shares of the standard deviations before, with rows in standard uncertainties.
+    covariance = np.linalg.inv(told.T @ told + np.eye(len(std)))
+    expected = np.einsum("rip,pq,riq->r", elsewhere, covariance, elsewhere) + expected_square(data)
+    parts = [covariance[first : first + 3, first : first + 3] for first in range(0, len(std), 3)]
+    lost = [int(np.sum(np.linalg.eigvalsh(part) > TOLD**2)) for part in parts]
+    untold = {name: (lost[2 * i], lost[2 * i + 1]) for i, name in enumerate(name for name in OWN if name in own)}
     geometry = calibration.identified
     moved = {name: apart(getattr(geometry, name), getattr(there.geometry, name)) for name in OWN if name in own}
-    return Restationed(replace(calibration, model=there), used, rest, expected, moved)
+    return Restationed(replace(calibration, model=there), used, rest, expected, moved, untold)
+
+
+def own_frames_model(geometry: Geometry, own: Collection[str]) -> ErrorModel:
+    """Base, tool or both."""
+    frames = frames_model(geometry)
+    chosen = [i for i, name in enumerate(frames.names) if name.startswith(tuple(own))]
+    return ErrorModel(frames.columns[chosen], tuple(frames.names[i] for i in chosen), frames.tolerance[chosen])
 
 
 def expected_square(data: Measurements) -> float:
@@ -138,18 +169,16 @@ def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int
     return np.sort(pool[chosen])
 
 
-def _start(model: ArmModel, few: Measurements, own: Collection[str]) -> ArmModel:
-    """The model near the new frames."""
+def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterator[ArmModel]:
+    """The model as it is, and near the new frames."""
     geometry = model.geometry
+    yield model
     if set(own) == {"tool"}:
-        return model
+        return
     chain = forward(replace(geometry, base=identity_pose(), tool=identity_pose()), few.joints)
-    start = registered(geometry, geometry.tool, chain, few)
+    yield replace(model, geometry=registered(geometry, geometry.tool, chain, few))
     if set(own) == set(OWN):
-        fitted = align(geometry, few, frames_model(geometry), judge=False).geometry
-        left = [float(np.sum(few.difference(each)[:, :3] ** 2)) for each in (start, fitted)]
-        start = start if left[0] < left[1] else fitted
-    return replace(model, geometry=start)
+        yield replace(model, geometry=align(geometry, few, frames_model(geometry), judge=False).geometry)
 
 
 def errors_there(at: Restationed, before: Calibration, data: Measurements) -> Array:

@@ -19,6 +19,7 @@ from pickenv.arm import Arm, Plant, draw_plants, load_tolerances
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.base_frame import BaseFrameError
 from pickenv.calibration.assessment.harmonic_table import OWN, harmonic_block, harmonic_rows
+from pickenv.calibration.assessment.instrument import set_up_block, set_ups_of
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import Quality
 from pickenv.calibration.assessment.screen import (
@@ -47,7 +48,7 @@ from pickenv.calibration.pipeline.held_out import (
 )
 from pickenv.calibration.pipeline.pixel_figures import PixelFigures
 from pickenv.calibration.pipeline.twin import SCATTER, scatter_of, twin
-from pickenv.calibration.pipeline.uncertainty import PoseUncertainty
+from pickenv.calibration.pipeline.uncertainty import MEASURED_REGION, PoseUncertainty, region_of
 from pickenv.calibration.reading.read import NoiseFloor
 from pickenv.calibration.residuals.gate import GateReport
 from pickenv.extras import require
@@ -83,6 +84,7 @@ class Result:
         left_out: Rows far off that were left out.
         unit: Serial number of the robot, where it was named.
         pixels: Reprojection errors; None where no pictures were taken.
+        stations: What files were said to have of their own; None where the rows told it.
     """
 
     arm: Arm
@@ -100,6 +102,7 @@ class Result:
     left_out: tuple[LeftOut, ...] = ()
     unit: str | None = None
     pixels: PixelFigures | None = None
+    stations: str | None = None
 
     @property
     def known_frames(self) -> bool:
@@ -151,6 +154,8 @@ class Result:
         """The calibration with verdict, frames and uncertainty in its record: what is saved and applied."""
         record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
         record["uncertainty"] = self.uncertainty.as_record()
+        if np.isfinite(self.uncertainty.covariance).all():
+            record[MEASURED_REGION] = region_of(self.uncertainty, self.fit.calibration.model, self.train)
         if self.base_frame is not None:
             record["base_frame"] = self.base_frame.as_dict()
         if self.unit is not None:
@@ -169,6 +174,8 @@ class Result:
         if isinstance(self.train, Measurements):
             repeat = None if self.floor is None else self.floor.repeat
             record[SCATTER] = vars(scatter_of(self.train, repeat))
+        if self.set_ups:
+            record["stations"] = self.set_ups
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
         return replace(self.fit.calibration, record=record)
 
@@ -221,6 +228,7 @@ class Result:
             found.append(Block(f"{what} far off, and kept" if kept else f"{what} left out", (), places, note))
         if self.quality.workspace is not None:
             found.insert(1, self.quality.workspace.block())
+        found.insert(1, set_up_block(self.set_ups, self.stations))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
@@ -296,6 +304,11 @@ class Result:
             rows.append(cells + ((figure(self.attitude[name].mean),) if name in self.attitude else ()))
         note = f"{self.held_out.text(len(self.test.joints), len(self.train.joints))}; used: {self.best_model}"
         return Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note)
+
+    @cached_property
+    def set_ups(self) -> list[dict[str, Any]]:
+        """The set-ups of several files, in screens' units; empty where there is one file."""
+        return set_ups_of(self.geometric.identification, self.train)
 
     def parameters(self) -> list[dict[str, Any]]:
         """Each fitted parameter on screens' units: its change and standard deviation, and how much the rows told.
@@ -392,6 +405,7 @@ class Result:
             "frames": "known" if self.known_frames else "fitted",
             "within95": self.uncertainty.within95_record(),
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
+            "stations": self.set_ups,
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
             "left_out_rows": [vars(item) for item in self.left_out],
             "parameters": len(found.identifiability.names),

@@ -19,7 +19,7 @@ from pickenv.arm import Arm
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.posterior import solve
-from pickenv.calibration.identification.rows import choose
+from pickenv.calibration.identification.rows import choose, refuse_trained
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.finished_poses import CARRIER
@@ -27,13 +27,21 @@ from pickenv.calibration.model.measurements import FRAMES, Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, PriorModel, prior_model
-from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced
+from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced, pose_count, same_poses
+from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.choices import Choices, refuse_options
 from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
 from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows, workspace_joints
-from pickenv.calibration.pipeline.held_out import HeldOut, held_out_elsewhere, held_out_of, pooled
+from pickenv.calibration.pipeline.held_out import (
+    HeldOut,
+    by_station,
+    held_out_elsewhere,
+    held_out_of,
+    pooled,
+    tracked_rows,
+)
 from pickenv.calibration.pipeline.restation import near_rows
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.residuals.bpnn import BpnnSettings
@@ -45,14 +53,14 @@ GATE_ROWS = 3000
 """Residual models are judged on so many training rows at most, taken evenly."""
 
 ENOUGH_FOR_BLOCKS = 40
-"""Fewer training rows than this are not enough to hold blocks out of."""
+"""Fewer training poses than this are not enough to hold blocks out of."""
 
 GEOMETRY = "geometry"
 
 SPLITS = ("random", "blocked")
 
 FEW_VIEWS, FEW_ROWS = 60, 20
-"""So many pictures, or rows, are judged one by one, each by a fit to all others."""
+"""So many pictures, or poses, are judged one by one, each by a fit to those of all other poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +105,11 @@ class Draft:
         return None
 
     @property
+    def tracked(self) -> Measurements | None:
+        """Training poses or positions, of stations as the first one would have measured them; None for other kinds."""
+        return tracked_rows(self.best[1].identification, self.train)
+
+    @property
     def best(self) -> tuple[str, Fit]:
         """The last of the fits, and its name."""
         return list(self.fits.items())[-1]
@@ -132,7 +145,7 @@ def calibrate(
         columns: Description of the files' columns, by name or path; our own columns when left out. Several: one for
             each file.
         stations: What each file, or data set, has of its own: "base", "tool", "base,tool" or "none". When left out,
-            files of one layout are one set-up, and those of several layouts have both of their own.
+            the rows tell which files of poses or positions share a set-up; other kinds have both of their own.
         test: Rows to judge by; some of ``data`` when left out.
         split: How those are held out: "random", and the calibration is fitted to the others; or "blocked", all ten
             contiguous tenths in turn, each judged by a model fitted and chosen without it, while the calibration itself
@@ -146,36 +159,41 @@ def calibrate(
 
     Raises:
         InputError: Names the file, row, column, unit or joint at fault: if a file cannot be read, rows are not numbers
-            or not of one kind, the data do not fit the arm, rows are far off, held out or not, or show too few
-            parameters, a name is unknown, an option does not apply to this kind of measurement, or the identification
-            does not converge.
+            or not of one kind, rows to judge by were trained on, the data do not fit the arm, rows are far off, held
+            out or not, or show too few parameters, a name is unknown, an option does not apply to this kind of
+            measurement, or the identification does not converge.
     """
     choices = choices or Choices()
     arm = given_arm(arm, columns)
     if split not in SPLITS:
         raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
-    train, floor = given_rows(arm, data, columns, stations)
+    known = choices.frames == "known"
+    train, floor = given_rows(arm, data, columns, stations, known=known)
     rng = rng or np.random.default_rng(choices.seed)
     if isinstance(train, PixelObservations) and choices.lens is not None:
         train = with_lens(train, choices.lens)
     if choices.refit and test is None:
         raise InputError("--refit is for rows of another station; give them with --test")
-    few = isinstance(train, Measurements) and len(train) < ENOUGH_FOR_BLOCKS and test_rows is None
+    few = isinstance(train, Measurements) and pose_count(train.joints) < ENOUGH_FOR_BLOCKS and test_rows is None
     if test is None and (split == "blocked" or few or isinstance(train, PixelObservations)):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
         result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
-        return replace(result, floor=floor, unit=unit)
+        return replace(result, floor=floor, unit=unit, stations=stations)
     if test is None:
         rows = choose(train, test_rows, np.random.default_rng(choices.seed))
         train, held_out = (train.select(np.sort(part)) for part in rows)
     else:
-        held_out, _ = given_rows(arm, test, columns, stations)
+        like = None if choices.refit else train
+        held_out, _ = given_rows(arm, test, columns, stations, known=known or bool(choices.refit), like=like)
+        refuse_trained(train, held_out)
     if choices.refit:
         draft = _through(STAGES, Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
-        return replace(_judged_elsewhere(draft, held_out), floor=floor, unit=unit)
+        return replace(_judged_elsewhere(draft, held_out), floor=floor, unit=unit, stations=stations)
     draft = _through(STAGES, Draft(arm, choices, train, held_out, rng, progress))
-    return replace(_assessed(draft, held_out_of(draft.fits, draft.train, draft.test)), floor=floor, unit=unit)
+    return replace(
+        _assessed(draft, held_out_of(draft.fits, draft.train, draft.test)), floor=floor, unit=unit, stations=stations
+    )
 
 
 def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
@@ -218,15 +236,18 @@ def _judged_by_blocks(draft: Draft) -> Result:
             fold = _through((_align, _identify, _add_terms), fold)
             if fold.choices.learn_from is not None:
                 fold = _learn(fold)
-            elif (residual := chosen[number % 2]) is not None and isinstance(here, Measurements):
-                fold = _with_residual(fold, residual, here, None)
+            elif (residual := chosen[number % 2]) is not None and fold.tracked is not None:
+                fold = _with_residual(fold, residual, fold.tracked, None)
         except InputError as error:
             raise InputError(f"without block {number + 1} of {len(folds)}: {error}") from None
         parts.append(held_out_of(fold.fits, here, there))
         if draft.progress is not None:
             draft.progress("judging blocks", number + 1, len(folds))
     judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
-    return _assessed(judged, pooled(list(whole.fits), parts))
+    held_out = pooled(list(whole.fits), parts)
+    if isinstance(checked.train, Stacked):
+        held_out = by_station(held_out, checked.train, folds)
+    return _assessed(judged, held_out)
 
 
 def _judged_elsewhere(draft: Draft, test: Observations) -> Result:
@@ -241,11 +262,10 @@ def _judged_elsewhere(draft: Draft, test: Observations) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """Rows to fit and rows held out, block by block; of few pictures, or very few rows, each is a block."""
-    count = len(train.joints)
-    if count <= (FEW_VIEWS if isinstance(train, PixelObservations) else FEW_ROWS):
-        return [(np.delete(np.arange(count), view), np.array([view])) for view in range(count)]
-    return contiguous_folds(train.groups, BLOCKS)
+    """Rows to fit and rows held out, block by block; of few pictures, or very few poses, each is a block."""
+    poses, count = same_poses(train.joints), pose_count(train.joints)
+    few = count <= (FEW_VIEWS if isinstance(train, PixelObservations) else FEW_ROWS)
+    return contiguous_folds(train.groups, poses, count if few else BLOCKS)
 
 
 def _chosen(checked: Draft, rows: Rows) -> str | None:
@@ -302,7 +322,12 @@ def _identify(draft: Draft) -> Draft:
     choices, known = draft.choices, draft.aligned is None
     start = draft.arm.nominal if draft.aligned is None else draft.aligned.geometry
     model = prior_model(
-        draft.arm.name, start, known=known, fit=choices.fit, tolerances=choices.tolerances, scale=choices.prior_scale
+        draft.arm.name,
+        start,
+        known=known,
+        fit=choices.fit,
+        tolerances=choices.tolerances or draft.arm.tolerance_class,
+        scale=choices.prior_scale,
     )
     return replace(draft, model=model).with_fit(GEOMETRY, fit_geometry(draft.arm, draft.train, draft.aligned, model))
 
@@ -314,7 +339,7 @@ def _add_terms(draft: Draft) -> Draft:
     if draft.choices.terms != "auto":
         terms = terms_of(draft.choices.terms, draft.arm, bare, draft.train)
     else:
-        if len(draft.train.joints) >= ENOUGH_FOR_BLOCKS and draft.arm.name != CARRIER:
+        if pose_count(draft.train.joints) >= ENOUGH_FOR_BLOCKS and draft.arm.name != CARRIER:
             choice = choose_terms(draft.arm, bare, draft.train)
         terms = () if choice is None else choice.terms
     while terms:
@@ -331,15 +356,15 @@ def _add_terms(draft: Draft) -> Draft:
 
 def _learn(draft: Draft) -> Draft:
     """A residual model: the named one from poses of its own, or one that wins within the training rows."""
-    choices, poses = draft.choices, draft.poses
+    choices = draft.choices
     if choices.learn_from is not None:
         settings = (choices.settings or BpnnSettings()) if choices.residual == "bpnn" else None
         return _with_residual(draft, choices.residual, choices.learn_from, settings)
-    if poses is None or choices.residual == "none":
+    train = draft.tracked
+    if train is None or choices.residual == "none":
         return draft
-    train = poses[0]
     selected: str | None = None
-    if len(train) >= ENOUGH_FOR_BLOCKS:
+    if pose_count(train.joints) >= ENOUGH_FOR_BLOCKS:
         names = tuple(FITTERS) if choices.residual == "auto" else (choices.residual,)
         draft = replace(draft, gate=_verdicts(draft, train, names))
         selected = draft.gate.selected if draft.gate else None
@@ -366,7 +391,7 @@ def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> Gate
     told = None
     if draft.progress is not None:
         name, best = draft.best
-        rms = 1e3 * position_rms(draft.train.misses(best.identification.arm_model, np.zeros(0)))
+        rms = 1e3 * position_rms(train.misses(best.identification.arm_model, np.zeros(0)))
         told = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
     return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=told)

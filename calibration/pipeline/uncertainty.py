@@ -13,14 +13,33 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.splits import Rows
-from pickenv.calibration.pipeline.local_scatter import LocalScatter, Within95, local_scatter, within95
+from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.splits import Rows, equally_spaced
+from pickenv.calibration.pipeline.local_scatter import (
+    ANCHORS,
+    LocalScatter,
+    Within95,
+    joint_features,
+    local_scatter,
+    within95,
+)
+
+ALIKE, SPACING = 0.3, 1.5
+"""Poses whose joints lie so far apart, rad or m, are alike in what a model leaves out; or so many times farther than
+those measured lie from their neighbours."""
+
+VAGUE = 2.0
+"""Where parameters tell the pose so many times worse than at 95 of 100 rows fitted, nothing like it was measured."""
+
+MEASURED_REGION = "measured_region"
+"""Entry of a calibration's record that holds `region_of`."""
 
 LOCAL, WITHIN = ("position_local", "attitude_local"), ("position_within95", "attitude_within95")
 """What differs from pose to pose, and what holds 95 of 100 errors: positions first."""
@@ -73,6 +92,12 @@ class PoseUncertainty:
         variance = np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1)
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
+
+    def from_parameters(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
+        """Standard uncertainty of position ``(...)``, m, by the parameters alone: large where nobody measured."""
+        columns = [model.parameter_names.index(name) for name in self.names]
+        found = model.pose_covariance(columns, self.covariance, joints, conditions)
+        return np.asarray(np.sqrt(np.trace(found[..., :3, :3], axis1=-2, axis2=-1)))
 
     def within95(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
@@ -163,6 +188,44 @@ def pose_uncertainty(
         parts[local] = local_scatter(joints, squares, slides)
         parts[within] = within95(joints, squares, variance[:, first : first + 3].sum(axis=1), slides, blocks)
     return replace(sure, **parts)
+
+
+def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dict[str, Any]:
+    """Where an arm was measured, for a calibration's record: some rows' joints, how far apart, how well told there.
+
+    Args:
+        sure: Uncertainty of the arm.
+        model: The arm.
+        data: The rows fitted.
+    """
+    told = sure.from_parameters(model, data.joints, data.conditions)
+    joints = data.joints[equally_spaced(len(data.joints), ANCHORS)]
+    places = joint_features(joints, model.geometry.prismatic)
+    apart = np.asarray(KDTree(places).query(places, k=2)[0])[:, 1]
+    return {
+        "joints": np.round(joints, 4).tolist(),
+        "near": max(ALIKE, SPACING * float(np.percentile(apart, 95))),
+        "position_p95_m": float(np.percentile(told, 95)),
+    }
+
+
+def measured_there(
+    record: Mapping[str, Any], sure: PoseUncertainty, model: ArmModel, joints: Array, conditions: Conditions
+) -> NDArray[np.bool_]:
+    """Which joints ``(N, n)`` lie where an arm was measured: rows were near, and the parameters tell the pose.
+
+    Args:
+        record: What `region_of` gave.
+        sure: Uncertainty of the arm.
+        model: The arm.
+        joints: Joints, rad or m.
+        conditions: Payload and temperature there.
+    """
+    slides = model.geometry.prismatic
+    known = KDTree(joint_features(np.array(record["joints"]), slides))
+    near = known.query(joint_features(joints, slides))[0] <= record["near"]
+    told = sure.from_parameters(model, joints, conditions) <= VAGUE * record["position_p95_m"]
+    return np.asarray(near & told)
 
 
 def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:

@@ -1,40 +1,66 @@
-"""An old calibration on new rows: still good, drifted, or of another arm. mm and degrees on screens, SI inside."""
+"""An old calibration on new rows: does it still beat the nominal arm, is it as good as promised, was this measured?
+
+What is wrong is named by its cause: frames that moved explain the rows, joints' zeros do, or nothing that a robot does
+between two measurements. mm and degrees on screens, SI inside.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pickenv.arm import rotation_matrix
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
+from pickenv.calibration.assessment.quality import no_gain
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.diagnosis import LeftOut
+from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.error_model import ErrorModel, joint_zeros_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.splits import BLOCKS, Rows
+from pickenv.calibration.model.stacked import OWN
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.restation import (
     REFIT_ROWS,
     errors_there,
     expected_square,
     near_rows,
+    own_frames_model,
     restationed,
     weighed_by_reach,
 )
+from pickenv.calibration.pipeline.uncertainty import MEASURED_REGION, measured_there, uncertainty_from
 from pickenv.errors import InputError
 
 GROWN = 1.5
-"""Errors may be so many times what is expected before a calibration counts as drifted: rows of another region of the
-workspace are up to 1.3 times worse on four sets of one robot."""
+"""Errors may be so many times what is expected before a calibration counts as no longer as promised: rows of another
+region of the workspace are up to 1.3 times worse on four sets of one robot."""
 
 ELSEWHERE = 20.0
-"""Errors of more than so many times what is expected are those of another station."""
+"""Errors of more than so many times what is expected come from no region of the workspace."""
 
-Status = Literal["still good", "drifted", "another arm", "another station"]
+MOSTLY = 5.0
+"""Frames elsewhere explain such errors where these are so many times smaller with them."""
+
+ALIKE = 0.75
+"""With errors of more than this share of the nominal arm's, little of the calibration is this arm's."""
+
+Status = Literal[
+    "still good",
+    "worse than nominal",
+    "no better than nominal",
+    "drifted",
+    "outside what was measured",
+    "another station",
+    "another arm",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +78,9 @@ class Verification:
         moved: How far base and tool lie from where they were, by name: m and rad.
         since: The first row from which on errors stay large, in words; None where they do not.
         left_out: Rows far off from all others.
+        no_gain: Why the rows do not show that the calibrated arm is better than the nominal one; None where they do.
+        measured: Share of the rows that lie where the calibration was measured; None where that is not known.
+        untold: How many of a frame's three directions of shift, and of turn, the rows do not tell, by name.
     """
 
     status: Status
@@ -64,6 +93,14 @@ class Verification:
     moved: dict[str, tuple[float, float]]
     since: str | None
     left_out: tuple[LeftOut, ...]
+    no_gain: str | None = None
+    measured: float | None = None
+    untold: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+
+    @property
+    def ratio(self) -> float:
+        """RMS error, in what was promised."""
+        return self.calibrated.rms / self.expected
 
     def text(self) -> str:
         """For the terminal: the verdict first."""
@@ -78,14 +115,32 @@ class Verification:
                 f"{' and '.join(self.moved)} found from {self.refitted} other rows, of both arms; expected of the "
                 f"calibrated arm: {figure(self.expected)} mm RMS"
             )
-        blocks = [Block(f"Errors on {self.rows} rows", heads, tuple(rows), how)]
+        gain = f"{'no' if self.no_gain else 'yes'}: {figure(self.calibrated.rms)} of {figure(self.nominal.rms)} mm RMS"
+        kept = f"{'yes' if self.ratio <= GROWN else 'no'}: {figure(self.ratio)} times the RMS expected"
+        seen = "not known" if self.measured is None else f"{100 * self.measured:.0f} % of the rows lie where it was"
+        asked = (
+            ("does it beat the nominal arm", gain),
+            ("is it as good as promised", kept),
+            ("was this region measured", seen),
+        )
+        blocks = [Block("Three questions", (), asked), Block(f"Errors on {self.rows} rows", heads, tuple(rows), how)]
         if self.moved:
-            moved = tuple((name, figure(m * 1e3), figure(float(np.degrees(a)))) for name, (m, a) in self.moved.items())
+            moved = tuple((name, *self._moved(name)) for name in self.moved)
             blocks.append(Block("Moved since the calibration", ("frame", "by (mm)", "turned (deg)"), moved, ""))
         if self.left_out:
             far = tuple((item.text(),) for item in self.left_out)
             blocks.append(Block("Rows left out", (), far, "too far off to be measurements of these poses"))
         return "\n".join([f"verdict: {self.status.upper()}: {self.reason}", *(block.text() for block in blocks)])
+
+    def _moved(self, name: str) -> tuple[str, str]:
+        """How far a frame has moved and turned, as far as the rows tell."""
+        shift, turn = self.moved[name]
+        sizes = (figure(shift * 1e3), figure(float(np.degrees(turn))))
+        cells = []
+        for size, count in zip(sizes, self.untold.get(name, (0, 0)), strict=True):
+            some = f"{size}; {count} of 3 directions not told by these rows" if count else size
+            cells.append("not told by these rows" if count == 3 else some)
+        return cells[0], cells[1]
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -97,7 +152,18 @@ class Verification:
             "calibrated_mm": self.calibrated.as_dict(),
             "nominal_mm": self.nominal.as_dict(),
             "expected_rms_mm": self.expected,
-            "moved": {name: {"mm": m * 1e3, "deg": float(np.degrees(a))} for name, (m, a) in self.moved.items()},
+            "beats_nominal": self.no_gain is None,
+            "no_gain": self.no_gain,
+            "times_expected": self.ratio,
+            "measured_share": self.measured,
+            "moved": {
+                name: {
+                    "mm": None if self.untold.get(name, (0, 0))[0] == 3 else m * 1e3,
+                    "deg": None if self.untold.get(name, (0, 0))[1] == 3 else float(np.degrees(a)),
+                    "untold_directions": list(self.untold.get(name, (0, 0))),
+                }
+                for name, (m, a) in self.moved.items()
+            },
             "since": self.since,
             "left_out_rows": [vars(item) for item in self.left_out],
         }
@@ -124,23 +190,58 @@ def verify(
     nominal = replace(calibration, model=ArmModel.of(calibration.nominal), learnt=None)
     data, left_out = near_rows(calibration, data, refit, refit_rows)
     moved: dict[str, tuple[float, float]] = {}
+    untold: dict[str, tuple[int, int]] = {}
+    there = calibration
     if refit:
         at = restationed(calibration, data, refit, refit_rows)
-        rest, expected, moved = at.rest, at.expected, at.moved
+        rest, expected, moved, untold, there = at.rest, at.expected, at.moved, at.untold, at.calibration
         errors = errors_there(at, calibration, data)
         # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
         before = errors_there(restationed(nominal, data, refit, refit_rows, at.used), nominal, data)
     else:
         errors, before, rest = calibration.errors(data), nominal.errors(data), np.arange(len(data))
-        expected = np.full(len(data), expected_square(weighed_by_reach(calibration, data)))
+        expected = promised(calibration, data)
     blocks = np.arange(len(rest)) * BLOCKS // len(rest) if len(rest) >= 4 * BLOCKS else None
     mine, theirs = (error_statistics(e[:, :3] * 1e3, blocks) for e in (errors, before))
-    wanted = float(np.sqrt(expected.mean())) * 1e3
-    since = _since(data, rest, errors, expected)
-    status, reason = _verdict(mine, theirs, wanted, bool(refit), since)
-    return Verification(
-        status, reason, mine, theirs, wanted, len(rest), refit_rows if refit else 0, moved, since, left_out
+    judged = data.select(rest)
+    inside = inside_what_was_measured(calibration, judged)
+    measured = None if inside is None else float(inside.mean())
+    known = measured is None or measured >= 0.5  # elsewhere errors grow with the region, and not with the day
+    found = Verification(
+        "still good",
+        "",
+        mine,
+        theirs,
+        float(np.sqrt(expected.mean())) * 1e3,
+        len(rest),
+        refit_rows if refit else 0,
+        moved,
+        _since(data, rest, errors, expected) if known else None,
+        left_out,
+        next(no_gain(before, errors, np.arange(len(rest)), "mm", len(rest), "rows"), None),
+        measured,
+        untold,
     )
+    status, reason = _verdict(found, lambda: _cause(there, judged, errors, expected, inside, refit))
+    return replace(found, status=status, reason=reason)
+
+
+def promised(calibration: Calibration, data: Measurements) -> Array:
+    """Mean square that errors should have at these rows ``(N,)``, m^2, by the calibration's own uncertainty."""
+    least = np.full(len(data), expected_square(weighed_by_reach(calibration, data)))
+    sure = uncertainty_from(calibration.record)
+    if sure is None:
+        return least
+    own = sure.standard(calibration.model, data.joints, data.conditions)[0] ** 2
+    return np.asarray(np.maximum(own, expected_square(data)))
+
+
+def inside_what_was_measured(calibration: Calibration, data: Measurements) -> NDArray[np.bool_] | None:
+    """Which rows ``(N,)`` lie where the calibration was measured; None where its record does not say."""
+    region, sure = calibration.record.get(MEASURED_REGION), uncertainty_from(calibration.record)
+    if region is None or sure is None:
+        return None
+    return measured_there(region, sure, calibration.model, data.joints, data.conditions)
 
 
 def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> str | None:
@@ -157,25 +258,84 @@ def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> st
     return f"from {file}, row {line}, on"
 
 
-def _verdict(
-    mine: ErrorStatistics, theirs: ErrorStatistics, wanted: float, refitted: bool, since: str | None
-) -> tuple[Status, str]:
-    ratio = mine.rms / wanted
-    said = f"{figure(mine.rms)} mm RMS where {figure(wanted)} mm are expected"
-    when = f" {since}" if since else " since the calibration"
-    if not refitted and ratio > ELSEWHERE:
-        return "another station", (
-            f"the rows miss by {said}: instrument or target were moved, or it is another arm; give --refit base,tool"
+Cause = Literal["frames", "elsewhere", "joints", "unknown"]
+
+
+def _cause(
+    there: Calibration,
+    data: Measurements,
+    errors: Array,
+    expected: Array,
+    inside: NDArray[np.bool_] | None,
+    refit: Collection[str],
+) -> Cause:
+    """What explains that errors are larger than promised: frames that moved, a region not measured, joints' zeros."""
+    squares, most = np.sum(errors[:, :3] ** 2, axis=1), GROWN * float(np.sqrt(expected.mean()))
+    size = float(np.sqrt(squares.mean()))
+    far = size > ELSEWHERE * most / GROWN
+    if far and not refit and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:
+        return "frames"
+    if inside is not None and not inside.all() and not far:
+        kept = inside.any() and np.mean(squares[inside]) <= GROWN**2 * np.mean(expected[inside])
+        if kept or inside.mean() < 0.5:
+            return "elsewhere"
+    zeros = joint_zeros_model(there.identified)
+    inner = ErrorModel(zeros.columns[1:-1], zeros.names[1:-1], zeros.tolerance[1:-1])  # base and tool turn the others
+    if _left(there, data, inner.joined(own_frames_model(there.identified, refit))) <= most:
+        return "joints"
+    if not refit and _left(there, data, own_frames_model(there.identified, OWN)) <= most:
+        return "frames"
+    return "unknown"
+
+
+def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
+    """RMS position error once these parameters are fitted to these rows, m, as of rows that they were not fitted to."""
+    if len(data) < len(model.names):
+        return np.inf
+    learnt = there.errors(data) - data.difference(there.model)
+    try:
+        found = identify(model, there.model, _less(data, learnt), max_iterations=60)
+    except InputError:
+        return np.inf
+    left = data.difference(found.arm_model) + learnt
+    spare = 1.0 - found.identifiability.rank / (len(data) * data.rows_per_pose)
+    return float(np.sqrt(np.mean(np.sum(left[:, :3] ** 2, axis=1)) / spare))
+
+
+def _less(data: Measurements, learnt: Array) -> Measurements:
+    """The rows without what was learnt: learnt errors ``(N, 3 or 6)`` are minus what a residual model adds."""
+    position = data.position + learnt[:, :3]
+    if data.rotation is None or learnt.shape[1] < 6:
+        return replace(data, position=position)
+    return replace(data, position=position, rotation=rotation_matrix(learnt[:, 3:]) @ data.rotation)
+
+
+def _verdict(found: Verification, cause: Callable[[], Cause]) -> tuple[Status, str]:
+    mine, theirs, since = found.calibrated.rms, found.nominal.rms, found.since
+    said = f"{figure(mine)} mm RMS where {figure(found.expected)} mm are expected"
+    if found.ratio <= GROWN and since is None:
+        if found.no_gain is not None:
+            return "worse than nominal" if mine >= theirs else "no better than nominal", f"{said}, but {found.no_gain}"
+        where = "" if found.measured is None or found.measured >= 0.5 else "; it was not measured here before"
+        return "still good", f"{said}, and {figure(theirs)} mm with the nominal arm{where}"
+    why = "unknown" if since is not None else cause()
+    if why == "frames":
+        return "another station", f"{said}, and base and tool elsewhere explain it; give --refit base,tool"
+    if why == "elsewhere":
+        worse = f", worse than the nominal arm's {figure(theirs)} mm" if found.no_gain is not None else ""
+        return "outside what was measured", (
+            f"{said}{worse}: only {100 * (found.measured or 0.0):.0f} % of the rows lie where it was measured; "
+            "measure there too, and calibrate with all rows"
         )
-    if ratio <= GROWN and since is None:
-        return "still good", f"{said}, and {figure(theirs.rms)} mm with the nominal arm"
-    if mine.rms >= theirs.rms:
+    if why == "unknown" and mine >= (ALIKE if since is None else 1.0) * theirs:
         return "another arm", (
-            f"{said}, and no less than the nominal arm's {figure(theirs.rms)} mm: it is of another arm, or of another "
-            "part of the workspace; calibrate anew"
+            f"{said}, where the nominal arm misses by {figure(theirs)} mm, and no place of base and tool and no zeros "
+            "of the joints explain it: it is of another arm; calibrate anew"
         )
-    grown = float(np.sqrt(max(mine.rms**2 - wanted**2, 0.0)))
+    grown = float(np.sqrt(max(mine**2 - found.expected**2, 0.0)))
+    when = f" {since}" if since else " since the calibration"
+    how = "the joints' zeros explain it" if why == "joints" else "by a change of the arm"
     return "drifted", (
-        f"{said}: it is this arm's, for the nominal one misses by {figure(theirs.rms)} mm, but {figure(grown)} mm RMS "
-        f"have come{when}, by a change of the arm or where it was not measured; calibrate anew"
+        f"{said}: it is this arm's, for the nominal one misses by {figure(theirs)} mm, but {figure(grown)} mm RMS "
+        f"have come{when}, {how}; calibrate anew"
     )

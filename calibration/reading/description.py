@@ -164,6 +164,10 @@ def _refuse_repeats(description: ColumnDescription) -> None:
         seen[plain] = role
 
 
+OWN_CONDITIONS = ("temperature_degC", "payload_kg")
+"""Columns of our own CSV format beside joints and poses."""
+
+
 def own_description(geometry: Geometry, header: list[str], where: str) -> ColumnDescription:
     """The description of our own CSV format, for an arm and a file's header."""
     expected = joint_columns(geometry.prismatic)
@@ -182,6 +186,12 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Column
     position_unit = "m" if "x_m" in header else "mm"
     has_rotation = any(column.startswith(("rx_", "ry_", "rz_")) for column in header)
     rotation_unit = "rad" if "rx_rad" in header else "deg"
+    for column in header:
+        if column.lower().startswith(("temp", "payload", "torque")) and column not in OWN_CONDITIONS:
+            raise InputError(
+                f"{where}: column '{shortened(column)}' is none of our format's, which records "
+                f"{' and '.join(OWN_CONDITIONS)}; rename it, describe it in [conditions] (--columns), or remove it"
+            )
     conditions = {}
     if "temperature_degC" in header:
         conditions["temperature"] = Condition(("temperature_degC",), (1.0,), 20.0)

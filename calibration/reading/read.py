@@ -164,6 +164,7 @@ def _conditions(files: Files) -> Conditions:
             condition = (description.conditions or {}).get(name)
             if condition is not None:
                 values = (table.values(condition.columns) - condition.reference) * np.array(condition.scales)
+                row_checks.refuse_implausible_conditions(table, name, values, condition.columns)
                 parts.append(values if name == "torque" else values[:, 0])
         if len(parts) == len(files.tables):
             found[name] = np.concatenate(parts)

@@ -11,7 +11,11 @@ from pickenv.calibration.model.origins import Origins
 from pickenv.calibration.reading.csv_table import Table
 from pickenv.calibration.reading.description import ColumnDescription
 from pickenv.errors import InputError
+from pickenv.limits import LIMITS, check_limit
 from pickenv.toml_tables import TO_SI
+
+QUANTITIES = {"temperature": "temperature_K", "payload": "payload_kg", "torque": "torque_Nm"}
+"""What each recorded condition is, of `pickenv.limits`; a temperature is counted from its reference."""
 
 FARTHEST = 1e4
 """No instrument sees a tool from farther away than this, m."""
@@ -81,3 +85,12 @@ def refuse_implausible_joints(table: Table, geometry: Geometry, i: int, values: 
             f"{table.where}: row {table.lines[row]}, column '{column}' is {values[row] / TO_SI[unit]:.6g} {unit}, "
             f"but joint {i + 1} ({geometry.joint_names[i]}) moves over {limits}; its unit is probably {other}{mixed}"
         )
+
+
+def refuse_implausible_conditions(table: Table, name: str, values: Array, columns: tuple[str, ...]) -> None:
+    """Refuse temperatures from the reference, payloads and torques ``(N, k)``, SI, that no arm works under."""
+    least, most, _ = LIMITS[QUANTITIES[name]]
+    rows, places = np.nonzero((values < least) | (values > most))
+    if len(rows):
+        where = f"{table.where}: row {table.lines[rows[0]]}, column '{columns[places[0]]}' as {QUANTITIES[name]}"
+        check_limit(where, float(values[rows[0], places[0]]), QUANTITIES[name])

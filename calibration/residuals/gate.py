@@ -18,7 +18,7 @@ from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, random_split
+from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, random_split, same_poses
 from pickenv.calibration.residuals.regressor import Fitter
 from pickenv.calibration.residuals.residual_models import FITTERS, fit_residual
 from pickenv.errors import InputError
@@ -123,12 +123,14 @@ def gate_residuals(
         raise InputError(f"no residual model was named; give some of {', '.join(FITTERS)}")
     test_rows = len(measurements) // 5
     seeds = [int(rng.integers(2**63)) for _ in models]
-    blocked = _Trial.of(measurements, refit, *blocked_split(len(measurements), test_rows))
-    shuffled = _Trial.of(measurements, refit, *random_split(len(measurements), test_rows, rng))
+    poses = same_poses(measurements.joints)
+    blocked = _Trial.of(measurements, refit, *blocked_split(poses, test_rows))
+    shuffled = _Trial.of(measurements, refit, *random_split(poses, test_rows, rng))
 
     @cache
     def inner() -> list[_Trial]:
-        return [_Trial.of(blocked.train, refit, *rows) for rows in contiguous_folds(blocked.train.groups, FOLDS)]
+        folds = contiguous_folds(blocked.train.groups, same_poses(blocked.train.joints), FOLDS)
+        return [_Trial.of(blocked.train, refit, *rows) for rows in folds]
 
     verdicts = []
     for number, (name, seed) in enumerate(zip(models, seeds, strict=True)):

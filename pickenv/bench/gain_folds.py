@@ -64,13 +64,11 @@ class Fold:
         return Fold(np.array(content["held"], dtype=np.int64), measured, tuple(predicted), content["refused"])
 
 
-def folds_of(count: int, split: str, folds: int, rng: np.random.Generator) -> list[tuple[Rows, Rows]]:
-    """Rows to fit and rows held out: of a shuffled file, or contiguous parts of it."""
-    order = rng.permutation(count) if split == "random" else np.arange(count)
-    return [
-        (np.sort(order[fitted]), np.sort(order[held]))
-        for fitted, held in contiguous_folds(np.zeros(count, dtype=np.int64), folds)
-    ]
+def folds_of(poses: Rows, split: str, folds: int, rng: np.random.Generator) -> list[tuple[Rows, Rows]]:
+    """Rows to fit and rows held out: of a file whose poses are shuffled, or contiguous parts of it."""
+    count = int(poses.max()) + 1
+    place = np.argsort(rng.permutation(count)) if split == "random" else np.arange(count)
+    return contiguous_folds(np.zeros_like(poses), place[poses], folds)
 
 
 def judged_fold(

@@ -21,7 +21,7 @@ import pickenv
 from pickenv.arm import Geometry, Pose, load_arm
 from pickenv.arm.files.urdf_text import urdf_text
 from pickenv.calibration import Measurements, align, complete_model, frames_model, identify, read_measurements
-from pickenv.calibration.model.splits import random_split
+from pickenv.calibration.model.splits import random_split, same_poses
 from pickenv.errors import InputError
 
 WORKERS = Path(pickenv.__file__).parents[1] / "scripts" / "peers"
@@ -89,7 +89,7 @@ def read_peer_task(data: Path, seed: int) -> PeerTask:
         if not file.is_file():
             raise InputError(f"{file} does not exist; give the folder of data sets with --data or PICKENV_DATA")
     grid, random = (read_measurements(file, nominal, "ur5_jacobi2025") for file in files)
-    train, held_out = random_split(len(grid), HELD_OUT, np.random.default_rng(seed))
+    train, held_out = random_split(same_poses(grid.joints), HELD_OUT, np.random.default_rng(seed))
     return PeerTask(nominal, grid.select(train), grid.select(held_out), random)
 
 

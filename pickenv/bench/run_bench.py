@@ -22,6 +22,7 @@ from pickenv.bench.gains import Gain, gains_of
 from pickenv.bench.peers import PEERS, judged_peer, judged_pickenv
 from pickenv.bench.real_sets import SETS, learnable
 from pickenv.bench.spread_rows import SPREAD, spread_figures
+from pickenv.calibration.model.splits import same_poses
 from pickenv.errors import InputError
 from pickenv.files import write_json
 from pickenv.provenance import code_fingerprint
@@ -178,7 +179,7 @@ def _worked(part: Part, settings: BenchSettings, data: Path, peers: Path) -> dic
     chosen = learnable(arm, rows, settings.rows)
     place = (list(SETS).index(name), SPLITS.index(split))
     shuffle, *seeds = np.random.SeedSequence(settings.seed, spawn_key=place).spawn(1 + settings.folds)
-    folds = folds_of(len(chosen), split, settings.folds, np.random.default_rng(shuffle))
+    folds = folds_of(same_poses(chosen.joints), split, settings.folds, np.random.default_rng(shuffle))
     fold = judged_fold(arm, chosen, folds[part.number], settings.draws, seeds[part.number])
     return {"in_file": len(rows.joints), "rows": len(chosen), **fold.as_dict()}
 

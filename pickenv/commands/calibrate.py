@@ -11,6 +11,7 @@ import typer
 
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import progress_bars
+from pickenv.container import npz_path
 from pickenv.extras import require
 from pickenv.files import separate, write_json
 from pickenv.provenance import command_line
@@ -43,7 +44,7 @@ def calibrate(
     stations: Annotated[
         Literal["none", "base", "tool", "base,tool"] | None,
         typer.Option(
-            help="Each file is a station with these frames of its own; both, if left out, where descriptions differ.",
+            help="Each file is a station with these frames of its own; if left out, poses and positions tell.",
             show_default=False,
         ),
     ] = None,
@@ -80,8 +81,13 @@ def calibrate(
         ),
     ] = "auto",
     tolerances: Annotated[
-        str, typer.Option(help="Tolerance class that the arm's parts are made to, by name or file.")
-    ] = "cobot",
+        str | None,
+        typer.Option(
+            help="Tolerance class that the arm's parts are made to, by name or file; as the arm's file says, or a "
+            "cobot's, if left out.",
+            show_default=False,
+        ),
+    ] = None,
     prior_scale: Annotated[
         float | None,
         typer.Option(
@@ -138,10 +144,17 @@ def calibrate(
     from pickenv.calibration.pipeline.pixel_figures import lens_of
     from pickenv.calibration.pipeline.restation import frames_and_rows
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
+    from pickenv.inspect.runs.run_folder import RECORD
 
     separate(
         {"FILES": files, "--test": test, "--columns": columns, "--arm": arm},
-        {"--json": json_file, "--out": _npz(out), "--report": report, "--run": run, "--lens-out": lens_out},
+        {
+            "--json": json_file,
+            "--out": None if out is None else npz_path(out),
+            "--report": report,
+            "--run": None if run is None else run / RECORD,
+            "--lens-out": lens_out,
+        },
     )
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
@@ -231,8 +244,3 @@ def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict
             write_json(folder / "figures.json", result.as_dict()),
             write_calibration_report(folder / REPORT, result, seeds),
         ]
-
-
-def _npz(path: Path | None) -> Path | None:
-    """The file that a calibration saved under this name goes to."""
-    return path if path is None or path.suffix == ".npz" else path.with_name(f"{path.name}.npz")

@@ -13,7 +13,7 @@ import typer
 
 from pickenv.container import read_container, refusing_damage
 from pickenv.errors import InputError
-from pickenv.files import write_json
+from pickenv.files import separate, write_json
 from pickenv.sealed import check_sealed_parquet
 
 REFUSED = 3
@@ -60,6 +60,7 @@ def check(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found to this file.")] = None,
 ) -> None:
     """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign."""
+    separate({}, {"--json": json_file})
     findings = []
     for path in paths:
         for finding in findings_of(path):
@@ -88,8 +89,9 @@ def findings_of(path: Path) -> list[Finding]:
 
 
 def folder_findings(folder: Path) -> list[Finding]:
-    """What is found about every file of a run, of a study, or of another folder that holds sealed files."""
-    from pickenv.inspect.runs.run_folder import RECORD, STUDY
+    """What is found about every file of a run, of a study, or of another folder that holds runs or sealed files."""
+    from pickenv.agents.evaluation.grid_tables import GRID
+    from pickenv.inspect.runs.run_folder import PARTS, RECORD, STUDY
 
     if (folder / RECORD).exists():
         return run_findings(folder)
@@ -97,10 +99,18 @@ def folder_findings(folder: Path) -> list[Finding]:
         from pickenv.study.results.study_folder import check_folder
 
         return [Finding(str(path), "file of a study", reason=reason) for path, reason in check_folder(folder)]
+    runs = {record.parent for record in folder.rglob(RECORD)}
+    runs = {run for run in runs if not runs & set(run.parents)}
     held = sorted(path for path in folder.rglob("*") if path.suffix in SEALED and path.is_file())
-    if not held:
+    held = [path for path in held if not runs & set(path.parents)]
+    if not held and not runs:
         return [Finding(str(folder), "folder", reason="holds neither a complete run nor any file with a seal")]
-    return [file_finding(path) for path in held]
+    found = [finding for run in sorted(runs) for finding in run_findings(run)]
+    for path in held:
+        lost = path.name in {GRID, *PARTS.values()}
+        reason = f"its run is not complete: {path.parent / RECORD} is missing; {REMAKE}"
+        found.append(Finding(str(path), "file of a run", reason=reason) if lost else file_finding(path))
+    return found
 
 
 def run_findings(folder: Path) -> list[Finding]:

@@ -139,6 +139,7 @@ def film(
     from pickenv.inspect.films.make_film import film as make_film
     from pickenv.pictures.drawers import why_plain
 
+    separate({}, {"--out": out})
     with progress_bars("frames") as report:
         made = make_film(
             run, out, policies=policy or (), seconds=seconds, frames_per_second=fps, dark=dark, progress=report

@@ -12,6 +12,7 @@ import typer
 from pickenv.commands.handing_over import deliver
 from pickenv.errors import InputError
 from pickenv.files import separate, write_json
+from pickenv.limits import check_limit
 from pickenv.reservations import DO_NOT_USE, obey
 
 ARM = typer.Option(help="Arm name or file (.toml, .urdf, .xml, .yaml).", show_default=False)
@@ -78,8 +79,8 @@ def plan_poses(
     chosen = load_arm(arm)
     if columns is not None and pool is None and like is None:
         raise InputError("--columns describes the file of --like or --from; give that too")
-    if noise_mm is not None and not 0.0 < noise_mm < 1e3:
-        raise InputError(f"--noise-mm is {noise_mm:g}; give what a coordinate scatters by, in mm, above 0")
+    if noise_mm is not None:
+        check_limit("--noise-mm", noise_mm, "scatter_mm")
     test_joints = None if at is None else joints_of(read_targets(at, chosen.nominal), chosen.nominal)
     rng = np.random.default_rng(seed)
     planned: PosePlan | PlanLike
@@ -149,6 +150,10 @@ def apply(
     from pickenv.calibration.reading.targets import read_targets
 
     separate({"CALIBRATION": calibration, "TARGETS": targets, "--arm": arm}, {"--out": out})
+    given = {"--payload-kg": (payload_kg, "payload_kg"), "--temperature-k": (temperature_k, "temperature_K")}
+    for option, (value, quantity) in given.items():
+        if value is not None:
+            check_limit(option, value, quantity)
     chosen = load_arm(arm)
     loaded = Calibration.load(calibration, chosen, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))

@@ -255,7 +255,7 @@ def datasets(
     from pickenv.agents.training.data_sets import QUALITIES
     from pickenv.agents.training.data_sets import datasets as record
 
-    separate({}, {"--out": out, "--json": json_file})
+    separate({}, {"--json": json_file})
     with progress_bars() as report:
         cards = record(out, task or ("reach",), quality or QUALITIES, episodes=episodes, seed=seed, progress=report)
     deliver([(json_file, lambda path: write_json(path, cards))], lambda: _print_cards(cards, out))

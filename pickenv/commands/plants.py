@@ -22,6 +22,7 @@ def arms(json_file: JsonFile = None) -> None:
     from pickenv.arm.kinematics.workspace import farthest
     from pickenv.commands.showing import print_table
 
+    separate({}, {"--json": json_file})
     found = []
     for name in shipped_arms():
         arm = load_arm(name)

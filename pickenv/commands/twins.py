@@ -9,6 +9,7 @@ import typer
 
 from pickenv.commands.corrections import ALLOW, CALIBRATION, UNIT
 from pickenv.commands.handing_over import deliver
+from pickenv.container import npz_path
 from pickenv.files import separate, write_json
 from pickenv.reservations import DO_NOT_USE, obey
 
@@ -46,7 +47,7 @@ def twin(
 
     if columns is not None and rows is None:
         raise InputError("--columns describes the files of --rows; give those too")
-    path = out if out.suffix == ".npz" else out.with_name(f"{out.name}.npz")
+    path = npz_path(out)
     separate({"CALIBRATION": calibration, "--arm": arm, "--rows": rows or []}, {"--out": path, "--json": json_file})
     loaded = Calibration.load(calibration, None, unit)
     chosen = load_arm(arm or loaded.arm_name)

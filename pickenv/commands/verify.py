@@ -27,7 +27,9 @@ def verify(
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
 ) -> None:
-    """Judge an old calibration on new rows: still good, drifted (by how much, since when), or another arm.
+    """Judge an old calibration on new rows: does it beat the nominal arm, is it as good as promised, was this measured?
+
+    Still good, worse than nominal, drifted, outside what was measured, another station or another arm.
 
     The verdict comes first; unless it is "still good" the exit code is 3.
     """

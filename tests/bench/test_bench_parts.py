@@ -18,6 +18,7 @@ from pickenv.calibration import Measurements
 def test_a_fold_is_of_the_rows_and_the_seeds_of_its_set_and_split(monkeypatch, tmp_path):
     """Every row is held out once; random folds are shuffled, and no two folds of any set share a seed."""
     calls, asked = {}, []
+    some = Measurements(np.arange(23.0)[:, None], np.zeros((23, 3)), None, (False,))
 
     def judged(arm, chosen, rows, draws, seed):
         calls[part.row, part.number] = rows, tuple(seed.generate_state(4).tolist())
@@ -25,7 +26,7 @@ def test_a_fold_is_of_the_rows_and_the_seeds_of_its_set_and_split(monkeypatch, t
         return Fold(rows[1], {}, (), 2)
 
     monkeypatch.setattr(RealSet, "load", lambda self, data: ("arm", SimpleNamespace(joints=np.zeros((31, 6))), None))
-    monkeypatch.setattr(run_bench, "learnable", lambda arm, rows, most: asked.append(most) or np.zeros(23))
+    monkeypatch.setattr(run_bench, "learnable", lambda arm, rows, most: asked.append(most) or some)
     monkeypatch.setattr(run_bench, "judged_fold", judged)
     settings = BenchSettings(rows=24, folds=3, draws=7, seed=5)
     for row in ("gain_wam_random", "gain_wam_blocks", "gain_ur5_random"):

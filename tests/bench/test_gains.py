@@ -20,7 +20,7 @@ MODELS = (NOMINAL, *BEFORE)
 
 @pytest.mark.parametrize("split", ["random", "blocks"])
 def test_every_row_is_held_out_once(split, rng):
-    folds = folds_of(23, split, 5, rng)
+    folds = folds_of(np.arange(23), split, 5, rng)
     assert sorted(np.concatenate([held for _, held in folds]).tolist()) == list(range(23))
     for fitted, held in folds:
         assert sorted([*fitted.tolist(), *held.tolist()]) == list(range(23))
@@ -135,7 +135,7 @@ def test_the_twin_never_sees_the_rows_held_out(rng, monkeypatch):
     """Held-out rows are measured otherwise: the arms drawn, and what is left of them, stay the same to the bit."""
     monkeypatch.setattr(gain_folds, "LEARNT", {})
     data = positions(48, rng, 2e-4)
-    rows = folds_of(48, "blocks", 5, rng)[1]
+    rows = folds_of(np.arange(48), "blocks", 5, rng)[1]
     other = data.position.copy()
     other[rows[1]] += rng.normal(0.0, 1e-4, (len(rows[1]), 3))
     moved = Measurements(data.joints, other, None, data.prismatic, 2e-5, std_stated=True)
@@ -160,7 +160,7 @@ def test_arms_that_cannot_be_calibrated_are_counted_and_drawn_anew(rng, monkeypa
         return judged(arm, train, test, rng)
 
     monkeypatch.setattr(gain_folds, "left_by_models", left)
-    rows, refuses = folds_of(48, "blocks", 5, rng)[0], (2,)
+    rows, refuses = folds_of(np.arange(48), "blocks", 5, rng)[0], (2,)
     fold = judged_fold(load_arm("ur5"), data, rows, 1, np.random.SeedSequence(5))
     assert (fold.refused, len(fold.predicted), len(calls)) == (1, 1, 3)
     assert np.abs(calls[1] - calls[2]).max() > 1e-6  # another arm, not the same once more

@@ -38,7 +38,7 @@ def test_blocks_of_known_spread(repeats: Any, blocks: int, apart: float) -> None
 def test_rows_of_alike_errors_judged_without_their_block(repeats: Any) -> None:
     """The whole procedure on a line with a smooth remainder: fitted without each block, judged there."""
     rows = 200
-    folds = contiguous_folds(np.zeros(rows, dtype=np.int64), BLOCKS)
+    folds = contiguous_folds(np.zeros(rows, dtype=np.int64), np.arange(rows), BLOCKS)
     number = np.concatenate([np.full(len(held), i) for i, (_, held) in enumerate(folds)])
 
     def left(rng: np.random.Generator) -> Any:

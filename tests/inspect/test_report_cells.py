@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pickenv.calibration.assessment.states import HELD, MEASURED
 
 from pickenv.arm import load_plant, noncompensable_error
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure
-from pickenv.calibration.assessment.states import HELD, MEASURED
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.held_out import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import Result

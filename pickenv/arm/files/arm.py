@@ -20,6 +20,7 @@ class Arm:
         nominal: The geometry that the controller believes in.
         true: The geometry as built, where the file gives one (simulated arms), else None.
         speed: Largest joint speeds, rad/s or m/s, shape (n,).
+        tolerance_class: Name of the tolerance class that its parts are made to, where the file says one.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Arm:
     nominal: Geometry
     true: Geometry | None
     speed: Array
+    tolerance_class: str | None = None
 
     def fingerprint(self) -> str:
         """Hash of the nominal geometry: a calibration fitted to one arm is refused on another."""

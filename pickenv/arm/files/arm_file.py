@@ -108,6 +108,7 @@ class ArmFile:
     name: Annotated[str, LINE] = ""
     source: Annotated[str, LINE] = ""
     convention: Literal["modified", "standard"] = "modified"
+    tolerance_class: Annotated[str, LINE] | None = None
     base: PoseTable = PoseTable()
     tool: PoseTable = PoseTable()
 
@@ -173,7 +174,7 @@ def read_arm(path: Path) -> Arm:
     )
     built: dict[str, Any] = {key: column(f"true_{key}") for key in COLUMNS} if file.simulated else {}
     true = replace(nominal, **built) if built else None
-    return Arm(file.name, file.source, nominal, true, column("speed", moved))
+    return Arm(file.name, file.source, nominal, true, column("speed", moved), file.tolerance_class)
 
 
 def _coupling(links: list[Any], moved: list[Any], slides: tuple[bool, ...]) -> Coupling | None:

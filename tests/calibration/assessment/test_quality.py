@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pickenv.calibration.model.coverage import pose_coverage
 from scipy import stats
 
 from pickenv.arm import displace_pose, forward, parameter_jacobian, pose_error
@@ -23,7 +24,6 @@ from pickenv.calibration.assessment.quality import (
     correlated_pairs,
     grade_quality,
 )
-from pickenv.calibration.model.coverage import pose_coverage
 from pickenv.calibration.model.identifiability import Dropped, Identifiability
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.uncertainty import pose_uncertainty, uncertainty_from

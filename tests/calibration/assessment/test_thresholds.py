@@ -16,7 +16,6 @@ from pickenv.calibration.assessment.quality import (
     grade_quality,
 )
 from pickenv.calibration.assessment.screen import Block, figure, is_number, unit_of
-from pickenv.calibration.assessment.states import HELD, LOST, MEASURED, States, parameter_states
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.error_model import frames_model, with_terms
 from pickenv.calibration.model.identifiability import Dropped, Identifiability

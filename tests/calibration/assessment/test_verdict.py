@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import gymnasium as gym
 import numpy as np
 import pytest
+from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from typer.testing import CliRunner
 
 import pickenv  # noqa: F401 - registers the environments
@@ -16,7 +17,6 @@ from pickenv.arm import forward, load_arm
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.calibration import Calibration, Measurements, fit, random_joints, read_measurements, simulated_tracker
-from pickenv.calibration.assessment.states import HELD, LOST, MEASURED
 from pickenv.calibration.identification.rows import choose
 from pickenv.calibration.pipeline.assess import assess
 from pickenv.calibration.pipeline.choices import Choices
@@ -232,7 +232,7 @@ def test_a_foreign_option_is_refused(qiao, exact):
     wire = DistanceObservations(joints, np.ones(len(joints)), 1e-4)
     for choices in (Choices(residual="bpnn"), Choices(frames="known")):
         with pytest.raises(InputError, match="is for poses and positions"):
-            calibrate(qiao, wire, test=wire, choices=choices)
+            calibrate(qiao, wire.select(np.arange(40)), test=wire.select(np.arange(40, 60)), choices=choices)
 
 
 def test_the_result_is_saved_before_it_is_printed(dynamic, tmp_path, monkeypatch):

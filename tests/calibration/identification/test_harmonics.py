@@ -23,7 +23,7 @@ from pickenv.calibration.identification.harmonics import (
 )
 from pickenv.calibration.identification.term_choice import choose_terms, identify_terms, plain_term, terms_of
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.splits import contiguous_folds
+from pickenv.calibration.model.splits import contiguous_folds, same_poses
 from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, kind_of_term
 from pickenv.errors import InputError
 
@@ -121,7 +121,9 @@ def test_the_pursuit_takes_what_explains_most_each_time(seed, size):
 def equations(planted):
     data, bare = planted
     model = Linearised.of(bare, (PLANTED, every_order(ARM.nominal)))
-    return BlockEquations.of(model, [data.select(held) for _, held in contiguous_folds(data.groups, 5)])
+    return BlockEquations.of(
+        model, [data.select(held) for _, held in contiguous_folds(data.groups, same_poses(data.joints), 5)]
+    )
 
 
 def test_equations_without_a_block_are_those_of_the_other_rows_with_the_prior(planted, equations):
@@ -171,7 +173,7 @@ def test_harmonics_are_chosen_again_among_finer_orders_two_tenths_around_those_c
     data, bare = planted
     monkeypatch.setattr(term_choice, "refined", lambda wave, *_: wave)
     (found,) = terms_of("periodic", ARM, bare, data)
-    blocks = [data.select(held) for _, held in contiguous_folds(data.groups, 5)]
+    blocks = [data.select(held) for _, held in contiguous_folds(data.groups, same_poses(data.joints), 5)]
 
     def taken(wave):
         model = Linearised.of(bare, (wave,))
@@ -232,7 +234,7 @@ def test_candidates_are_scored_on_blocks_as_by_a_fit_to_the_other_rows():
     found = choose_terms(ARM, bare, data)
     weight = (GravityTerm(tuple(range(6)), up),)
     missed = {"none": [], "gravity": []}
-    for train, held in contiguous_folds(data.groups, 5):
+    for train, held in contiguous_folds(data.groups, same_poses(data.joints), 5):
         rows, block = data.select(train), data.select(held)
         missed["none"].append(block.difference(bare_of(rows).geometry))
         fitted = identify_terms(weight, bare, rows).arm_model

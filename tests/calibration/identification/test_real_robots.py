@@ -5,7 +5,7 @@ import pytest
 
 from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, complete_model, fit, identify, read_measurements
-from pickenv.calibration.model.splits import contiguous_folds
+from pickenv.calibration.model.splits import contiguous_folds, same_poses
 from pickenv.calibration.pipeline.choices import Choices
 from pickenv.calibration.pipeline.held_out import what_is_left
 from pickenv.calibration.pipeline.stages import calibrate
@@ -118,7 +118,7 @@ def test_the_interval_between_blocks_holds_what_other_cuts_of_the_file_give(data
         turned = data.select(np.roll(np.arange(count), -shift))
         left = [
             what_is_left(fit(arm, turned.select(rows)), turned.select(held))[:, :3]
-            for rows, held in contiguous_folds(turned.groups, folds)
+            for rows, held in contiguous_folds(turned.groups, same_poses(turned.joints), folds)
         ]
         rms = 1e3 * np.sqrt(np.mean(np.sum(np.concatenate(left) ** 2, axis=1)))
         print(f"{count} rows, {folds} blocks, shift {shift}: {rms:.4f} mm, interval {low:.4f} to {high:.4f}")
@@ -181,11 +181,15 @@ def test_wam_yields_under_its_weight(data_folder):
 
 UR10 = {
     "A": ("ur10_landgraf2021", "Series_A/measurements_grid.csv", 0.846, 0.442),
-    "B": ("ur10_landgraf2021_repeats", "Series_B/measurements_joint_configurations.csv", 1.08, 0.455),
+    "B": ("ur10_landgraf2021_repeats", "Series_B/measurements_joint_configurations.csv", 1.08, 0.465),
     "C": ("ur10_landgraf2021_repeats", "Series_C/measurements_random_poses.csv", 0.987, 0.497),
     "D": ("ur10_landgraf2021_repeats", "Series_D/measurements_iso_cubes.csv", 0.773, 0.425),
 }
-"""Columns, file, nominal and geometric RMS in mm: means over random fifths held out (one fifth scatters by 5 %)."""
+"""Columns, file, nominal and geometric RMS in mm: means over random fifths held out (one fifth scatters by 5 %).
+
+Of series B 291 poses were measured twice, 0.01 deg apart: with both on one side 0.460 mm are left of rows held out,
+where 0.455 mm was said with a repeat of every third of them among those trained on.
+"""
 
 
 @pytest.mark.parametrize("series", UR10)

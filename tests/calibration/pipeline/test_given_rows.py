@@ -80,8 +80,9 @@ def test_arrays_are_taken_as_they_are_and_not_described(
     one, _ = given_rows(ur5, data[0], points)
     assert given_rows(ur5, one) == (one, None) and given_rows(ur5, [one]) == (one, None)
     both, floor = given_rows(ur5, [one, one])
-    assert isinstance(both, Stacked) and floor is None
-    assert {name.partition("_")[0] for name in both.unknowns()} == {"base2", "tool2"}
+    assert isinstance(both, Measurements) and len(both) == 16 and floor is None
+    apart, _ = given_rows(ur5, [one, one], stations="base,tool")
+    assert {name.partition("_")[0] for name in apart.unknowns()} == {"base2", "tool2"}
     shared, _ = given_rows(ur5, [one, one], stations="none")
     assert isinstance(shared, Stacked) and not shared.unknowns()
     with pytest.raises(InputError, match="columns describe files, but rows are given"):

@@ -20,14 +20,14 @@ from pickenv.calibration.model.splits import equally_spaced
 from pickenv.calibration.pipeline import restation
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.restation import (
-    _start,
+    _starts,
     expected_square,
     frames_and_rows,
     near_rows,
     restationed,
     weighed_by_reach,
 )
-from pickenv.calibration.pipeline.verification import _since, _verdict, verify
+from pickenv.calibration.pipeline.verification import Verification, _since, _verdict, verify
 from pickenv.errors import InputError
 
 HERE = Pose(np.array([2.0, 0.5, -0.3]), rotation_matrix(np.array([0.1, 0.2, -0.7])))
@@ -152,15 +152,14 @@ def test_a_reach_scatters_by_what_the_calibration_knows_or_the_rows_say(ur5: Arm
 
 @pytest.mark.parametrize("own", [("tool",), ("base",), FRAMES], ids="+".join)
 def test_a_search_for_frames_starts_in_them_where_only_the_base_has_moved(ur5: Arm, own: tuple[str, ...]) -> None:
-    """To rounding: the closed form is exact there; for the tool alone it starts where that was."""
+    """To rounding: the closed form is exact there; the first start is where the frames were."""
     model = calibration_of(ur5).model
     few = seen(ur5, 7, False, THERE, noise=0.0)
-    found = _start(model, few, own)
-    if own == ("tool",):
-        assert found is model
-    else:
-        assert np.abs(few.difference(found)).max() < 1e-13
-        np.testing.assert_allclose(found.geometry.base.position, THERE.position, atol=1e-12)
+    first, *others = _starts(model, few, own)
+    assert first is model and len(others) == {("tool",): 0, ("base",): 1, FRAMES: 2}[own]
+    if others:
+        assert np.abs(few.difference(others[0])).max() < 1e-13
+        np.testing.assert_allclose(others[0].geometry.base.position, THERE.position, atol=1e-12)
 
 
 @pytest.mark.parametrize(("rows", "count", "taken"), [(12, 6, 9), (40, 6, 24), (30, 8, 27), (31, 7, 28), (10, 9, 9)])
@@ -196,25 +195,31 @@ def constant(size: float) -> ErrorStatistics:
 
 
 @pytest.mark.parametrize(
-    ("mine", "theirs", "wanted", "refitted", "since", "status", "said"),
+    ("mine", "theirs", "since", "gain", "cause", "status", "said"),
     [
-        (3.0, 9.0, 2.0, False, None, "still good", "3.000 mm RMS where 2.000 mm are expected"),
-        (3.1, 9.0, 2.0, False, None, "drifted", "2.369 mm RMS have come since the calibration"),
-        (2.0, 9.0, 2.0, False, "from a, row 3, on", "drifted", "0.000 mm RMS have come from a, row 3, on"),
-        (1.0, 9.0, 2.0, True, "from a, row 3, on", "drifted", "0.000 mm RMS have come from a, row 3, on"),
-        (40.0, 90.0, 2.0, False, None, "drifted", "39.95 mm RMS"),
-        (40.1, 90.0, 2.0, False, None, "another station", "40.10 mm RMS where"),
-        (41.9, 90.0, 2.0, True, None, "drifted", "41.85 mm RMS"),
-        (9.0, 9.0, 2.0, True, None, "another arm", "no less than the nominal arm's 9.000 mm"),
-        (8.9, 9.0, 2.0, False, None, "drifted", "8.672 mm RMS"),
+        (3.0, 9.0, None, None, "joints", "still good", "3.000 mm RMS where 2.000 mm are expected"),
+        (3.0, 2.0, None, "it is worse", "unknown", "worse than nominal", "are expected, but it is worse"),
+        (2.9, 3.0, None, "it is chance", "unknown", "no better than nominal", "are expected, but it is chance"),
+        (3.1, 9.0, None, None, "joints", "drifted", "2.369 mm RMS have come since the calibration, the joints' zeros"),
+        (2.0, 9.0, "from a, row 3, on", None, "frames", "drifted", "0.000 mm RMS have come from a, row 3, on"),
+        (40.0, 90.0, None, None, "frames", "another station", "40.00 mm RMS where"),
+        (40.0, 90.0, None, None, "elsewhere", "outside what was measured", "only 25 % of the rows"),
+        (9.1, 9.0, None, "it is worse", "elsewhere", "outside what was measured", "worse than the nominal arm's 9.000"),
+        (9.0, 9.0, "from a, row 3, on", "it is worse", "joints", "another arm", "nominal arm misses by 9.000 mm"),
+        (6.8, 9.0, None, None, "unknown", "another arm", "no zeros of the joints explain it"),
+        (6.7, 9.0, None, None, "unknown", "drifted", "6.395 mm RMS have come since the calibration, by a change"),
+        (8.9, 9.0, "from a, row 3, on", None, "unknown", "drifted", "8.672 mm RMS"),
     ],
 )
 def test_verdicts_and_what_is_said_of_them(
-    mine: float, theirs: float, wanted: float, refitted: bool, since: str | None, status: str, said: str
+    mine: float, theirs: float, since: str | None, gain: str | None, cause: Any, status: str, said: str
 ) -> None:
-    """Up to half as much again is good, more than twenty times is another station; what has come adds in squares."""
-    found = _verdict(constant(mine), constant(theirs), wanted, refitted, since)
-    assert found[0] == status and said in found[1]
+    """Up to half as much again is as promised; what has come adds in squares; a move midway has no other cause."""
+    found = Verification(
+        "still good", "", constant(mine), constant(theirs), 2.0, 30, 0, {}, since, (), no_gain=gain, measured=0.25
+    )
+    verdict = _verdict(found, lambda: cause)
+    assert verdict[0] == status and said in verdict[1]
 
 
 @pytest.mark.parametrize(

@@ -240,7 +240,7 @@ def test_poses_are_chosen_from_a_file_and_named_by_its_lines(qiao, tmp_path):
     refused = CliRunner().invoke(app, ["plan-poses", "--arm", "qiao2026", "--columns", "ur5_jacobi2025"])
     assert "describes the file of --like or --from" in str(refused.exception)
     refused = CliRunner().invoke(app, ["plan-poses", "--arm", "qiao2026", "--noise-mm", "0"])
-    assert "--noise-mm is 0; give what a coordinate scatters by" in str(refused.exception)
+    assert "--noise-mm is 0.0; give 1e-06 to 100" in str(refused.exception)
 
 
 @pytest.mark.parametrize("near_them", [False, True], ids=["field", "test poses"])

@@ -10,7 +10,7 @@ from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
 from pickenv.calibration.model.kinds.sockets import SocketObservations
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.splits import contiguous_folds
+from pickenv.calibration.model.splits import contiguous_folds, same_poses
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
 
@@ -130,7 +130,7 @@ def test_sockets_by_column(read, moved):
     train, test = choose(data, 8, np.random.default_rng(0))
     assert set(data.socket[train]) == set(data.socket[test]) == {0, 1, 2, 3}
     assert set(train) | set(test) == set(range(30)) and not set(train) & set(test)
-    for train, test in contiguous_folds(data.groups, 3):
+    for train, test in contiguous_folds(data.groups, same_poses(data.joints), 3):
         assert set(data.socket[train]) == set(data.socket[test]) == {0, 1, 2, 3}
 
 

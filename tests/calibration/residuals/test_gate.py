@@ -113,7 +113,7 @@ def test_winning_on_the_held_out_blocks_alone_is_no_gain(qiao: Arm, displaced: D
     rng = np.random.default_rng(3)
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (200, 6))
     error = np.full((200, 6), -1e-4)
-    error[blocked_split(200)[1]] = 1e-4
+    error[blocked_split(np.arange(200))[1]] = 1e-4
     lucky: dict[str, Fitter] = {"rbf": lambda *_: Constant(np.full(6, 1e-4))}
     gate = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf",), fitters=lucky)
     (verdict,) = gate.verdicts

@@ -63,8 +63,8 @@ def test_every_figure_of_a_verdict_is_the_root_mean_square_of_its_own_rows(qiao,
     found = judged(qiao, error, {"rbf": saying(said), "gp": saying(0.5 * said)}, seed=5)
     draws = np.random.default_rng(5)
     draws.integers(2**63, size=2)  # a seed for each of two models comes first
-    train, held = blocked_split(ROWS, 20)
-    mixed = random_split(ROWS, 20, draws)[1]
+    train, held = blocked_split(np.arange(ROWS), 20)
+    mixed = random_split(np.arange(ROWS), 20, draws)[1]
     for verdict, value in zip(found.verdicts, (said, 0.5 * said), strict=True):
         assert verdict.geometric_random_rms == pytest.approx(rms(error[mixed]))
         assert verdict.random_rms == pytest.approx(rms(error[mixed] - value))
@@ -94,7 +94,7 @@ def test_a_model_that_could_not_be_fitted_has_no_figures_and_geometry_keeps_its_
     (verdict,) = found.verdicts
     draws = np.random.default_rng(5)
     draws.integers(2**63)
-    held, mixed = blocked_split(25, 5)[1], random_split(25, 5, draws)[1]
+    held, mixed = blocked_split(np.arange(25), 5)[1], random_split(np.arange(25), 5, draws)[1]
     assert verdict.blocked_rms is verdict.random_rms is verdict.blocked_attitude_rms is None
     assert verdict.geometric_blocked_rms == pytest.approx(rms(error[held]))
     assert verdict.geometric_random_rms == pytest.approx(rms(error[mixed]))
@@ -118,7 +118,7 @@ def test_a_gain_must_be_more_than_2_percent(qiao, gain, accepted):
 def test_and_as_much_within_the_training_rows(qiao, gain, accepted):
     """The held-out blocks are four times as large, and half of them is explained."""
     error = np.repeat([[1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]], ROWS, axis=0)
-    error[blocked_split(ROWS)[1], 0] = gain * 2e-3
+    error[blocked_split(np.arange(ROWS))[1], 0] = gain * 2e-3
     (verdict,) = judged(qiao, error, {"rbf": saying(gain * 1e-3 * np.eye(6)[0])}).verdicts
     assert verdict.blocked_rms == pytest.approx(0.5 * verdict.geometric_blocked_rms)
     assert verdict.accepted == accepted and verdict.inner_rms == pytest.approx((1 - gain) * 1e-3)

@@ -1,0 +1,57 @@
+"""However few rows there are, a calibration ends with a verdict or with one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from pickenv.arm import Arm, Plant
+from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker
+from pickenv.cli import app
+from pickenv.errors import InputError
+
+
+def tracked(plant: Plant, rows: int, seed: int) -> Measurements:
+    rng = np.random.default_rng(seed)
+    return simulated_tracker(plant, random_joints(plant.arm.nominal, rows, rng), rng)
+
+
+@settings(max_examples=30)
+@given(
+    rows=st.integers(1, 14),
+    seed=st.integers(0, 50),
+    frames=st.sampled_from(["known", "fitted"]),
+    turned=st.booleans(),
+    split=st.sampled_from(["random", "random", "blocked"]),
+    robust=st.booleans(),
+)
+@example(rows=5, seed=0, frames="known", turned=True, split="random", robust=True)
+@example(rows=9, seed=3, frames="fitted", turned=True, split="random", robust=True)
+@example(rows=7, seed=0, frames="known", turned=False, split="random", robust=True)
+def test_few_rows_end_in_a_verdict_or_in_a_sentence(
+    dynamic: Plant, rows: int, seed: int, frames: Literal["known", "fitted"], turned: bool, split: str, robust: bool
+) -> None:
+    """Also where every held-out row is far off from what the others told, as in one of eight of these."""
+    data = tracked(dynamic, rows, seed)
+    choices = Choices(frames=frames, robust=robust, seed=seed)
+    try:
+        result = calibrate(dynamic.arm, data if turned else data.positions_only(), split=split, choices=choices)
+    except InputError as error:
+        assert len(str(error).splitlines()) == 1
+        return
+    assert len(result.test.joints) > 0
+    assert result.quality.grade == "do not use" or len(result.test.joints) > 2
+
+
+@pytest.mark.parametrize("rows", [5, 6, 7])
+def test_five_to_seven_rows_are_not_to_be_used(rows: int, qiao: Arm, dynamic: Plant, tmp_path: Path) -> None:
+    path = tracked(dynamic, rows, 0).write_csv(tmp_path / "few.csv")
+    ended = CliRunner().invoke(app, ["calibrate", str(path), "--arm", qiao.name, "--frames", "known"])
+    assert ended.exit_code == 3, ended.output
+    assert ended.output.startswith("verdict: DO NOT USE: only 1 row was held out, which judges nothing")
