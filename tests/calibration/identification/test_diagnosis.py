@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pickenv.calibration.identification.ladder import RUNGS
 
 from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import random_joints, simulated_tracker
