@@ -159,9 +159,9 @@ ROOMS = {
     "gate": room("calibration/residuals", "gate", "tests/calibration/residuals", "gate_figures gate"),
     "assessment": room(
         "calibration/assessment",
-        "quality base_frame states screen metrics",
+        "quality base_frame workspace screen metrics",
         "tests/calibration/assessment",
-        "thresholds metrics quality verdict",
+        "thresholds metrics quality verdict workspace",
     ),
     "camera": room(
         "calibration",
