@@ -14,7 +14,6 @@ from scipy.optimize import minimize
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
-from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.noise import RowNoise, noise_of, stated_noise
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import MADE, PriorModel
@@ -56,6 +55,8 @@ def solve(
     """
     if not model.proper:
         return _without_priors(model, data)
+    if not data.framed:
+        model = model.without_base()
     weights, start = noise or stated_noise(data), model.start
     if near is not None and near.noise is not None and near.noise.scatter.shape == weights.scatter.shape:
         weights, start = noise or near.noise, replace(start, geometry=near.geometry)
@@ -114,9 +115,7 @@ def _without_priors(model: PriorModel, data: Observations) -> Identification:
     if not np.isfinite(model.std).any():
         return replace(identify_converged(model.parameters, model.start, [data]), prior=model)
     free = ~np.isfinite(model.std)
-    names = tuple(np.array(model.parameters.names)[free].tolist())
-    plain = ErrorModel(model.parameters.columns[free], names, model.parameters.tolerance[free])
-    scatter = identify_converged(plain, model.start, [data]).scatter
+    scatter = identify_converged(model.parameters.some(free), model.start, [data]).scatter
     weighed = model.prior(max(scatter, 1e-9))
     return replace(identify(model.parameters, model.start, [data, weighed], max_iterations=60), prior=model)
 

@@ -41,6 +41,11 @@ class ErrorModel:
     names: tuple[str, ...]
     tolerance: Array
 
+    def some(self, kept: NDArray[np.bool_]) -> ErrorModel:
+        """Those of these parameters ``(P,)`` that are marked."""
+        names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
+        return ErrorModel(self.columns[kept], names, self.tolerance[kept])
+
     def joined(self, other: ErrorModel) -> ErrorModel:
         """These parameters, then those of another model."""
         columns, tolerance = np.r_[self.columns, other.columns], np.r_[self.tolerance, other.tolerance]

@@ -134,6 +134,11 @@ class PriorModel:
         some = np.isfinite(self.std)
         return Prior(self.start, self.parameters.columns[some], self.width[some] / weight)
 
+    def without_base(self) -> PriorModel:
+        """The same with the base held still: no instrument without a frame can see where it stands."""
+        kept = np.array([not name.startswith("base_") for name in self.parameters.names])
+        return replace(self, parameters=self.parameters.some(kept), std=self.std[kept], group=self.group[kept])
+
     def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
         """The same with further terms, whose coefficients are expected at zero."""
         if not terms:

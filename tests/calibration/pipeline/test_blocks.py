@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pickenv.calibration.identification.posterior import solve
 
 from pickenv.arm import forward
 from pickenv.calibration import Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
+from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.prior import prior_model
 from pickenv.calibration.model.splits import BLOCKS

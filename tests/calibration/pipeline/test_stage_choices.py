@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pickenv.calibration.assessment.workspace import workspace_error
 
 from pickenv.calibration import Choices, random_joints, simulated_tracker
+from pickenv.calibration.assessment.expected_errors import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm
