@@ -219,7 +219,10 @@ def _verdict(
     if not accepted:
         return verdict
     before = np.concatenate([trial.test_residual for trial in inner()])
-    after = np.concatenate([left_by(trial) for trial in inner()])
+    try:
+        after = np.concatenate([left_by(trial) for trial in inner()])
+    except InputError as error:
+        return replace(verdict, accepted=False, reason=f"not fitted to fewer rows: {error}")
     accepted, inside = _compared(before, after)
     return replace(
         verdict,
