@@ -83,12 +83,6 @@ def over(sizes: Sequence[int], width: int) -> int:
     return sum(sizes) + 2 * len(sizes) - width
 
 
-def main_parts(absorbed: Mapping[str, float]) -> dict[str, float]:
-    """What absorbs a parameter, without shares below a hundredth of the largest."""
-    largest = max((abs(share) for share in absorbed.values()), default=0.0)
-    return {name: share for name, share in absorbed.items() if abs(share) >= 0.01 * largest}
-
-
 def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
     """Unit of a parameter on screens, and the factor from SI; coefficients of effects stay in SI."""
     if name in geometric or name.startswith(("base", "tool")):

@@ -187,16 +187,13 @@ def walk(so101: str, folder: Path, mount: str, seed: int, pictures: bool, lens: 
 
 
 def zeros_in_sigma(walked: dict[str, Any]) -> dict[str, float]:
-    """How many standard deviations each identified joint zero lies from the true one, with what it stands for."""
+    """How many standard deviations each joint zero lies from the true one; with priors none is dropped."""
     true = dict(zip(walked["arm"].nominal.parameter_names, walked["true"], strict=True))
-    changes = {row["name"]: row for row in walked["shown"]["changes"]}
-    found = {}
-    for name in (name for name in changes if name.startswith("theta")):
-        wanted = true[name]
-        for dropped, shares in walked["shown"]["dropped"].items():
-            wanted += shares.get(name, 0.0) * true[dropped]
-        found[name] = (changes[name]["change"] - np.degrees(wanted)) / changes[name]["std"]
-    return found
+    return {
+        row["name"]: (row["change"] - np.degrees(true[row["name"]])) / row["std"]
+        for row in walked["shown"]["changes"]
+        if row["name"].startswith("theta")
+    }
 
 
 @pytest.mark.parametrize("mount", ["hand", "world"])
@@ -208,7 +205,7 @@ def test_corners_and_joints_correct_an_arm(so101: str, tmp_path: Path, mount: st
     assert shown["rms_px"] == pytest.approx(NOISE * np.sqrt(2), rel=0.08)
     assert shown["rms_px"] < shown["leave_one_out_px"] < 1.1 * shown["rms_px"]
     zeros = zeros_in_sigma(walked)
-    assert len(zeros) == 3 and max(map(abs, zeros.values())) < 3.0, zeros
+    assert len(zeros) == 5 and max(map(abs, zeros.values())) < 3.0, zeros
     assert walked["missed"]["calibrated"] < walked["missed"]["nominal"] / 3
     assert walked["missed"]["calibrated"] < 0.15e-3 and walked["missed"]["nominal"] > 2e-3
     assert f"{shown['rms_px']:#.4g} px" in walked["said"] and (tmp_path / "arm.html").is_file()
@@ -267,7 +264,7 @@ def test_rendered_pictures_correct_an_arm(so101: str, tmp_path: Path, mount: str
     walked = walk(so101, tmp_path, mount, seed, pictures=True)
     zeros = zeros_in_sigma(walked)
     assert walked["shown"]["views"] >= 25 and 0.15 < walked["shown"]["rms_px"] < 0.5
-    assert len(zeros) == 3 and max(map(abs, zeros.values())) < 3.0, zeros
+    assert len(zeros) == 5 and max(map(abs, zeros.values())) < 3.0, zeros
     assert walked["missed"]["calibrated"] < walked["missed"]["nominal"] / 3
 
 

@@ -16,7 +16,7 @@ from pickenv.calibration.assessment.quality import (
     correlated_pairs,
     grade_quality,
 )
-from pickenv.calibration.assessment.screen import Block, figure, is_number, main_parts, unit_of
+from pickenv.calibration.assessment.screen import Block, figure, is_number, unit_of
 from pickenv.calibration.assessment.workspace import RegionError, Workspace
 from pickenv.calibration.identification.posterior import solve
 from pickenv.calibration.model.error_model import frames_model
@@ -350,11 +350,6 @@ def test_numbers_stand_to_the_right_and_words_to_the_left():
     plain = Block("Facts", (), (("1", "one"), ("20", "twenty")))
     assert plain.text().splitlines() == ["Facts", "  1   one", "  20  twenty"]
     assert [is_number(cell) for cell in ("+1", "-2", "3", "9 mm", "x1", "")] == [True, True, True, True, False, False]
-
-
-def test_parts_below_a_hundredth_of_the_largest_are_left_out():
-    assert main_parts({"a": -2.0, "b": 0.02, "c": 0.0199}) == {"a": -2.0, "b": 0.02}
-    assert main_parts({}) == {}
 
 
 def test_units_of_screens():
