@@ -159,7 +159,8 @@ def refuse_another_arm(
         nominal: The arm with its own tool, where ``geometry`` has a fitted one.
 
     Raises:
-        InputError: If positions miss by more than `MISFIT` of their spread, `SPAN` at least, or attitudes by more than `MISFIT` rad.
+        InputError: If positions miss by more than `MISFIT` of their spread, `SPAN` at least, or attitudes by more than
+            `MISFIT` rad.
     """
     if len(measurements) < 3:
         return  # no spread to speak of; `identify` says how many poses are needed
