@@ -71,7 +71,11 @@ CASES: dict[str, tuple[Callable[[Table], Table] | None, list[str], str]] = {
     "unknown unit": (renamed, QIAO, r"unit 'gon'"),
     "NaN row": (with_nan, QIAO, r"row 9, column 'x_mm'"),
     "degrees given as radians": (degrees_called_radians, QIAO, r"probably deg"),
-    "too few poses for the rank": (few, [*QIAO, "--fit", "full", "--test-rows", "1"], r"too few .* measure at least \d+ poses"),
+    "too few poses for the rank": (
+        few,
+        [*QIAO, "--fit", "full", "--test-rows", "1"],
+        r"too few .* measure at least \d+ poses",
+    ),
     "unknown arm": (None, ["tracker.csv", "--arm", "ur55"], r"unknown arm 'ur55'.*ur5"),
     "arm file with a missing joint": (None, ["tracker.csv", "--arm", "short.toml"], r"short\.toml: joint 6 is missing"),
     "unknown columns": (None, [*QIAO, "--columns", "my_tracker"], r"unknown column description 'my_tracker'"),
