@@ -416,7 +416,7 @@ def test_of_sixty_pairs_at_most_three_words_are_wrong(ur5: Arm) -> None:
 def test_other_series_of_a_real_arm_are_never_taken_for_another_arm(
     data_folder: Path, old: str, new: str, word: str
 ) -> None:
-    """A UR10 measured at other poses, from other places; a calibration of C does not carry to D, and that is said."""
+    """A UR10 measured at other poses, from other places; a calibration of C was not made where D lies: that is said."""
     arm, series = load_arm("ur10"), {}
     files = {"B": "joint_configurations", "C": "random_poses", "D": "iso_cubes"}
     for name in (old, new):
@@ -428,9 +428,7 @@ def test_other_series_of_a_real_arm_are_never_taken_for_another_arm(
     found = verify(calibration, series[new], FRAMES, 12)
     assert found.status == word and found.measured is not None and found.measured < 0.5
     assert ("it was not measured here before" in found.reason) == (word == "still good")
-    assert (found.no_gain is not None) == (old == "C") and ("worse than the nominal arm's" in found.reason) == (
-        old == "C"
-    )
+    assert found.no_gain is None  # priors keep what C does not tell near the drawing, so that D errs less even so
 
 
 @pytest.mark.parametrize("far", [False, True], ids=["there", "elsewhere"])
