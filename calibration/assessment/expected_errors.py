@@ -30,6 +30,9 @@ DRAWS = 400
 SURE = 0.95
 """So many of these arms must be nearer to the calibration than to the drawing, for a gain to be certain."""
 
+HARDLY = 0.5
+"""Errors of geometry below this share of what one reach errs by hardly matter, told or not."""
+
 LITTLE = 0.2
 """A posterior that is narrower than the prior by less than this share tells nothing new there."""
 
@@ -88,16 +91,20 @@ class Workspace:
         measured: At the rows' own joints.
         declared: Over the declared workspace.
         thin: Names of joints whose measured range covers less than half of the declared one.
+        remains: RMS error on held-out rows, m: what one reach errs by, whatever geometry says.
     """
 
     measured: RegionError
     declared: RegionError
     thin: tuple[str, ...] = ()
+    remains: float = 0.0
 
     @property
     def reservation(self) -> str | None:
         """What stands against using the calibration there, in a sentence; None where nothing does."""
         here = self.declared
+        if here.calibrated < HARDLY * self.remains:
+            return None
         remedy = "measure poses there (`pickenv plan-poses`), or declare where the arm will work with --workspace"
         if self.thin:
             remedy = f"move {', '.join(self.thin)} further, or declare where the arm will work with --workspace"
@@ -137,7 +144,12 @@ class Workspace:
 
 
 def workspace_error(
-    solution: Identification, nominal: Geometry, rows: Array, joints: Array, region: str = "the joint limits"
+    solution: Identification,
+    nominal: Geometry,
+    rows: Array,
+    joints: Array,
+    region: str = "the joint limits",
+    remains: float = 0.0,
 ) -> Workspace | None:
     """Expected errors over the rows' joints and over a workspace; the same every time.
 
@@ -147,6 +159,7 @@ def workspace_error(
         rows: Joints measured ``(N, n)``, rad or m.
         joints: Joints of the workspace ``(M, n)``.
         region: What the workspace is called.
+        remains: RMS error on held-out rows, m.
     """
     if solution.prior is None or not solution.prior.proper:
         return None
@@ -155,7 +168,10 @@ def workspace_error(
     thin = tuple(name for name, here, there in zip(geometry.joint_names, *span, strict=True) if here < 0.5 * there)
     some = rows[np.unique(np.linspace(0, len(rows) - 1, POSES).astype(int))]
     return Workspace(
-        _region("the poses measured", solution, nominal, some), _region(region, solution, nominal, joints), thin
+        _region("the poses measured", solution, nominal, some),
+        _region(region, solution, nominal, joints),
+        thin,
+        remains,
     )
 
 

@@ -103,7 +103,8 @@ def assess(
             left = np.full_like(left, np.nan)
         base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left, tracked)
     name, region = workspace or workspace_joints(None, arm.nominal)
-    over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name)
+    remains = float(np.sqrt(np.mean(np.sum(after[:, :3] ** 2, axis=1)))) if train.miss_unit == "mm" else 0.0
+    over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name, remains)
     model = fitted_model(arm.name, bare.calibration.nominal, aligned is None)
     return Result(
         arm=arm,

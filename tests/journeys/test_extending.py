@@ -33,4 +33,4 @@ def test_what_is_added_works(tmp_path: Path) -> None:
     before, after = (float(number) for number in re.findall(r"([\d.]+) to ([\d.]+) mm", calibrated)[0])
     assert after < 0.25 * before  # the plant's springs are among the terms that are sought
     designed, identified = (float(cell) for cell in table.splitlines()[0].strip("|").split("|")[1:])
-    assert 0.0 < abs(designed - identified) < 1.0
+    assert abs(designed - identified) < 0.01  # only the springs differ: the rows leave the geometry as it is drawn

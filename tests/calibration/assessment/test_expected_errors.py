@@ -108,3 +108,11 @@ def test_targets_of_a_file_are_a_workspace(tmp_path):
 def test_ranges_that_mean_nothing_are_named(text, said):
     with pytest.raises(InputError, match=said):
         workspace_joints(text, UR5)
+
+
+def test_what_hardly_matters_beside_the_scatter_of_one_reach_is_no_reservation():
+    """Geometry known to a tenth of what a reach errs by anyway needs no further poses."""
+    *_, workspace = judged(2, 0.001, count=2)
+    size = workspace.declared.calibrated
+    assert replace(workspace, remains=1.99 * size).reservation is not None
+    assert replace(workspace, remains=2.01 * size).reservation is None

@@ -112,8 +112,9 @@ def test_the_verdict_is_obeyed_unless_overridden_by_name(refused, noisy, tmp_pat
     compensator = Calibration.load(out).compensator()
     with pytest.raises(InputError, match="do not use"):
         CompensationWrapper(gym.make("pickenv/Reach-v0"), compensator)
-    with pytest.warns(UserWarning, match=r"over the joint limits .* --workspace"):
-        CompensationWrapper(gym.make("pickenv/Reach-v0"), compensator, allow=["do-not-use"]).close()
+    cautious = replace(compensator, caution="the rows tell 5 % of the joint limits; declare --workspace")
+    with pytest.warns(UserWarning, match="the rows tell 5 % of the joint limits; declare --workspace"):
+        CompensationWrapper(gym.make("pickenv/Reach-v0"), cautious, allow=["do-not-use"]).close()
     with pytest.raises(InputError, match="do not use"):
         load_compensator(out, load_arm("qiao2026"))
 
