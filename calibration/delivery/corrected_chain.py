@@ -78,7 +78,8 @@ def corrected_chain(
         old, new = behind(old, moved), behind(stood, moved)
     hand = behind(after[-1], found.tool)
     if joints and joints[-1].ratio:
-        along = _along(behind(behind(inverse_pose(new), hand), inverse_pose(tool)), joints[-1])
+        drawn, placed = behind(before[-1], nominal.tool), behind(inverse_pose(new), hand)
+        along = _along(behind(placed, inverse_pose(behind(inverse_pose(old), drawn))), joints[-1])
         origins[-1], new = behind(origins[-1], along), behind(new, along)
     tip = behind(new, tool)
     return CorrectedChain(tuple(origins), tip, behind(inverse_pose(tip), hand), behind(inverse_pose(new), hand))
