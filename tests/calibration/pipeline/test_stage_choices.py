@@ -174,7 +174,8 @@ def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
     assert found.terms is choice and found.gate is gate and found.left_out is left and found.unit == "17"
     nominal, limits = draft.fits["geometry"].calibration.nominal, workspace_joints(None, dynamic.arm.nominal)
     over = workspace_error(draft.best[1].identification, nominal, draft.train.joints, limits[1])
-    assert found.quality.workspace == over is not None
+    assert over is not None and replace(found.quality.workspace, remains=0.0) == over
+    assert found.quality.workspace.remains == pytest.approx(found.best.rms * 1e-3)
     assert found.fit is draft.best[1] and found.geometric is draft.fits["geometry"]
     assert found.best_model == "geometry+gravity+rbf"
     assert found.calibration.record["left_out"] == ["tracker.csv:7"]
