@@ -45,6 +45,8 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 MANY_NOISES = 20.0
 """What remains may be so many times the stated noise before something else than noise must be at work."""
 
+NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
+
 ENOUGH, SEVERAL = 3, 10
 """Fewer held-out rows than the first judge nothing, and fewer than the second contradict nothing."""
 
@@ -275,11 +277,15 @@ def grade_quality(
             f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f}): read them together, the predicted pose is not "
             "affected"
         )
+    told = before is not None and _told(before, after, workspace, blocks, count)
+    because = "" if before is None else _cause(found, before, after, unlearnt, unit)
+    gain = () if told else no_gain(before, after, blocks, unit, count, called, because)
+    hidden = told and before is not None and _undecided(before, after, blocks)
     texts: dict[Weight, list[str]] = {
-        "fail": [*_failures(found, before, after, unlearnt, workspace, blocks, unit, count, called)],
+        "fail": [*(() if found.converged else (NOT_CONVERGED,)), *gain],
         "caution": [
             *beyond,
-            *_hidden(before, after, workspace, blocks, unit, count, called),
+            *(_hidden(after, workspace, unit, count, called) if hidden and workspace is not None else ()),
             *_cautions(found, trained, unlearnt, workspace, unit),
         ],
         "note": notes,
@@ -309,24 +315,6 @@ def _rms(errors: Array, unit: str) -> float:
 
 def _fall(before: Array | None, unit: str) -> str:
     return "is" if before is None else f"falls from {_rms(before, unit):#.4g} to"
-
-
-def _failures(
-    found: Identification,
-    before: Array | None,
-    after: Array,
-    unlearnt: Array,
-    workspace: Workspace | None,
-    blocks: NDArray[np.int64] | None,
-    unit: str,
-    count: int,
-    called: str,
-) -> Iterator[str]:
-    if not found.converged:
-        yield "the identification did not converge, so its parameters mean nothing"
-    if before is None or not _told(before, after, workspace, blocks, count):
-        because = "" if before is None else _cause(found, before, after, unlearnt, unit)
-        yield from no_gain(before, after, blocks, unit, count, called, because)
 
 
 def no_gain(
@@ -376,25 +364,14 @@ def _told(
     return sure and _chance(after, before, blocks) > SIGNIFICANCE
 
 
-def _hidden(
-    before: Array | None,
-    after: Array,
-    workspace: Workspace | None,
-    blocks: NDArray[np.int64] | None,
-    unit: str,
-    count: int,
-    called: str,
-) -> Iterator[str]:
+def _hidden(after: Array, workspace: Workspace, unit: str, count: int, called: str) -> Iterator[str]:
     """A gain that the scatter of single rows hides."""
-    if before is None or workspace is None:
-        return
-    if _undecided(before, after, blocks) and _told(before, after, workspace, blocks, count):
-        here = workspace.measured
-        yield (
-            f"on {count} held-out {called} scatter ({_rms(after, unit):#.4g} {unit} RMS) hides what all rows together "
-            f"say: geometry errs by {here.calibrated * 1e3:#.3g} mm there, and by {here.nominal * 1e3:#.3g} mm as "
-            "drawn; measure more, or with less noise, to see it"
-        )
+    here = workspace.measured
+    yield (
+        f"on {count} held-out {called} scatter ({_rms(after, unit):#.4g} {unit} RMS) hides what all rows together "
+        f"say: geometry errs by {here.calibrated * 1e3:#.3g} mm there, and by {here.nominal * 1e3:#.3g} mm as "
+        "drawn; measure more, or with less noise, to see it"
+    )
 
 
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:
