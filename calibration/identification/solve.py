@@ -8,9 +8,10 @@ the priors of joint zeros and of parts are: the scales that maximise the margina
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
@@ -28,8 +29,14 @@ SETTLED = 0.1
 SPREAD = 3.0
 """A tolerance class is about right: the scale of its widths is within this factor of 1, two times in three."""
 
-WIDEST = 100.0
-"""A scale is within this factor of 1."""
+NODES = (-2.4, -1.2, 0.0, 1.2, 2.4)
+"""Nodes of a grid over each logarithm of a scale, in standard deviations from its mean."""
+
+STAGES, NARROWEST = 3, 0.4
+"""Grids, each about what the one before says, and by how much a grid may be narrower than the one before."""
+
+LIGHT = 1e-3
+"""Nodes of less weight than this share of the heaviest are left out."""
 
 UNKNOWN_STD = 10.0
 """Standard deviation of the measurements' own unknowns, in SI units: no information."""
@@ -61,7 +68,7 @@ def solve(
     if near is not None and near.noise is not None and near.noise.scatter.shape == weights.scatter.shape:
         weights, start = noise or near.noise, replace(start, geometry=near.geometry)
     scales = dict(model.scales)
-    wanted = [name for name in MADE if name not in scales and name in model.group]
+    free = [name for name in MADE if name not in scales and name in model.group]
     for _ in range(PASSES):
         weighed = replace(model, scales=scales)
         solution = identify(
@@ -77,22 +84,95 @@ def solve(
             width = np.r_[np.full(len(unknowns), UNKNOWN_STD), weighed.width]
             leverage = leverages(weights.whiten(stated) * width)
             weights = noise_of(data, solution.arm_model, unknowns, leverage)
-        if wanted:
-            left = weights.whiten(data.residual(solution.arm_model, unknowns))
-            scales = {**scales, **prior_scales(weighed, solution, weights.whiten(stated), left, wanted)}
+        residual = weights.whiten(data.residual(solution.arm_model, unknowns))
+        average = averaged_over_scales(weighed, solution, weights.whiten(stated), residual, weights.common, free)
+        scales = {**scales, **average.scales}
         if _settled(before, (weights, scales)):
             break
-    return replace(solution, covariance=_widened(solution, weights.common))
+    return _with_average(solution, average)
 
 
-def _widened(solution: Identification, common: float) -> Array:
-    """The posterior's covariance S where rows are not as independent as they were weighed: c S - (c - 1) S P S.
+class Average(NamedTuple):
+    """A posterior averaged over the scales of the priors.
 
-    P is the priors' precision, and S (c D + P) S, with what the rows say D = 1 / S - P, the sandwich.
+    Attributes:
+        scales: Geometric mean of the scales by group.
+        change: How far the parameters' mean lies from the solution, their own unknowns first ``(own + P,)``.
+        covariance: Of the kept parameters, own unknowns first ``(K, K)``.
     """
-    inverse = solution.prior_std[solution.identifiability.kept] ** -2.0
-    covariance = solution.covariance
-    return np.asarray(common * covariance - (common - 1.0) * (covariance * inverse) @ covariance)
+
+    scales: dict[str, float]
+    change: Array
+    covariance: Array
+
+
+def averaged_over_scales(
+    model: PriorModel, solution: Identification, columns: Array, residual: Array, common: float, free: list[str]
+) -> Average:
+    """The posterior of the linearised model, averaged over the scales that rows and their expectation near 1 allow.
+
+    Scales taken as certain would promise too much: few rows hardly tell how well an arm was made.
+
+    Args:
+        model: The model, with the scales of the solution.
+        solution: Where the model is linearised.
+        columns: Whitened derivatives of the rows there ``(E, own + P)``, by their own unknowns first.
+        residual: Whitened residuals there ``(E,)``.
+        common: By how much rows tell less than independent ones would: a factor on variances
+            (`pickenv.calibration.model.noise.RowNoise.common`).
+        free: Groups whose scales are averaged over.
+    """
+    count, kept = columns.shape[1] - len(model.std), solution.identifiability.kept
+    known = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
+    width = np.r_[np.full(count, UNKNOWN_STD), model.std * known][kept]
+    group = np.r_[np.full(count, ""), model.group][kept]
+    moved = np.zeros(columns.shape[1])
+    moved[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
+    scaled = columns[:, kept] * width
+    gram, right = scaled.T @ scaled, scaled.T @ (residual + columns @ moved)
+    member = np.array([group == name for name in free]).reshape(len(free), len(group))
+    mean, std = np.zeros(len(free)), np.full(len(free), np.log(SPREAD))
+    nodes = np.array(list(product(NODES, repeat=len(free))))
+    for _ in range(STAGES if free else 1):
+        logs = mean + std * nodes
+        factor = np.exp(logs @ member)
+        precision = np.eye(len(width)) + factor[:, :, None] * gram * factor[:, None, :]
+        lower = np.linalg.cholesky(precision)
+        half = np.linalg.solve(lower, (factor * right)[..., None])[..., 0]
+        cost = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1) - 0.5 * np.sum(half**2, axis=1)
+        cost += 0.5 * np.sum((logs / np.log(SPREAD)) ** 2, axis=1)
+        weight = np.exp(cost.min() - cost)
+        weight /= weight.sum()
+        mean = weight @ logs
+        std = np.maximum(np.sqrt(weight @ (logs - mean) ** 2), NARROWEST * std)
+    some = weight > LIGHT * weight.max()
+    weight, factor, inverse = weight[some] / weight[some].sum(), factor[some], np.linalg.inv(precision[some])
+    means = factor * (inverse @ (factor * right)[..., None])[..., 0]
+    spread = common * inverse - (common - 1.0) * inverse @ inverse
+    centre = weight @ means
+    covariance = np.einsum("n,ni,nij,nj->ij", weight, factor, spread, factor)
+    covariance += np.einsum("n,ni,nj->ij", weight, means - centre, means - centre)
+    change = -moved
+    change[kept] += centre * width
+    scales = dict(zip(free, np.exp(mean).tolist(), strict=True))
+    return Average(scales, change, np.asarray(covariance * np.outer(width, width)))
+
+
+def _with_average(solution: Identification, average: Average) -> Identification:
+    """The solution moved to the mean of the averaged posterior."""
+    names = list(solution.unknowns)
+    own, ours = np.split(average.change, [len(names)])
+    assert solution.prior is not None
+    delta = np.zeros(len(solution.arm_model.parameter_names))
+    delta[solution.prior.parameters.columns] = ours
+    unknowns = dict(zip(names, (np.array([*solution.unknowns.values()]) + own).tolist(), strict=True))
+    return replace(
+        solution,
+        arm_model=solution.arm_model.displaced(delta),
+        unknowns=unknowns,
+        delta=solution.delta + average.change,
+        covariance=average.covariance,
+    )
 
 
 def leverages(columns: Array) -> Array:
@@ -118,47 +198,3 @@ def _without_priors(model: PriorModel, data: Observations) -> Identification:
     scatter = identify_converged(model.parameters.some(free), model.start, [data]).scatter
     weighed = model.prior(max(scatter, 1e-9))
     return replace(identify(model.parameters, model.start, [data, weighed], max_iterations=60), prior=model)
-
-
-def prior_scales(
-    model: PriorModel, solution: Identification, columns: Array, left: Array, names: list[str]
-) -> dict[str, float]:
-    """Scales of the widths of these groups that maximise the marginal likelihood, each expected near 1.
-
-    Args:
-        model: The model, with the scales of the solution.
-        solution: Where the model is linearised.
-        columns: Whitened derivatives of the rows there ``(E, own + P)``, by their own unknowns first.
-        left: Whitened residuals there ``(E,)``.
-        names: Groups whose scales are wanted.
-    """
-    count = columns.shape[1] - len(model.std)
-    width = np.r_[np.full(count, UNKNOWN_STD), model.std]
-    moved = model.start.difference(solution.arm_model)[model.parameters.columns]
-    system = np.column_stack([columns * width, left + columns[:, count:] @ moved])
-    triangle = np.asarray(np.linalg.qr(system, mode="r"))[: len(width)]
-    rows, target = triangle[:, :-1], triangle[:, -1]
-    groups = np.r_[np.full(count, ""), model.group]
-    fixed = {name: scale for name, scale in model.scales.items() if name not in names}
-
-    def cost(logs: Array) -> float:
-        scales = {**fixed, **dict(zip(names, np.exp(logs), strict=True))}
-        scaled = rows * np.array([scales.get(group, 1.0) for group in groups])
-        factor = np.linalg.cholesky(np.eye(len(scaled)) + scaled @ scaled.T)
-        left = np.linalg.solve(factor, target)
-        return float(np.log(np.diag(factor)).sum() + 0.5 * left @ left + 0.5 * np.sum((logs / np.log(SPREAD)) ** 2))
-
-    bound = np.log(WIDEST)
-    begin = np.log([model.scales.get(name, 1.0) for name in names])
-    best = minimize(
-        cost,
-        begin,
-        method="Nelder-Mead",
-        bounds=[(-bound, bound)] * len(names),
-        options={
-            "initial_simplex": begin + np.vstack([np.zeros(len(names)), np.eye(len(names))]),
-            "xatol": 0.02,
-            "fatol": 0.01,
-        },
-    )
-    return dict(zip(names, np.exp(best.x).tolist(), strict=True))

@@ -74,18 +74,43 @@ def test_it_is_never_worse_than_the_drawing(count):
         assert error(solution.geometry, plant) < 1.1 * error(UR5, plant)
 
 
+def squared_ratio(plant, solution):
+    """Squared error everywhere, as a share of what the posterior states."""
+    names = [solution.arm_model.parameter_names.index(name) for name in solution.identifiability.kept_names]
+    stated = solution.arm_model.pose_covariance(names, solution.covariance, EVERYWHERE)
+    missed = forward(plant.geometry, EVERYWHERE).position - forward(solution.geometry, EVERYWHERE).position
+    return np.sum(missed**2) / np.trace(stated[:, :3, :3], axis1=1, axis2=2).sum()
+
+
+def corner_of(plant, count, rng):
+    """Rows of a tracker in a corner of the joint ranges."""
+    return measured(plant, UR5.lower + 0.2 * rng.random((count, 6)) * (UR5.upper - UR5.lower), rng)
+
+
 def test_its_covariance_is_honest_far_from_the_rows():
     """Forty arms by twelve poses in a corner of the joint ranges: squared errors everywhere are as large as stated."""
     ratios = []
     for i, plant in enumerate(arms_of("cobot", 40, 5)):
-        rng = np.random.default_rng(100 + i)
-        rows = measured(plant, UR5.lower + 0.2 * rng.random((12, 6)) * (UR5.upper - UR5.lower), rng)
-        solution = solve(prior_model("ur5", UR5, known=True, scale=1.0), rows)
-        names = [solution.arm_model.parameter_names.index(name) for name in solution.identifiability.kept_names]
-        stated = solution.arm_model.pose_covariance(names, solution.covariance, EVERYWHERE)
-        missed = forward(plant.geometry, EVERYWHERE).position - forward(solution.geometry, EVERYWHERE).position
-        ratios.append(np.sum(missed**2) / np.trace(stated[:, :3, :3], axis1=1, axis2=2).sum())
+        rows = corner_of(plant, 12, np.random.default_rng(100 + i))
+        ratios.append(squared_ratio(plant, solve(prior_model("ur5", UR5, known=True, scale=1.0), rows)))
     assert 0.7 < np.mean(ratios) < 1.35
+
+
+def test_it_is_honest_of_arms_made_three_times_better_or_worse_than_expected():
+    """Zeros, lengths and angles of each of 180 arms scatter by another factor, and four rows do not tell which.
+
+    Where the likeliest factors are taken as certain, squared errors are a third larger than stated.
+    """
+    factors, ratios = np.exp(np.log(3.0) * np.random.default_rng(6).standard_normal((180, 3))), []
+    model = prior_model("ur5", UR5, known=True)
+    for i, factor in enumerate(factors):
+        rng = np.random.default_rng([6, i])
+        scales = dict(zip((ZEROS, LENGTHS, ANGLES), factor, strict=True))
+        change = np.zeros(len(UR5.parameter_names))
+        change[model.parameters.columns] = replace(model, scales=scales).width * rng.standard_normal(len(model.std))
+        plant = Plant("ur5", ARM, UR5.displaced(change))
+        ratios.append(squared_ratio(plant, solve(model, corner_of(plant, 4, rng))))
+    assert 0.85 < np.mean(ratios) < 1.2
 
 
 def test_the_rows_say_how_well_parts_are_made():
