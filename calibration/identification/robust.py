@@ -22,6 +22,7 @@ from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.error_model import ErrorModel
 from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Observations, nearest_rotation
 from pickenv.calibration.model.splits import Rows
 from pickenv.errors import InputError
@@ -90,13 +91,13 @@ def robust_identify(
     """
     if loss not in LOSSES:
         raise InputError(f"unknown loss '{loss}'; give one of {', '.join(LOSSES)}")
-    arm = ArmModel.of(start)
-    weights = sizes_of(arm, data.start(arm), data).weights(loss)
+    arm, apart = ArmModel.of(start), counted(data.joints)
+    weights = sizes_of(arm, data.start(arm), data, apart=apart).weights(loss)
     rows, _ = data.equations()
     for _ in range(WEIGHTINGS):
-        factors = np.where(rows >= 0, np.sqrt(weights)[rows], 1.0)
+        factors = np.where(rows >= 0, np.sqrt(weights * apart)[rows], 1.0)
         found = identify(model, start, [data], whiten=lambda stated, by=factors: (stated.T * by).T)  # type: ignore[misc]
-        sizes = sizes_of(found.arm_model, unknowns_of(found, data), data)
+        sizes = sizes_of(found.arm_model, unknowns_of(found, data), data, apart=apart)
         used, weights = weights, sizes.weights(loss)
         settled = bool(np.max(np.abs(weights - used)) < 1e-3)
         if settled:
@@ -178,8 +179,19 @@ class Sizes:
         return np.zeros((1, self.errors.shape[1]))
 
 
-def sizes_of(arm: ArmModel, unknowns: Array, data: Observations, like: Sizes | None = None) -> Sizes:
-    """Sizes in the standard deviations of others, or in robust ones, never below the instrument's own uncertainty."""
+def sizes_of(
+    arm: ArmModel, unknowns: Array, data: Observations, like: Sizes | None = None, *, apart: Array | None = None
+) -> Sizes:
+    """Sizes in the standard deviations of others, or in robust ones, never below the instrument's own uncertainty.
+
+    Args:
+        arm: The arm.
+        unknowns: The data's own unknowns.
+        data: The rows.
+        like: Sizes with the standard deviations to use.
+        apart: What each row counts in the median ``(N,)``, less where others stand near it: rows of a cluster miss by
+            the same, and are few facts. All alike when left out.
+    """
     rows, channels = data.equations()
     squares, count = np.zeros((2, int(channels.max()) + 1, len(data.joints)))
     own = rows >= 0
@@ -190,8 +202,17 @@ def sizes_of(arm: ArmModel, unknowns: Array, data: Observations, like: Sizes | N
     if like is not None:
         return Sizes(errors, shown, like.scales)
     usual = np.sqrt(2.0 * gammaincinv(np.maximum(count, 1.0) / 2.0, 0.5) * shown / np.maximum(count, 1.0))
-    scales = [float(np.median((size / median)[size == size])) for size, median in zip(errors, usual, strict=True)]
+    apart = np.ones(len(data.joints)) if apart is None else apart
+    scales = [_median(size / median, apart) for size, median in zip(errors, usual, strict=True)]
     return Sizes(errors, shown, np.maximum(scales, 1.0))
+
+
+def _median(values: Array, counts: Array) -> float:
+    """The median of values ``(N,)`` that count differently; NaN is none."""
+    order = np.argsort(values, kind="stable")[: np.count_nonzero(values == values)]
+    below = np.cumsum(counts[order])
+    first, last = np.searchsorted(below, below[-1] * np.array([0.5 - 1e-12, 0.5 + 1e-12]))
+    return float(values[order[[first, min(last, len(order) - 1)]]].mean())
 
 
 def _registered_misses(nominal: Array, measured: Array, rows: Rows) -> Array:

@@ -12,12 +12,13 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.model.noise import RowNoise, noise_of, stated_noise
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.prior import MADE, PriorModel
+from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
 from pickenv.threads import single_threaded
 
 PASSES = 4
@@ -50,7 +51,7 @@ def solve(
 
     Args:
         model: The parameters with their priors; scales that it does not state are found from the rows.
-        data: The rows.
+        data: The rows; where they know no length, the smallest arm fits best, so lengths stay as wide as expected.
         noise: What they scatter by; found from them when left out.
         near: A solution of the same rows with fewer parameters, to start from.
 
@@ -68,7 +69,7 @@ def solve(
     if near is not None and near.noise is not None and near.noise.scatter.shape == weights.scatter.shape:
         weights, start = noise or near.noise, replace(start, geometry=near.geometry)
     scales = dict(model.scales)
-    free = [name for name in MADE if name not in scales and name in model.group]
+    free = [name for name in MADE if name not in scales and name in model.group and (data.sized or name != LENGTHS)]
     for _ in range(PASSES):
         weighed = replace(model, scales=scales)
         solution = identify(
@@ -177,8 +178,8 @@ def _with_average(solution: Identification, average: Average) -> Identification:
 
 def leverages(columns: Array) -> Array:
     """How much of each row a fit uses up, where every parameter is a standard normal number beforehand ``(E,)``."""
-    both = np.vstack([columns, np.eye(columns.shape[1])])
-    return np.asarray(np.sum(np.linalg.qr(both)[0][: len(columns)] ** 2, axis=1))
+    lower = np.linalg.cholesky(np.eye(columns.shape[1]) + columns.T @ columns)
+    return np.asarray(np.sum(solve_triangular(lower, columns.T, lower=True) ** 2, axis=0))
 
 
 def _settled(before: tuple[RowNoise, dict[str, float]], after: tuple[RowNoise, dict[str, float]]) -> bool:

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pickenv.arm import Arm
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.block_equations import BlockEquations, Linearised, Places, solved
 from pickenv.calibration.identification.harmonics import chosen_orders, every_order, nearby, refined
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import Term
+from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import prior_model
 from pickenv.calibration.model.splits import contiguous_folds, equally_spaced, same_poses
@@ -152,12 +154,14 @@ class _Trial:
         data: The rows.
         names: Names of the terms.
         equations: Normal equations of geometry and terms by block.
+        counts: What each row counts by block ``(N,)``: rows of a cluster miss alike, and are few facts.
     """
 
     bare: Identification
     data: Observations
     names: tuple[str, ...]
     equations: BlockEquations
+    counts: tuple[Array, ...]
 
     @staticmethod
     def of(arm: Arm, bare: Identification, observations: Observations, names: tuple[str, ...] | None = None) -> _Trial:
@@ -167,8 +171,11 @@ class _Trial:
             missing = {"compliance": data.conditions.torque is None, "thermal": data.conditions.temperature is None}
             names = tuple(name for name in NAMES if not missing.get(name))
         model = Linearised.of(bare, tuple(plain_term(name, arm, data) for name in names))
-        blocks = [data.select(held) for _, held in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
-        return _Trial(bare, data, names, BlockEquations.of(model, blocks))
+        folds = [held for _, held in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
+        every = counted(data.joints)
+        counts = tuple(every[held] for held in folds)
+        equations = BlockEquations.of(model, [data.select(held) for held in folds])
+        return _Trial(bare, data, names, equations, counts)
 
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
         """Places of the parameters that take part with terms of these names: on all blocks but each, and on all."""
@@ -183,11 +190,13 @@ class _Trial:
 
     def score(self, names: tuple[str, ...]) -> float:
         """RMS that they leave on blocks, each judged by a fit to the others, m."""
-        missed = []
+        squares, counts = 0.0, 0.0
         for number, (block, places) in enumerate(zip(self.equations.blocks, self.places(names)[0], strict=True)):
             solution = solved(*self.equations.without(number), places)
-            missed.append(self.equations.model.misses(block, solution))
-        return float(np.sqrt(np.mean(np.sum(np.concatenate(missed) ** 2, axis=1))))
+            missed = self.equations.model.misses(block, solution)
+            count = self.counts[number][block.rows_of_misses]
+            squares, counts = squares + float(count @ np.sum(missed**2, axis=1)), counts + float(count.sum())
+        return float(np.sqrt(squares / counts))
 
     def terms(self, names: tuple[str, ...]) -> tuple[Term, ...]:
         """The terms of these names, with the orders of the harmonics refined."""

@@ -30,6 +30,9 @@ POSE = 6
 LENGTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
 """Distances of joints over which an error may stay alike, rad or m."""
 
+ALIKE = 0.2
+"""Rows whose joints differ by about so much are taken to miss alike, where nothing more is known, rad or m."""
+
 SHARES = (0.2, 0.4, 0.6, 0.8, 0.95)
 """Shares of the variance that may be alike."""
 
@@ -38,6 +41,9 @@ STATED = 3.0
 
 USUAL = 0.75
 """So many of the facts, a cluster being one, stand no closer together than is usual."""
+
+FREE = 0.25
+"""So many of the facts count in full where all rows are weighed by how many stand near them."""
 
 WORTH = 3.0
 """Logarithm of the likelihood ratio above which neighbours count as alike."""
@@ -130,9 +136,7 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
     if not share:
         return RowNoise(scatter, sizes)
     like = neighbours(data.joints, length)
-    order = np.argsort(like)
-    facts = np.cumsum(1.0 / like[order])
-    usual = like[order][np.searchsorted(facts, USUAL * facts[-1])]
+    usual = _usual(like, USUAL)
     common = 1.0 - share + share * usual
     closer = np.maximum((1.0 - share + share * like) / common, 1.0)
     return RowNoise(np.where(own, scatter * np.sqrt(closer)[rows], 1.0), sizes, share, length, common)
@@ -147,6 +151,19 @@ def neighbours(joints: Array, length: float) -> Array:
         kernel[part[:, None] == some] = 0.0
         like[part] = 1.0 + kernel.sum(axis=1) * (len(joints) - 1) / max(len(some) - 1, 1)
     return like
+
+
+def counted(joints: Array) -> Array:
+    """What each row counts ``(N,)``: 1, or less where more rows than usual stand near it, for these miss alike."""
+    like = neighbours(joints, ALIKE)
+    return np.asarray(np.minimum(_usual(like, FREE) / like, 1.0))
+
+
+def _usual(like: Array, share: float) -> float:
+    """How many rows a row is like, at most, in this share of the facts; a cluster is one."""
+    order = np.argsort(like)
+    facts = np.cumsum(1.0 / like[order])
+    return float(like[order][np.searchsorted(facts, share * facts[-1])])
 
 
 def _alike(joints: Array, white: Array, rows: Rows) -> tuple[float, float]:

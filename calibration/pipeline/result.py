@@ -360,12 +360,11 @@ class Result:
 
     def _gate(self, gate: GateReport) -> Block:
         first = gate.verdicts[0]
-        rows = [("without", figure(first.geometric_random_rms * 1e3), figure(first.geometric_blocked_rms * 1e3), "")]
+        rows = [("without", figure(first.geometric_blocked_rms * 1e3), "")]
         for v in gate.verdicts:
-            mixed, held = ("-" if rms is None else figure(rms * 1e3) for rms in (v.random_rms, v.blocked_rms))
-            rows.append((v.model, mixed, held, v.reason))
+            rows.append((v.model, "-" if v.blocked_rms is None else figure(v.blocked_rms * 1e3), v.reason))
         chosen = f"'{gate.selected}' is used" if gate.selected else "none is used"
-        header = ("model", "random hold-out, RMS (mm)", "blocked hold-out, RMS (mm)", "verdict")
+        header = ("model", "blocked hold-out, RMS (mm)", "verdict")
         return Block("Learnt residual models", header, tuple(rows), f"{chosen}; judged within the training rows")
 
     def _facts(self) -> Block:

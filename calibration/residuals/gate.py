@@ -2,6 +2,7 @@
 
 A random split flatters models that interpolate between neighbouring poses. Verdicts come from blocks held out of all
 training; the choice among models comes from blocks within the training rows, so that the outer ones stay a fair test.
+Rows of a cluster miss alike: all of them together count as the few facts they are.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, random_split, same_poses
+from pickenv.calibration.model.noise import counted
+from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, same_poses
 from pickenv.calibration.residuals.regressor import Fitter
 from pickenv.calibration.residuals.residual_models import FITTERS, fit_residual
 from pickenv.errors import InputError
@@ -39,9 +41,7 @@ class GateVerdict:
 
     Attributes:
         model: Name of the residual model.
-        random_rms: On randomly held-out rows, with the residual; None where it could not be fitted.
-        blocked_rms: On the held-out blocks, with the residual; None likewise.
-        geometric_random_rms: On the same random rows without it.
+        blocked_rms: On the held-out blocks, with the residual; None where it could not be fitted.
         geometric_blocked_rms: On the same blocks without it.
         blocked_attitude_rms: Attitude on the held-out blocks; None for position measurements.
         geometric_blocked_attitude_rms: The same without the residual.
@@ -52,9 +52,7 @@ class GateVerdict:
     """
 
     model: str
-    random_rms: float | None
     blocked_rms: float | None
-    geometric_random_rms: float
     geometric_blocked_rms: float
     blocked_attitude_rms: float | None
     geometric_blocked_attitude_rms: float | None
@@ -100,7 +98,7 @@ def gate_residuals(
     fitters: Mapping[str, Fitter] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> GateReport:
-    """Judge residual models on random and on blocked hold-out, and choose one honestly.
+    """Judge residual models on blocks held out, and choose one honestly.
 
     On every split the arm is identified anew from the training rows, then the residual from the same rows. A model is
     accepted if it cuts the blocked RMS by more than `MARGIN`, does not make attitudes worse by more than that, and
@@ -111,7 +109,7 @@ def gate_residuals(
     Args:
         measurements: Poses or positions, in the order they were measured.
         refit: Identifies the arm from training rows.
-        rng: Seeds the random split and every fit.
+        rng: Seeds every fit.
         models: Names of `FITTERS`.
         fitters: Other ways to fit a named model, such as with other settings.
         progress: Called with (models judged, models in all).
@@ -121,54 +119,54 @@ def gate_residuals(
     """
     if not models:
         raise InputError(f"no residual model was named; give some of {', '.join(FITTERS)}")
-    test_rows = len(measurements) // 5
     seeds = [int(rng.integers(2**63)) for _ in models]
-    poses = same_poses(measurements.joints)
-    blocked = _Trial.of(measurements, refit, *blocked_split(poses, test_rows))
-    shuffled = _Trial.of(measurements, refit, *random_split(poses, test_rows, rng))
+    blocks = blocked_split(same_poses(measurements.joints), len(measurements) // 5)
+    blocked = _Trial.of(measurements, counted(measurements.joints), refit, *blocks)
 
     @cache
     def inner() -> list[_Trial]:
-        folds = contiguous_folds(blocked.train.groups, same_poses(blocked.train.joints), FOLDS)
-        return [_Trial.of(blocked.train, refit, *rows) for rows in folds]
+        rows = blocked.train
+        folds = contiguous_folds(rows.groups, same_poses(rows.joints), FOLDS)
+        return [_Trial.of(rows, counted(rows.joints), refit, *fold) for fold in folds]
 
     verdicts = []
     for number, (name, seed) in enumerate(zip(models, seeds, strict=True)):
         if progress is not None:
             progress(number, len(models))
         fitter = (fitters or {}).get(name)
-        verdicts.append(_verdict(name, partial(_left_by, name, seed, fitter), blocked, shuffled, inner))
+        verdicts.append(_verdict(name, partial(_left_by, name, seed, fitter), blocked, inner))
     if progress is not None:
         progress(len(models), len(models))
     chosen = min((verdict for verdict in verdicts if verdict.accepted), key=attrgetter("inner_rms"), default=None)
-    blocked_rms = position_rms(blocked.test_residual) if chosen is None else chosen.blocked_rms
+    blocked_rms = verdicts[0].geometric_blocked_rms if chosen is None else chosen.blocked_rms
     assert blocked_rms is not None  # whatever was chosen was judged
     return GateReport(tuple(verdicts), None if chosen is None else chosen.model, blocked_rms)
 
 
-def position_rms(residuals: Array) -> float:
-    """Root mean square of the position error's norm, m, of residuals ``(N, 3)`` or ``(N, 6)``."""
-    return float(np.sqrt(np.mean(np.sum(residuals[:, :3] ** 2, axis=1))))
+def position_rms(residuals: Array, counts: Array | None = None) -> float:
+    """Root mean square of the position error's norm, m, of residuals ``(N, 3)`` or ``(N, 6)`` that count so often."""
+    return float(np.sqrt(np.average(np.sum(residuals[:, :3] ** 2, axis=1), weights=counts)))
 
 
-def _attitude_rms(residuals: Array) -> float | None:
-    return None if residuals.shape[1] < 6 else position_rms(residuals[:, 3:])
+def _attitude_rms(residuals: Array, counts: Array) -> float | None:
+    return None if residuals.shape[1] < 6 else position_rms(residuals[:, 3:], counts)
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """One split with the arm identified from its training rows, and what that leaves on both sides."""
+    """One split with the arm identified from its training rows, what that leaves, and what rows to judge by count."""
 
     train: Measurements
     test: Measurements
     train_residual: Array
     test_residual: Array
+    counts: Array
 
     @staticmethod
-    def of(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> _Trial:
+    def of(measurements: Measurements, counts: Array, refit: Refit, train_rows: Rows, test_rows: Rows) -> _Trial:
         train, test = measurements.select(train_rows), measurements.select(test_rows)
-        found = refit(train)
-        return _Trial(train, test, train.difference(found), test.difference(found))
+        model = refit(train)
+        return _Trial(train, test, train.difference(model), test.difference(model), counts[test_rows])
 
 
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: _Trial) -> Array:
@@ -187,58 +185,52 @@ def _left_by(name: str, seed: int, fitter: Fitter | None, trial: _Trial) -> Arra
 
 
 def _verdict(
-    name: str,
-    left_by: Callable[[_Trial], Array],
-    blocked: _Trial,
-    shuffled: _Trial,
-    inner: Callable[[], Sequence[_Trial]],
+    name: str, left_by: Callable[[_Trial], Array], blocked: _Trial, inner: Callable[[], Sequence[_Trial]]
 ) -> GateVerdict:
     """How a model fares; the inner trials are made for those that win on the outer blocks."""
-    untouched = blocked.test_residual
+    untouched, counts = blocked.test_residual, blocked.counts
     verdict = GateVerdict(
         model=name,
-        random_rms=None,
         blocked_rms=None,
-        geometric_random_rms=position_rms(shuffled.test_residual),
-        geometric_blocked_rms=position_rms(untouched),
+        geometric_blocked_rms=position_rms(untouched, counts),
         blocked_attitude_rms=None,
-        geometric_blocked_attitude_rms=_attitude_rms(untouched),
+        geometric_blocked_attitude_rms=_attitude_rms(untouched, counts),
     )
     try:
-        left, random_left = left_by(blocked), left_by(shuffled)
+        left = left_by(blocked)
     except InputError as error:
         return replace(verdict, reason=f"not fitted: {error}")
-    accepted, reason = _compared(untouched, left)
+    accepted, reason = _compared(untouched, left, counts)
     verdict = replace(
         verdict,
-        random_rms=position_rms(random_left),
-        blocked_rms=position_rms(left),
-        blocked_attitude_rms=_attitude_rms(left),
+        blocked_rms=position_rms(left, counts),
+        blocked_attitude_rms=_attitude_rms(left, counts),
         reason=reason,
     )
     if not accepted:
         return verdict
     before = np.concatenate([trial.test_residual for trial in inner()])
+    counts = np.concatenate([trial.counts for trial in inner()])
     try:
         after = np.concatenate([left_by(trial) for trial in inner()])
     except InputError as error:
         return replace(verdict, accepted=False, reason=f"not fitted to fewer rows: {error}")
-    accepted, inside = _compared(before, after)
+    accepted, inside = _compared(before, after, counts)
     return replace(
         verdict,
-        inner_rms=position_rms(after),
-        geometric_inner_rms=position_rms(before),
+        inner_rms=position_rms(after, counts),
+        geometric_inner_rms=position_rms(before, counts),
         accepted=accepted,
         reason=reason if accepted else f"{inside} cross-validated over the other blocks ({reason})",
     )
 
 
-def _compared(before: Array, after: Array) -> tuple[bool, str]:
+def _compared(before: Array, after: Array, counts: Array) -> tuple[bool, str]:
     """Whether a residual wins, and why."""
-    gain = 1.0 - position_rms(after) / position_rms(before)
+    gain = 1.0 - position_rms(after, counts) / position_rms(before, counts)
     if not gain > MARGIN:
         return False, f"no gain: {'cuts' if gain >= 0 else 'raises'} the blocked RMS by {abs(gain):.0%}"
-    turned, untouched = _attitude_rms(after), _attitude_rms(before)
+    turned, untouched = _attitude_rms(after, counts), _attitude_rms(before, counts)
     if turned is not None and untouched is not None and turned > (1.0 + MARGIN) * untouched:
         return False, f"no gain: positions gain {gain:.0%}, but attitudes lose {turned / untouched - 1.0:.0%}"
     return True, f"cuts the blocked RMS by {gain:.0%}"

@@ -23,7 +23,7 @@ VOID = {"meta"}
 
 
 def verdict(model, accepted, blocked, reason):
-    return GateVerdict(model, 2e-4, blocked, 6e-4, 7e-4, None, None, None, None, accepted, reason)
+    return GateVerdict(model, blocked, 7e-4, None, None, None, None, accepted, reason)
 
 
 GATE = GateReport(

@@ -81,7 +81,7 @@ def test_of_terms_that_do_not_converge_the_last_is_given_up_first(dynamic, sets,
 
 
 def verdict(name, blocked=1e-3, inner=1e-3, accepted=True):
-    return GateVerdict(name, 1e-3, blocked, 2e-3, 4e-3, None, None, inner, 5e-3, accepted, "")
+    return GateVerdict(name, blocked, 4e-3, None, None, inner, 5e-3, accepted, "")
 
 
 @pytest.mark.parametrize(("rows", "asked"), [(39, False), (40, True)])

@@ -6,7 +6,7 @@ import pytest
 from pickenv.arm import Geometry, Pose, displace_pose, forward
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.splits import blocked_split, random_split
+from pickenv.calibration.model.splits import blocked_split
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
 from pickenv.errors import InputError
 
@@ -31,8 +31,8 @@ def saying(value):
 
 
 def measured(nominal: Geometry, error: np.ndarray, **more) -> Measurements:
-    """The nominal arm with these errors ``(N, 6)`` or ``(N, 3)``."""
-    joints = np.random.default_rng(1).uniform(nominal.lower, nominal.upper, (len(error), nominal.joints))
+    """The nominal arm with these errors ``(N, 6)`` or ``(N, 3)``, at poses so far apart that each is a fact."""
+    joints = 5.0 * np.random.default_rng(1).uniform(nominal.lower, nominal.upper, (len(error), nominal.joints))
     pose: Pose = forward(nominal, joints)
     if error.shape[1] == 3:
         return Measurements(joints, pose.position + error, None, nominal.prismatic, **more)
@@ -61,13 +61,8 @@ def test_every_figure_of_a_verdict_is_the_root_mean_square_of_its_own_rows(qiao,
     error = np.linspace(1.0, 3.0, ROWS)[:, None] * rng.normal([1e-3] * 3 + [4e-4] * 3, 2e-4, (ROWS, 6))[:, :columns]
     said = np.array([1e-3, 2e-3, 1.5e-3, 2e-4, 3e-4, 4e-4])[:columns]
     found = judged(qiao, error, {"rbf": saying(said), "gp": saying(0.5 * said)}, seed=5)
-    draws = np.random.default_rng(5)
-    draws.integers(2**63, size=2)  # a seed for each of two models comes first
     train, held = blocked_split(np.arange(ROWS), 20)
-    mixed = random_split(np.arange(ROWS), 20, draws)[1]
     for verdict, value in zip(found.verdicts, (said, 0.5 * said), strict=True):
-        assert verdict.geometric_random_rms == pytest.approx(rms(error[mixed]))
-        assert verdict.random_rms == pytest.approx(rms(error[mixed] - value))
         assert verdict.geometric_blocked_rms == pytest.approx(rms(error[held]))
         assert verdict.blocked_rms == pytest.approx(rms(error[held] - value))
         assert verdict.geometric_inner_rms == pytest.approx(rms(error[train]))
@@ -92,15 +87,11 @@ def test_a_model_that_could_not_be_fitted_has_no_figures_and_geometry_keeps_its_
 
     found = judged(qiao, error[:25], {"rbf": refusing}, seed=5)
     (verdict,) = found.verdicts
-    draws = np.random.default_rng(5)
-    draws.integers(2**63)
-    held, mixed = blocked_split(np.arange(25), 5)[1], random_split(np.arange(25), 5, draws)[1]
-    assert verdict.blocked_rms is verdict.random_rms is verdict.blocked_attitude_rms is None
+    held = blocked_split(np.arange(25), 5)[1]
+    assert verdict.blocked_rms is verdict.blocked_attitude_rms is None
     assert verdict.geometric_blocked_rms == pytest.approx(rms(error[held]))
-    assert verdict.geometric_random_rms == pytest.approx(rms(error[mixed]))
     assert verdict.geometric_blocked_attitude_rms == pytest.approx(rms(error[held][:, 3:]), rel=1e-6)
     assert verdict.reason == "not fitted: too few"
-    assert rms(error[held]) != pytest.approx(rms(error[mixed]), rel=0.01)
     assert verdict.inner_rms is verdict.geometric_inner_rms is None and not verdict.accepted
     assert found.selected is None and found.blocked_rms == verdict.geometric_blocked_rms
 
@@ -156,8 +147,8 @@ def test_payload_and_temperature_reach_the_model_when_it_learns_and_when_it_is_a
 
     gate_residuals(data, lambda _: qiao.nominal, np.random.default_rng(0), models=("rbf",), fitters={"rbf": fitter})
     width = learnt[0][1]
-    assert width in (8, 9)  # six joints, one of which may count twice, and two conditions
-    assert learnt == [(80, width)] * 2 + [(64, width)] * 5 and sorted(asked) == [(16, width)] * 5 + [(20, width)] * 2
+    assert 8 <= width < 14  # six joints, some of which count twice, and two conditions
+    assert learnt == [(80, width)] + [(64, width)] * 5 and sorted(asked) == [(16, width)] * 5 + [(20, width)]
 
 
 def test_every_model_draws_for_itself(qiao):
@@ -177,20 +168,18 @@ def test_every_model_draws_for_itself(qiao):
 
 
 def test_reports_are_in_mm_and_degrees():
-    verdict = GateVerdict("gp", 1e-3, 2e-3, 3e-3, 4e-3, np.radians(0.5), np.radians(0.7), 5e-3, 6e-3, True, "why")
+    verdict = GateVerdict("gp", 2e-3, 4e-3, np.radians(0.5), np.radians(0.7), 5e-3, 6e-3, True, "why")
     told = GateReport((verdict,), "gp", 2e-3).as_dict()
     assert told["selected"] == "gp" and told["blocked_rms_mm"] == 2.0
     assert told["models"]["gp"] == {
         "accepted": True,
         "reason": "why",
-        "random_rms_mm": pytest.approx(1.0),
         "blocked_rms_mm": pytest.approx(2.0),
-        "geometric_random_rms_mm": pytest.approx(3.0),
         "geometric_blocked_rms_mm": pytest.approx(4.0),
         "blocked_attitude_rms_deg": pytest.approx(0.5),
         "geometric_blocked_attitude_rms_deg": pytest.approx(0.7),
         "inner_rms_mm": pytest.approx(5.0),
         "geometric_inner_rms_mm": pytest.approx(6.0),
     }
-    bare = GateVerdict("gp", 1e-3, 2e-3, 3e-3, 4e-3, None, None)
+    bare = GateVerdict("gp", 2e-3, 4e-3, None, None)
     assert GateReport((bare,), None, 2e-3).as_dict()["models"]["gp"]["inner_rms_mm"] is None
